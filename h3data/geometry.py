@@ -1,0 +1,209 @@
+"""Rotations and rigid poses: the conventions of the whole package, in one place.
+
+World: right-handed, metres, +Y up, as Habitat and glTF. Agent root frame: x forward, y up, z right; the heading is the
+rotation about +Y, 0 faces +X, positive turns left. Quaternions are ``[x y z w]``, unit. A pose7 is
+``[x y z qx qy qz qw]``, local to world; a 4x4 matrix acts on column vectors. Every function broadcasts over leading axes
+and keeps the floating dtype of its operands.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.floating]
+
+IDENTITY_QUAT = np.array([0.0, 0.0, 0.0, 1.0])
+IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+def _floating(value: ArrayLike) -> Array:
+    array = np.asarray(value)
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
+
+
+def normalized(vectors: ArrayLike) -> Array:
+    """Unit vectors (or quaternions) along the last axis; a zero vector stays zero."""
+    v = _floating(vectors)
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)
+
+
+def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
+    """Hamilton product ``a b``, shape [..., 4]: rotate by ``b`` first, then by ``a``."""
+    a, b = _floating(a), _floating(b)
+    ax, ay, az, aw = np.moveaxis(a, -1, 0)
+    bx, by, bz, bw = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conjugate(q: ArrayLike) -> Array:
+    """Inverse of unit quaternions, shape [..., 4]."""
+    q = _floating(q)
+    return q * np.array([-1, -1, -1, 1], q.dtype)
+
+
+def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
+    """Rotate vectors [..., 3] by unit quaternions [..., 4]."""
+    q, v = _floating(q), _floating(vectors)
+    axis, w = q[..., :3], q[..., 3:]
+    t = 2 * np.cross(axis, v)
+    return v + w * t + np.cross(axis, t)
+
+
+def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
+    """Quaternions [..., 4] that turn by ``angle_rad`` [...] about ``axis`` [..., 3] (need not be unit)."""
+    half = _floating(angle_rad)[..., None] / 2
+    axis = normalized(axis)
+    axis, half = np.broadcast_arrays(axis, half)[0], half
+    return np.concatenate(
+        [axis * np.sin(half), np.broadcast_to(np.cos(half), (*axis.shape[:-1], 1))], axis=-1
+    )
+
+
+def quat_from_rotvec(rotvec: ArrayLike) -> Array:
+    """Quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
+    r = _floating(rotvec)
+    return quat_from_axis_angle(
+        np.where(r == 0, 1e-300, r) if r.dtype == np.float64 else r, np.linalg.norm(r, axis=-1)
+    )
+
+
+def quat_from_heading(heading_rad: ArrayLike) -> Array:
+    """Quaternions [..., 4] of headings [...]: rotation about +Y, 0 faces +X, positive turns left."""
+    half = _floating(heading_rad) / 2
+    zero = np.zeros_like(half)
+    return np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
+
+
+def heading_from_quat(q: ArrayLike) -> Array:
+    """Headings [...] [rad] of the x axes of frames [..., 4]; any roll and pitch is dropped."""
+    forward = quat_rotate(q, np.array([1.0, 0.0, 0.0], _floating(q).dtype))
+    return np.arctan2(-forward[..., 2], forward[..., 0])
+
+
+def heading_direction(heading_rad: ArrayLike) -> Array:
+    """Unit forward vectors in the floor plane, ``(x, z)`` [..., 2], of headings [...]."""
+    h = _floating(heading_rad)
+    return np.stack([np.cos(h), -np.sin(h)], axis=-1)
+
+
+def wrap_angle(angle_rad: ArrayLike) -> Array:
+    """Angles wrapped to [-pi, pi)."""
+    a = _floating(angle_rad)
+    return (a + np.pi) % (2 * np.pi) - np.pi
+
+
+def quat_to_matrix(q: ArrayLike) -> Array:
+    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
+    q = _floating(q)
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    m = np.empty((*q.shape[:-1], 3, 3), q.dtype)
+    m[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    m[..., 0, 1] = 2 * (x * y - z * w)
+    m[..., 0, 2] = 2 * (x * z + y * w)
+    m[..., 1, 0] = 2 * (x * y + z * w)
+    m[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    m[..., 1, 2] = 2 * (y * z - x * w)
+    m[..., 2, 0] = 2 * (x * z - y * w)
+    m[..., 2, 1] = 2 * (y * z + x * w)
+    m[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return m
+
+
+def quat_from_matrix(matrix: ArrayLike) -> Array:
+    """Unit quaternions [..., 4] of rotation matrices [..., 3, 3]; the sign with w >= 0 is returned.
+
+    Picks the largest of the four squared components, so no case loses precision (Shepperd's method).
+    """
+    m = _floating(matrix)
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    squares = np.stack(
+        [1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22], -1
+    )
+    best = np.argmax(squares, axis=-1)
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    x2, y2, z2, w2 = np.moveaxis(squares, -1, 0)
+    rows = np.stack(
+        [
+            np.stack([x2, xy, xz, xw], -1),
+            np.stack([xy, y2, yz, yw], -1),
+            np.stack([xz, yz, z2, zw], -1),
+            np.stack([xw, yw, zw, w2], -1),
+        ],
+        axis=-2,
+    )
+    q = normalized(np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def quat_sign_continuous(q: ArrayLike) -> Array:
+    """Quaternions [T, ..., 4] with signs chosen so that no neighbour in time (axis 0) jumps to the antipode."""
+    q = _floating(q)
+    if len(q) < 2:
+        return q.copy()
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=-1) < 0, -1.0, 1.0).astype(q.dtype)
+    signs = np.concatenate([np.ones_like(flips[:1]), np.cumprod(flips, axis=0)])
+    return q * signs[..., None]
+
+
+def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
+    """Normalised linear blend of quaternions [..., 4] along the shorter arc; weight [...] 0 gives a, 1 gives b."""
+    a, b, w = _floating(a), _floating(b), _floating(weight)[..., None]
+    b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
+    return normalized(a * (1 - w) + b * w)
+
+
+def pose_to_matrix(pose: ArrayLike) -> Array:
+    """4x4 matrices [..., 4, 4] of pose7 [..., 7]."""
+    p = _floating(pose)
+    m = np.zeros((*p.shape[:-1], 4, 4), p.dtype)
+    m[..., :3, :3] = quat_to_matrix(p[..., 3:])
+    m[..., :3, 3] = p[..., :3]
+    m[..., 3, 3] = 1
+    return m
+
+
+def pose_from_matrix(matrix: ArrayLike) -> Array:
+    """pose7 [..., 7] of rigid 4x4 (or 3x4) matrices [..., 4, 4]."""
+    m = _floating(matrix)
+    return np.concatenate([m[..., :3, 3], quat_from_matrix(m[..., :3, :3])], axis=-1)
+
+
+def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
+    """pose7 of ``a b``: a pose ``b`` given in frame ``a``, shape [..., 7]."""
+    a, b = _floating(a), _floating(b)
+    position = a[..., :3] + quat_rotate(a[..., 3:], b[..., :3])
+    return np.concatenate([position, quat_multiply(a[..., 3:], b[..., 3:])], axis=-1)
+
+
+def pose_inverse(pose: ArrayLike) -> Array:
+    """pose7 of the inverse, shape [..., 7]."""
+    p = _floating(pose)
+    q = quat_conjugate(p[..., 3:])
+    return np.concatenate([-quat_rotate(q, p[..., :3]), q], axis=-1)
+
+
+def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
+    """Points [..., N, 3] moved by 4x4 (or 3x4) matrices [..., 4, 4]."""
+    m, p = _floating(matrix), _floating(points)
+    return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
+
+
+def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0) -> Array:
+    """pose7 [..., 7] of agent roots that stand at floor points ``(x, z)`` [..., 2] with headings [...]."""
+    xz = _floating(xz)
+    q = quat_from_heading(np.asarray(heading_rad, xz.dtype))
+    y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])
+    return np.concatenate(
+        [np.stack([xz[..., 0], y, xz[..., 1]], -1), np.broadcast_to(q, (*xz.shape[:-1], 4))], -1
+    )

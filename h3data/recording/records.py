@@ -1,0 +1,226 @@
+"""What a recording is: who and what was there, and where everything was at every step.
+
+A `Recording` is complete by itself: with its assets at hand it can be drawn from any camera, measured and continued. It
+is the same thing whether it came from our simulator, from a Habitat file, from an MCAP log or from a Parquet dataset.
+
+Time-indexed data are plain arrays in `Recording.columns`, time first. Their names are the contract:
+
+====================== ================ =================================================================================
+column                 dtype, shape     meaning (frames and units as in `h3data.geometry`)
+====================== ================ =================================================================================
+``time_ns``            int64 [T]        nanoseconds since the episode began; row k is the state after action k
+``object_pose``        float32 [T,N,7]  pose7 in the world of each body with ``moving >= 0``; NaN = not in the world then
+``agent_<i>.base_pose``   float32 [T,7] pose7 of the agent's root: at the floor, x forward, y up, z right
+``agent_<i>.joint_pos``   float32 [T,J] robot joint positions [rad or m], in the order of ``Agent.joint_names``
+``agent_<i>.grasp_body``  int32 [T]     index of the held body, -1 for none
+``agent_<i>.motion_id``   int32 [T]     clip that drives a humanoid, an index into ``Agent.motion_names``
+``agent_<i>.motion_phase`` float32 [T]  position in the clip, 0..1
+``agent_<i>.motion_blend`` float32 [T]  0 = standing pose, 1 = the clip
+``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
+``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
+``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
+``agent_<i>.skill``       int32 [T]     running high-level skill, an index into ``Agent.skill_names``, -1 for none
+``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
+``sim.<name>``            any           what the simulator needs besides, to continue from a step
+``state_hash``            uint64 [T]    running hash of the state stream
+====================== ================ =================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError
+
+SCHEMA_VERSION = "1.0"
+"""Additive changes raise the second number; readers refuse a newer first number."""
+
+STEP_NS = 33_333_333
+"""Nominal step: 30 steps per second, in whole nanoseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetRef:
+    """Where the look of a body comes from."""
+
+    name: str
+    uri: str
+    """``scene:<asset>`` lies in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
+    recorded, to be found below the user's asset roots."""
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Which axis of the file points up."""
+    front: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    """Which axis of the file points forward."""
+    units_m: float = 1.0
+    """Metres per unit of the file."""
+    color: tuple[int, int, int] | None = None
+    """sRGB override of the material, if the recording has one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Body:
+    """A rigid thing: furniture, an object, or a link of an agent that has no model of its own."""
+
+    name: str
+    asset: str
+    pose: NDArray[np.float32]
+    """pose7 in the world, for bodies that never move; the first pose of those that do. Shape [7]."""
+    scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(3, np.float32))
+    semantic_id: int = 0
+    moving: int = -1
+    """Index along axis 1 of ``object_pose``; -1 = static."""
+    layer: str = ""
+    """As `h3data.scene.Instance.layer`."""
+    agent: int = -1
+    """Index of the agent that this body is a part of; -1 = none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agent:
+    """Somebody who acts."""
+
+    name: str
+    kind: Literal["robot", "human"]
+    model: str = ""
+    """Built-in body or robot that draws it (``humanoid/female_0``, ``robot/quad_arm``); empty: its bodies draw it."""
+    semantic_id: int = 0
+    joint_names: tuple[str, ...] = ()
+    motion_names: tuple[str, ...] = ()
+    action_names: tuple[str, ...] = ()
+    skill_names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something that happened at one step: a collision, a pick, a user's click."""
+
+    step: int
+    agent: int
+    """Who did it; -1 = nobody."""
+    kind: str
+    target: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillSpan:
+    """A high-level action from its first to its last step (inclusive)."""
+
+    agent: int
+    name: str
+    target: str = ""
+    start_step: int
+    end_step: int
+    outcome: Literal["done", "failed", "aborted", "running"] = "done"
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """What was recorded, under which rules, by whom."""
+
+    uid: str
+    """Unique for ever (uuid)."""
+    episode_id: str
+    """Name within its dataset."""
+    task: str
+    """``social_nav``, ``gfx_replay``, ..."""
+    scene: str
+    seed: int = 0
+    dt_ns: int = STEP_NS
+    created_by: str = ""
+    """Program and version that made it."""
+    schema_version: str = SCHEMA_VERSION
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """Anything else that JSON can hold: task parameters, start poses, way points, provenance, import warnings."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """One episode. Immutable by convention; `h3data.open` makes one from a file."""
+
+    episode: Episode
+    assets: tuple[AssetRef, ...] = ()
+    bodies: tuple[Body, ...] = ()
+    agents: tuple[Agent, ...] = ()
+    columns: Mapping[str, NDArray[Any]]
+    skills: tuple[SkillSpan, ...] = ()
+    events: tuple[Event, ...] = ()
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    """Files that travel with the recording, e.g. ``scene.glb``."""
+
+    def __post_init__(self) -> None:
+        faults = _faults(self)
+        if faults:
+            raise FormatError(
+                f"Recording {self.episode.episode_id!r} is not consistent: " + "; ".join(faults[:8]) + "."
+            )
+
+    def __len__(self) -> int:
+        return len(self.columns["time_ns"])
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first to the last step."""
+        times = self.columns["time_ns"]
+        return float(times[-1] - times[0]) * 1e-9 if len(times) else 0.0
+
+    @property
+    def moving_bodies(self) -> tuple[Body, ...]:
+        """Bodies with a track, in the order of axis 1 of ``object_pose``."""
+        return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
+
+    def agent_column(self, agent: int, name: str) -> NDArray[Any]:
+        """Column ``agent_<agent>.<name>``; a `KeyError` names what there is."""
+        key = f"agent_{agent}.{name}"
+        if key not in self.columns:
+            raise KeyError(f"no column {key!r}; this recording has {', '.join(self.columns)}")
+        return self.columns[key]
+
+    def __repr__(self) -> str:
+        e = self.episode
+        agents = ", ".join(f"{a.name} ({a.kind}{', ' + a.model if a.model else ''})" for a in self.agents)
+        lines = [
+            f"Recording {e.episode_id!r}: task {e.task}, scene {e.scene!r}, {len(self)} steps, {self.duration_s:.1f} s",
+            f"  agents   {agents or 'none'}",
+            f"  bodies   {len(self.bodies)} ({len(self.moving_bodies)} moving), {len(self.assets)} assets",
+            f"  skills   {len(self.skills)}   events {len(self.events)}   attachments {list(self.attachments)}",
+        ]
+        lines += [
+            f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()
+        ]
+        return "\n".join(lines)
+
+
+def _faults(rec: Recording) -> list[str]:
+    faults = []
+    columns = rec.columns
+    if "time_ns" not in columns:
+        return ["there is no column time_ns"]
+    steps = len(columns["time_ns"])
+    faults += [
+        f"column {name} has {len(array)} rows, time_ns has {steps}"
+        for name, array in columns.items()
+        if len(array) != steps
+    ]
+    if columns["time_ns"].dtype != np.int64:
+        faults.append(f"time_ns must be int64, is {columns['time_ns'].dtype}")
+    elif np.any(np.diff(columns["time_ns"]) <= 0):
+        faults.append("time_ns does not increase strictly")
+    moving = sorted(b.moving for b in rec.bodies if b.moving >= 0)
+    width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
+    if moving != list(range(width)):
+        faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
+    known = {a.name for a in rec.assets}
+    unknown = sorted({b.asset for b in rec.bodies} - known)
+    if unknown:
+        faults.append(f"bodies use unknown assets {unknown[:3]}")
+    for i in range(len(rec.agents)):
+        if f"agent_{i}.base_pose" not in columns:
+            faults.append(f"agent {i} ({rec.agents[i].name}) has no column agent_{i}.base_pose")
+    return faults

@@ -1,0 +1,224 @@
+"""What a scene is: assets (meshes, collision parts, receptacles) and instances of them in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.geometry import pose_to_matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles of one asset in its own frame (+Y up) [m]. Immutable by convention: share it freely."""
+
+    vertices: NDArray[np.float32]
+    """Shape [V, 3] [m]."""
+    faces: NDArray[np.int32]
+    """Vertex indices, counter-clockwise from outside, shape [F, 3]."""
+    colors: NDArray[np.uint8]
+    """sRGB colour per vertex, shape [V, 3]."""
+    normals: NDArray[np.float32] | None = None
+    """Unit shading normals per vertex, shape [V, 3]; None shades every triangle flat."""
+
+    def __post_init__(self) -> None:
+        v, f, c, n = self.vertices, self.faces, self.colors, self.normals
+        faults = []
+        if v.ndim != 2 or v.shape[1:] != (3,) or v.dtype != np.float32:
+            faults.append(f"vertices must be float32 [V, 3], got {v.dtype} {list(v.shape)}")
+        if f.ndim != 2 or f.shape[1:] != (3,) or f.dtype != np.int32:
+            faults.append(f"faces must be int32 [F, 3], got {f.dtype} {list(f.shape)}")
+        elif len(f) and (f.min() < 0 or f.max() >= len(v)):
+            faults.append(f"faces index vertices {f.min()}..{f.max()}, there are {len(v)}")
+        if c.shape != v.shape or c.dtype != np.uint8:
+            faults.append(f"colors must be uint8 [{len(v)}, 3], got {c.dtype} {list(c.shape)}")
+        if n is not None and (n.shape != v.shape or n.dtype != np.float32):
+            faults.append(f"normals must be float32 [{len(v)}, 3], got {n.dtype} {list(n.shape)}")
+        if faults:
+            raise SceneError("Not a valid mesh: " + "; ".join(faults) + ".")
+
+    @property
+    def bounds(self) -> NDArray[np.float32]:
+        """Smallest and largest corner, shape [2, 3] [m]."""
+        if not len(self.vertices):
+            return np.zeros((2, 3), np.float32)
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} triangles)"
+
+
+# --- collision shapes: a closed family, always convex, in the asset's frame --------------------------------------------
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box:
+    """A box given by the pose of its centre."""
+
+    pose: NDArray[np.float64]
+    """pose7 of the centre in the asset frame, shape [7]."""
+    half_extents: NDArray[np.float64]
+    """Shape [3] [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cylinder:
+    """A cylinder about the y axis of its own pose."""
+
+    pose: NDArray[np.float64]
+    """pose7 of the centre in the asset frame, shape [7]."""
+    radius: float
+    half_height: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Capsule:
+    """All points within ``radius`` of the segment from ``start`` to ``end``."""
+
+    start: NDArray[np.float64]
+    """Shape [3] [m]."""
+    end: NDArray[np.float64]
+    """Shape [3] [m]."""
+    radius: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hull:
+    """The convex hull of some points."""
+
+    points: NDArray[np.float64]
+    """Shape [N, 3] [m]."""
+
+
+Shape = Box | Cylinder | Capsule | Hull
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Receptacle:
+    """A horizontal surface of an asset on which things can be put: a rectangle with free space above it."""
+
+    name: str
+    center: NDArray[np.float64]
+    """Middle of the surface in the asset frame, shape [3] [m]."""
+    half_size: NDArray[np.float64]
+    """Half extents along the asset's x and z axes, shape [2] [m]."""
+    clearance_m: float
+    """Free height above the surface [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Asset:
+    """One kind of thing: what it looks like, what it collides as, where things can be put on it."""
+
+    name: str
+    mesh: Mesh
+    category: str = "object"
+    shapes: tuple[Shape, ...] = ()
+    """Convex collision parts; empty means that it does not collide (a rug, a lamp shade)."""
+    receptacles: tuple[Receptacle, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"Asset({self.name!r}, {self.category}, {len(self.mesh.faces)} triangles, {len(self.shapes)} shapes, "
+            f"{len(self.receptacles)} receptacles)"
+        )
+
+
+Motion = Literal["static", "kinematic"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instance:
+    """One asset placed in the world."""
+
+    name: str
+    asset: str
+    pose: NDArray[np.float64]
+    """pose7 of the asset frame in the world, shape [7]."""
+    scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
+    """Per axis of the asset frame, shape [3]."""
+    semantic_id: int = 0
+    motion: Motion = "static"
+    """``static`` belongs to the building and its furniture; ``kinematic`` may be moved by somebody."""
+    layer: str = ""
+    """Named layers can be left out of a picture: ``ceiling`` is, in views from above."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Room:
+    """A named floor area."""
+
+    name: str
+    category: str
+    rectangles: NDArray[np.float64]
+    """Disjoint rectangles that make up the room, ``x0 z0 x1 z1``, shape [R, 4] [m]."""
+    floor_y: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A home: assets, where they stand, rooms. Frame: world, +Y up, metres."""
+
+    name: str
+    assets: Mapping[str, Asset]
+    instances: tuple[Instance, ...]
+    rooms: tuple[Room, ...] = ()
+    source: Mapping[str, Any] = field(default_factory=dict)
+    """How to get it again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}`` or the Habitat files it came from."""
+
+    def __post_init__(self) -> None:
+        unknown = sorted({i.asset for i in self.instances} - set(self.assets))
+        if unknown:
+            raise SceneError(
+                f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}."
+            )
+        names = [i.name for i in self.instances]
+        if len(set(names)) != len(names):
+            twice = sorted({n for n in names if names.count(n) > 1})
+            raise SceneError(
+                f"Scene {self.name!r}: instance names must be unique, these are not: {twice[:5]}."
+            )
+
+    @property
+    def static_instances(self) -> tuple[Instance, ...]:
+        return tuple(i for i in self.instances if i.motion == "static")
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Smallest and largest corner of everything, shape [2, 3] [m]."""
+        boxes = [instance_bounds(self, i) for i in self.instances if len(self.assets[i.asset].mesh.vertices)]
+        if not boxes:
+            return np.zeros((2, 3))
+        return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
+
+    def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
+        """Every receptacle of every static instance, as Habitat names them: ``instance|receptacle``."""
+        for instance in self.static_instances:
+            for receptacle in self.assets[instance.asset].receptacles:
+                yield instance, receptacle
+
+    def __repr__(self) -> str:
+        triangles = sum(len(self.assets[i.asset].mesh.faces) for i in self.instances)
+        return (
+            f"Scene({self.name!r}, {len(self.assets)} assets, {len(self.instances)} instances, {triangles} triangles, "
+            f"{len(self.rooms)} rooms)"
+        )
+
+
+def instance_matrix(instance: Instance) -> NDArray[np.float64]:
+    """4x4 matrix from asset frame to world, scale included."""
+    matrix = pose_to_matrix(instance.pose).astype(np.float64)
+    matrix[:3, :3] *= instance.scale
+    return matrix
+
+
+def instance_bounds(scene: Scene, instance: Instance) -> NDArray[np.float64]:
+    """World axis-aligned box around the instance's mesh box, shape [2, 3] [m]."""
+    lo, hi = scene.assets[instance.asset].mesh.bounds
+    matrix = instance_matrix(instance)
+    center = matrix[:3, :3] @ ((lo + hi) / 2) + matrix[:3, 3]
+    half = np.abs(matrix[:3, :3]) @ ((hi - lo) / 2)
+    return np.stack([center - half, center + half])
