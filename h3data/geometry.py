@@ -64,17 +64,13 @@ def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
     half = _floating(angle_rad)[..., None] / 2
     axis = normalized(axis)
     axis, half = np.broadcast_arrays(axis, half)[0], half
-    return np.concatenate(
-        [axis * np.sin(half), np.broadcast_to(np.cos(half), (*axis.shape[:-1], 1))], axis=-1
-    )
+    return np.concatenate([axis * np.sin(half), np.broadcast_to(np.cos(half), (*axis.shape[:-1], 1))], axis=-1)
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
     """Quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
     r = _floating(rotvec)
-    return quat_from_axis_angle(
-        np.where(r == 0, 1e-300, r) if r.dtype == np.float64 else r, np.linalg.norm(r, axis=-1)
-    )
+    return quat_from_axis_angle(np.where(r == 0, 1e-300, r) if r.dtype == np.float64 else r, np.linalg.norm(r, axis=-1))
 
 
 def quat_from_heading(heading_rad: ArrayLike) -> Array:
@@ -126,9 +122,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
     """
     m = _floating(matrix)
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    squares = np.stack(
-        [1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22], -1
-    )
+    squares = np.stack([1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22], -1)
     best = np.argmax(squares, axis=-1)
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
@@ -204,6 +198,4 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
     xz = _floating(xz)
     q = quat_from_heading(np.asarray(heading_rad, xz.dtype))
     y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])
-    return np.concatenate(
-        [np.stack([xz[..., 0], y, xz[..., 1]], -1), np.broadcast_to(q, (*xz.shape[:-1], 4))], -1
-    )
+    return np.concatenate([np.stack([xz[..., 0], y, xz[..., 1]], -1), np.broadcast_to(q, (*xz.shape[:-1], 4))], -1)

@@ -191,9 +191,7 @@ class Recording:
             f"  bodies   {len(self.bodies)} ({len(self.moving_bodies)} moving), {len(self.assets)} assets",
             f"  skills   {len(self.skills)}   events {len(self.events)}   attachments {list(self.attachments)}",
         ]
-        lines += [
-            f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()
-        ]
+        lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)
 
 

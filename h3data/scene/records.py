@@ -172,15 +172,11 @@ class Scene:
     def __post_init__(self) -> None:
         unknown = sorted({i.asset for i in self.instances} - set(self.assets))
         if unknown:
-            raise SceneError(
-                f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}."
-            )
+            raise SceneError(f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}.")
         names = [i.name for i in self.instances]
         if len(set(names)) != len(names):
             twice = sorted({n for n in names if names.count(n) > 1})
-            raise SceneError(
-                f"Scene {self.name!r}: instance names must be unique, these are not: {twice[:5]}."
-            )
+            raise SceneError(f"Scene {self.name!r}: instance names must be unique, these are not: {twice[:5]}.")
 
     @property
     def static_instances(self) -> tuple[Instance, ...]:
