@@ -1,0 +1,61 @@
+"""Every constant of the simulator, in SI units. Kernels receive these as arguments and hold no literals of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+STEP_S = 1 / 30
+"""Seconds per step. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is 2.5 m/s
+(spec/habitat.md 0)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseSpec:
+    """How a robot's base moves: discs that must stay clear of obstacles, and speed limits."""
+
+    max_speed_mps: float = 2.5
+    max_turn_rad_s: float = 2.5
+    disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
+    """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation)."""
+    disc_radius_m: float = 0.25
+    slide_iterations: int = 3
+    """Attempts to push the discs out of obstacles before the move is given up."""
+    clearance_tolerance_m: float = 2e-3
+    """A disc may come this much nearer to an obstacle than its radius: the error of the distance grid."""
+    contact_tolerance_m: float = 1e-5
+    """A disc displaced by more than this has touched something."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkerSpec:
+    """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+
+    speed_mps: float = 2.5
+    turn_rad_s: float = 2.5
+    turn_before_walk_rad: float = 0.0873
+    """Above this heading error (5 degrees, spec/habitat.md 3.4) it turns without walking."""
+    arrive_m: float = 0.02
+    """A way point counts as reached within this distance."""
+    blend_s: float = 0.2
+    """Time to go over between standing and walking."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SocialNavSpec:
+    """Rules of social navigation: find the person, then follow at 1-2 m, facing her (paper section 4.1 and appendix)."""
+
+    max_steps: int = 1500
+    spawn_distance_m: float = 5.0
+    """Least distance between robot and human at the start: 3 m for training, 5 m for evaluation."""
+    near_m: float = 1.0
+    far_m: float = 2.0
+    facing_dot: float = 0.5
+    """Cosine between the robot's forward axis and the direction to the human, above which it faces her."""
+    end_on_collision: bool = True
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
+    oracle_waypoint_steps: int = 10
+    """Spacing of the way points of the human's trajectory in the search for the oracle's minimum steps."""
+    robot: BaseSpec = BaseSpec()
+    human: WalkerSpec = WalkerSpec()

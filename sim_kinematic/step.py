@@ -1,0 +1,142 @@
+"""One step of motion: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
+
+Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
+(spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
+grid. Sliding is strict: a move that cannot be made free of penetration is given up part by part
+(research: navigation-and-stepping 3.2).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from h3data.scene import FreeSpace
+from h3data.scene.freespace import sample_sdf, sdf_gradient
+from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.state import WorldState
+
+_JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+
+@njit(**_JIT)
+def wrap_angle(angle):
+    """The angle in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@njit(**_JIT)
+def least_clearance(sdf, origin, cell, x, z, heading, offsets):
+    """Smallest signed distance [m] from the centres of the base's discs to an obstacle."""
+    least = math.inf
+    for offset in offsets:
+        cx, cz = x + math.cos(heading) * offset, z - math.sin(heading) * offset
+        least = min(least, sample_sdf(sdf, origin, cell, cx, cz))
+    return least
+
+
+@njit(**_JIT)
+def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
+    """Base position moved until its discs, if possible, keep their radius: ``(x, z)``."""
+    for _ in range(iterations):
+        free = True
+        for offset in offsets:
+            cx, cz = x + math.cos(heading) * offset, z - math.sin(heading) * offset
+            distance = sample_sdf(sdf, origin, cell, cx, cz)
+            if distance < radius:
+                gx, gz = sdf_gradient(sdf, origin, cell, cx, cz)
+                length = math.sqrt(gx * gx + gz * gz)
+                if length > 1e-9:
+                    x += gx / length * (radius - distance)
+                    z += gz / length * (radius - distance)
+                    free = False
+        if free:
+            break
+    return x, z
+
+
+@njit(**_JIT)
+def drive_base(sdf, origin, cell, x, z, heading, speed, turn, dt, offsets, radius, iterations, tolerance, touch):
+    """One step of a robot base: ``(x, z, heading, touched)``. ``speed`` [m/s] along x, ``turn`` [rad/s] to the left."""
+    new_heading = wrap_angle(heading + turn * dt)
+    tx, tz = x + math.cos(heading) * speed * dt, z - math.sin(heading) * speed * dt
+    limit = radius - tolerance
+    if least_clearance(sdf, origin, cell, tx, tz, new_heading, offsets) >= radius:
+        return tx, tz, new_heading, False
+    sx, sz = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
+    touched = math.hypot(sx - tx, sz - tz) > touch
+    # a push-out may not carry the base farther than the command itself could have
+    reach = abs(speed) * dt + 2.0 * radius * abs(turn) * dt + tolerance
+    fits = math.hypot(sx - x, sz - z) <= reach
+    if fits and least_clearance(sdf, origin, cell, sx, sz, new_heading, offsets) >= limit:
+        return sx, sz, new_heading, touched
+    sx, sz = push_out(sdf, origin, cell, tx, tz, heading, offsets, radius, iterations)
+    fits = math.hypot(sx - x, sz - z) <= reach
+    if fits and least_clearance(sdf, origin, cell, sx, sz, heading, offsets) >= limit:
+        return sx, sz, heading, True
+    if least_clearance(sdf, origin, cell, x, z, new_heading, offsets) >= limit:
+        return x, z, new_heading, True
+    return x, z, heading, True
+
+
+@njit(**_JIT)
+def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
+    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
+    dx, dz = goal_x - x, goal_z - z
+    distance = math.hypot(dx, dz)
+    if distance <= arrive:
+        return x, z, heading, 0.0
+    wanted = math.atan2(-dz, dx)
+    error = wrap_angle(wanted - heading)
+    most = turn * dt
+    if abs(error) > turn_before_walk:
+        return x, z, wrap_angle(heading + min(max(error, -most), most)), 0.0
+    walked = min(speed * dt, distance)
+    return x + dx / distance * walked, z + dz / distance * walked, wanted, walked
+
+
+@njit(**_JIT)
+def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, max_turn, dt, offsets, radius, iterations,
+                  tolerance, touch):  # fmt: skip
+    for w in range(len(heading)):
+        speed = min(max(action[w, 0], -1.0), 1.0) * max_speed
+        turn = min(max(action[w, 1], -1.0), 1.0) * max_turn
+        contact[w] = False
+        if speed != 0.0 or turn != 0.0:
+            xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
+                sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], speed, turn, dt, offsets, radius, iterations,
+                tolerance, touch,
+            )  # fmt: skip
+
+
+@njit(**_JIT)
+def _walk_worlds(xz, heading, distance, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
+    for w in range(len(heading)):
+        xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(
+            xz[w, 0], xz[w, 1], heading[w], goal[w, 0], goal[w, 1], speed, turn, dt, turn_before_walk, arrive
+        )
+        distance[w] += walked
+        blend[w] = min(blend[w] + blend_rate, 1.0) if walked > 0.0 else max(blend[w] - blend_rate, 0.0)
+
+
+def drive_robots(state: WorldState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S) -> None:
+    """Move the robots of all worlds by ``action`` [W, 2] (forward and left turn, -1..1 of the limits), in place."""
+    _drive_worlds(
+        free.sdf, free.origin, free.cell_m, state.robot_xz, state.robot_heading, state.robot_contact,
+        np.asarray(action, np.float64), spec.max_speed_mps, spec.max_turn_rad_s, dt,
+        np.asarray(spec.disc_offsets_m, np.float64), spec.disc_radius_m, spec.slide_iterations,
+        spec.clearance_tolerance_m, spec.contact_tolerance_m,
+    )  # fmt: skip
+
+
+def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
+    """Move the humanoids of all worlds one step straight towards their way points ``goal_xz`` [W, 2], in place.
+
+    The way points come from `FreeSpace.path`, so the straight line to the next one is free.
+    """
+    _walk_worlds(
+        state.human_xz, state.human_heading, state.human_distance, state.human_blend, np.asarray(goal_xz, np.float64),
+        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
+    )  # fmt: skip

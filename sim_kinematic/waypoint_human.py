@@ -1,0 +1,71 @@
+"""The scripted person of social navigation: shortest paths to random points of the home, one after the other
+(paper section 4.1; spec/habitat.md 1.4). She does not react to the robot, so her whole track is known from the seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene import FreeSpace
+from sim_kinematic.randomness import generator
+from sim_kinematic.spec import WalkerSpec
+from sim_kinematic.state import WorldState
+from sim_kinematic.step import walk_humans
+
+MIN_WALK_M = 1.5
+"""A new goal nearer than this is drawn again: standing about is not following practice."""
+
+
+@dataclass
+class WaypointHuman:
+    """Which way point of which goal the person walks to. ``goal`` and ``leg`` are all that it remembers."""
+
+    free: FreeSpace
+    seed: int
+    spec: WalkerSpec
+    goal: int = -1
+    """Index of the current goal, -1 before the first."""
+    leg: int = 0
+    """Index of the way point within the path to it."""
+    goals: list[NDArray[np.float64]] = field(default_factory=list)
+    """All goals so far, ``(x, z)`` each."""
+    _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
+        while True:
+            while self.leg < len(self._path):
+                waypoint = self._path[self.leg]
+                if np.hypot(*(waypoint - position)) > self.spec.arrive_m:
+                    return waypoint
+                self.leg += 1
+            self._next_goal(position)
+
+    def _next_goal(self, position: NDArray[np.float64]) -> None:
+        self.goal += 1
+        rng = generator(self.seed, "human_goal", step=self.goal)
+        candidates = self.free.sample(rng, 32)
+        lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
+        walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= MIN_WALK_M))
+        # a home with nothing that far away: the farthest point there is
+        pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
+        self.goals.append(candidates[pick])
+        self._path = self.free.path(position, candidates[pick])
+        self.leg = 1
+
+
+def human_track(
+    free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int
+) -> NDArray[np.float64]:
+    """Where the scripted person will be: ``(x, z)`` after each of ``steps`` steps, shape [steps, 2] [m]."""
+    state = WorldState.zeros(1)
+    state.human_xz[0], state.human_heading[0] = start_xz, heading
+    human = WaypointHuman(free, seed, spec)
+    track = np.empty((steps, 2))
+    for k in range(steps):
+        walk_humans(state, human.target(state.human_xz[0])[None], spec)
+        track[k] = state.human_xz[0]
+    return track
