@@ -171,14 +171,11 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
 def _trail(position: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:
     """For each step the latest earlier point of the track at least ``distance_m`` away, else its start, shape [T, 3]."""
     out = np.empty_like(position)
-    back = 0
     for k in range(len(position)):
-        # the newest point that is far enough; the way home is never searched farther than where we stood last
         j = k
         while j > 0 and np.linalg.norm(position[k] - position[j]) < distance_m:
             j -= 1
-        back = max(back, j) if np.linalg.norm(position[k] - position[max(back, j)]) >= distance_m else j
-        out[k] = position[back]
+        out[k] = position[j]
     return out
 
 

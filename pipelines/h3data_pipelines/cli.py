@@ -1,0 +1,82 @@
+"""The ``h3data`` command line. Exit codes: 0 done, 1 done with failures listed, 2 refused (bad input), 130 interrupted."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from h3data.errors import H3DataError
+from h3data_pipelines.command import Command
+from h3data_pipelines.demo import Demo
+from h3data_pipelines.doctor import Doctor
+from h3data_pipelines.generate import Generate
+from h3data_pipelines.importing import Import
+from h3data_pipelines.measuring import Metrics
+from h3data_pipelines.rerender import Rerender
+from h3data_pipelines.viewing import View
+
+Commands = (
+    Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Generate, tyro.conf.subcommand("generate")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Rerender, tyro.conf.subcommand("rerender")]
+    | Annotated[Metrics, tyro.conf.subcommand("metrics")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+)
+
+_DESCRIPTION = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
+
+Start with: h3data demo -o out/demo"""
+
+
+def jsonable(value: Any) -> Any:
+    """The value with NaN and infinities as null, which JSON has no other word for."""
+    if isinstance(value, dict):
+        return {str(k): jsonable(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [jsonable(v) for v in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    args = list(sys.argv[1:] if arguments is None else arguments)
+    command: Command = tyro.cli(
+        Commands, args=args or ["--help"], prog="h3data", description=_DESCRIPTION, config=(tyro.conf.OmitArgPrefixes,)
+    )  # type: ignore[call-overload]
+    try:
+        outcome = command.run()
+    except H3DataError as error:
+        if command.json:
+            sys.stdout.write(json.dumps({"error": str(error)}) + "\n")
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; finished files are kept\n")
+        return 130
+    except BrokenPipeError:
+        return 0
+    if command.json:
+        sys.stdout.write(json.dumps(jsonable(outcome.data), indent=2) + "\n")
+    else:
+        sys.stdout.write(outcome.text.rstrip() + "\n")
+    return outcome.exit_code
+
+
+def entry() -> None:
+    """Console entry point."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    entry()

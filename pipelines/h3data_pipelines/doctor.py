@@ -1,0 +1,132 @@
+"""``h3data doctor``: what works on this machine."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from h3data_pipelines.command import JsonFlag, Outcome
+
+_PACKAGES = (
+    "numpy", "numba", "scipy", "shapely", "torch", "trimesh", "python-fcl", "mcap", "pyarrow", "rerun-sdk",
+    "opencv-python-headless", "av", "msgspec", "tyro",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Show what works on this machine: renderers, video, collision, GPU, versions.
+
+    Example: h3data doctor --json
+    """
+
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        checks = {
+            "CPU renderer (numba)": _cpu_renderer,
+            "collision (FCL)": _collision,
+            "video (H.264 by PyAV)": _video,
+            "Rerun files": _rerun,
+            "built-in bodies and robots": _builtin,
+            "GPU (torch CUDA)": _gpu,
+        }
+        results = {name: _attempt(check) for name, check in checks.items()}
+        versions = {name: _version(name) for name in ("h3data", *_PACKAGES)}
+        data: dict[str, Any] = {
+            "python": sys.version.split()[0],
+            "platform": platform.platform(),
+            "cpus": os.cpu_count(),
+            "checks": results,
+            "versions": versions,
+        }
+        required = [name for name in results if not name.startswith("GPU")]
+        broken = [name for name in required if not results[name]["ok"]]
+        lines = [f"Python {data['python']} on {data['platform']}, {data['cpus']} CPUs", ""]
+        lines += [f"  {'ok ' if r['ok'] else 'no '} {name:<28} {r['detail']}" for name, r in results.items()]
+        lines += ["", "  " + ", ".join(f"{name} {version or 'MISSING'}" for name, version in versions.items())]
+        if broken:
+            lines += ["", f"Not working: {', '.join(broken)}. Hint: pip install --force-reinstall h3data"]
+        return Outcome(text="\n".join(lines), data=data, exit_code=1 if broken else 0)
+
+
+def _attempt(check: Callable[[], str]) -> dict[str, Any]:
+    try:
+        return {"ok": True, "detail": check()}
+    except Exception as error:  # a doctor reports whatever is wrong, of whatever kind
+        return {"ok": False, "detail": f"{type(error).__name__}: {error}".splitlines()[0]}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _cpu_renderer() -> str:
+    import llvmlite.binding as llvm
+    import numpy as np
+
+    from h3data.render import Renderer, RenderInstance, RenderScene, pinhole
+    from h3data.scene import Mesh
+
+    triangle = Mesh(
+        vertices=np.array([[-9, -9, 2], [9, -9, 2], [0, 9, 2]], np.float32),
+        faces=np.array([[0, 1, 2]], np.int32),
+        colors=np.full((3, 3), 200, np.uint8),
+    )
+    scene = RenderScene([triangle], [RenderInstance(mesh=0, matrix=np.eye(4))])
+    depth = Renderer(scene).render(pinhole(32, 24, hfov_deg=60), outputs=("depth",))["depth"]
+    if abs(float(depth[12, 16]) - 2.0) > 1e-4:
+        raise RuntimeError(f"a wall at 2 m is drawn at {depth[12, 16]} m")
+    features = llvm.get_host_cpu_features()
+    simd = next((name for name in ("avx512f", "avx2", "avx", "sse4.2", "neon") if features.get(name)), "scalar")
+    return f"depth exact, SIMD {simd}"
+
+
+def _collision() -> str:
+    import fcl
+    import numpy as np
+
+    a = fcl.CollisionObject(fcl.Sphere(0.5), fcl.Transform(np.array([0.9, 0.0, 0.0])))
+    b = fcl.CollisionObject(fcl.Sphere(0.5))
+    if not fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()):
+        raise RuntimeError("two overlapping spheres do not collide")
+    return "primitives collide"
+
+
+def _video() -> str:
+    import av
+
+    return f"encoder {av.Codec('libx264', 'w').name}"
+
+
+def _rerun() -> str:
+    import rerun
+
+    return f"rerun {rerun.__version__}"
+
+
+def _builtin() -> str:
+    from h3data.builtin import builtin_root
+
+    root = builtin_root()
+    bodies = sorted(p.stem for p in (root / "bodies").glob("*.npz"))
+    robots = sorted(p.name for p in (root / "robots").iterdir() if p.is_dir())
+    if not bodies or not robots:
+        raise RuntimeError(f"expected bodies and robots, found {bodies} and {robots}")
+    return ", ".join([*bodies, *robots])
+
+
+def _gpu() -> str:
+    import torch
+
+    if not torch.cuda.is_available():
+        raise RuntimeError("no CUDA device (not needed)")
+    return torch.cuda.get_device_name(0)

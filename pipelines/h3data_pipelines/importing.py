@@ -1,0 +1,148 @@
+"""``h3data import``: recordings that others made become recordings of ours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import H3DataError, InputError
+from h3data.interop import AssetLibrary, read_gfx_replay, sniff
+from h3data.recording import Recording, write_mcap
+from h3data.replay import Replay
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+
+_SUFFIXES = (".json", ".json.gz")
+
+
+@dataclass(frozen=True)
+class Import:
+    """Turn Habitat recordings into MCAP recordings. Folders are walked, kinds are detected by content.
+
+    Example: h3data import my_session.gfx_replay.json -o rec/ --assets ~/habitat
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """gfx-replay files (.json, .json.gz) or folders that hold some."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the recordings, one .mcap each."""
+    assets: tuple[Path, ...] = ()
+    """Folders below which the recorded asset files are searched (besides H3DATA_ASSETS), to report what is missing."""
+    fps: float = 30.0
+    """Keyframes per second: a gfx-replay stores no times."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if not self.paths:
+            raise InputError("Expected at least one file or folder to import.")
+        if not 0 < self.fps <= 1000:
+            raise InputError(f"--fps must be above 0 and at most 1000, got {self.fps}.")
+        files = _collect(self.paths)
+        explicit = {p for p in self.paths if p.is_file()}
+        library = AssetLibrary(self.assets)
+        rows: list[dict[str, Any]] = []
+        for path in tqdm(files, desc="import", unit="file", disable=None if len(files) > 1 else True):
+            try:
+                rows.append(self._one(path, library))
+            except H3DataError as error:
+                if path in explicit and len(files) == 1:
+                    raise
+                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+        return _report(rows)
+
+    def _one(self, path: Path, library: AssetLibrary) -> dict[str, Any]:
+        kind = sniff(path)
+        if kind not in ("gfx_replay", "unknown"):
+            return {"source": str(path), "status": "skipped", "kind": kind, "reason": f"cannot import {kind} files yet"}
+        recording = read_gfx_replay(path, fps=self.fps)
+        target = claim_file(self.out / f"{recording_stem(path)}.mcap", force=self.force)
+        write_mcap(recording, target, overwrite=self.force)
+        return {
+            "source": str(path),
+            "status": "imported",
+            "kind": "gfx_replay",
+            "recording": str(target),
+            **summarize(recording, library),
+        }
+
+
+def recording_stem(path: Path) -> str:
+    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    name = path.name
+    for suffix in (".gz", ".json", ".gfx_replay", ".mcap"):
+        name = name.removesuffix(suffix)
+    return name or path.stem
+
+
+def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
+    """Counts of a recording, and which of its asset files are missing below the library's roots."""
+    missing = Replay(recording, assets=library).missing
+    return {
+        "steps": len(recording),
+        "seconds": round(recording.duration_s, 3),
+        "bodies": len(recording.bodies),
+        "moving": len(recording.moving_bodies),
+        "agents": [{"name": a.name, "kind": a.kind} for a in recording.agents],
+        "assets": len(recording.assets),
+        "missing_assets": len(missing),
+        "missing": sorted(missing),
+        "warnings": list(recording.episode.info.get("warnings", ())),
+    }
+
+
+def _collect(paths: tuple[Path, ...]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            found = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(_SUFFIXES))
+            if not found:
+                raise InputError(f"No .json or .json.gz file in this folder: {path}")
+            files += found
+        elif path.exists():
+            files.append(path)
+        else:
+            raise InputError(f"There is no such file or folder. Expected a gfx-replay (.json or .json.gz): {path}")
+    return files
+
+
+@dataclass
+class _Counts:
+    imported: int = 0
+    skipped: int = 0
+    failed: int = 0
+    lines: list[str] = field(default_factory=list)
+
+
+def _report(rows: list[dict[str, Any]]) -> Outcome:
+    counts = _Counts()
+    for row in rows:
+        setattr(counts, row["status"], getattr(counts, row["status"]) + 1)
+        if row["status"] == "imported":
+            agents = ", ".join(f"{a['name']} ({a['kind']})" for a in row["agents"]) or "none recognised"
+            counts.lines += [
+                f"imported {row['source']} -> {row['recording']}",
+                f"         {row['steps']} steps, {row['bodies']} bodies ({row['moving']} moving), agents: {agents}",
+            ]
+            if row["missing_assets"]:
+                counts.lines.append(
+                    f"         {row['missing_assets']} of {row['assets']} assets not found; they are drawn as marked "
+                    "placeholders. Hint: --assets DIR or H3DATA_ASSETS"
+                )
+            counts.lines += [f"         warning: {w}" for w in row["warnings"]]
+        else:
+            counts.lines.append(f"{row['status']} {row['source']}: {row['reason']}")
+    if len(rows) > 1:
+        counts.lines.append(f"{counts.imported} imported, {counts.skipped} skipped, {counts.failed} failed")
+    data: dict[str, Any] = {
+        "imported": counts.imported,
+        "skipped": counts.skipped,
+        "failed": counts.failed,
+        "files": rows,
+    }
+    if len(rows) == 1:
+        data |= {k: v for k, v in rows[0].items() if k in ("steps", "recording", "bodies", "moving", "agents")}
+    return Outcome(text="\n".join(counts.lines), data=data, exit_code=1 if counts.failed or not counts.imported else 0)
