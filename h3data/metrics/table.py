@@ -1,0 +1,153 @@
+"""Metrics of many episodes: one column per metric, means with intervals, as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.metrics.registry import metrics_of
+from h3data.metrics.social_nav import EpisodeMetrics, measure
+from h3data.metrics.statistics import bootstrap_interval, wilson_interval
+from h3data.recording.records import Recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Mean of one metric over the episodes that define it."""
+
+    mean: float
+    low: float
+    """Lower end of the interval; NaN if there are too few episodes."""
+    high: float
+    """Upper end of the interval."""
+    count: int
+    """Episodes with a value."""
+    episodes: int
+    """All episodes."""
+    method: Literal["bootstrap", "wilson"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MetricsTable:
+    """One row per episode."""
+
+    profile: str
+    episode_ids: tuple[str, ...]
+    columns: Mapping[str, NDArray[np.float64]]
+    """By metric name, shape [E]; NaN = undefined in that episode."""
+    episodes: tuple[EpisodeMetrics, ...]
+    """The rows with their notes."""
+
+    def __len__(self) -> int:
+        return len(self.episode_ids)
+
+    def __repr__(self) -> str:
+        return f"MetricsTable({self.profile!r}, {len(self)} episodes, {', '.join(self.columns)})"
+
+    def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
+        """Mean and interval of each metric: Wilson for 0/1 metrics, else percentile bootstrap (seeded)."""
+        binary = {m.name for m in metrics_of(self.profile) if m.binary}
+        result = {}
+        for name, column in self.columns.items():
+            values = column[~np.isnan(column)]
+            if name in binary:
+                low, high = wilson_interval(int(values.sum()), len(values), confidence=confidence)
+            else:
+                low, high = bootstrap_interval(values, confidence=confidence, resamples=resamples, seed=seed)
+            result[name] = Summary(
+                mean=float(values.mean()) if len(values) else float("nan"),
+                low=low,
+                high=high,
+                count=len(values),
+                episodes=len(self),
+                method="wilson" if name in binary else "bootstrap",
+            )
+        return result
+
+    def notes(self) -> dict[str, dict[str, int]]:
+        """How many episodes carry each note, by metric name."""
+        counted: dict[str, dict[str, int]] = {}
+        for episode in self.episodes:
+            for name, text in episode.notes.items():
+                per_metric = counted.setdefault(name, {})
+                per_metric[text] = per_metric.get(text, 0) + 1
+        return counted
+
+    def to_text(self, *, confidence: float = 0.95) -> str:
+        """An aligned table ``mean [low, high]``, one line per metric, and the notes below."""
+        records = {m.name: m for m in metrics_of(self.profile)}
+        heads = ["metric", "mean", f"{100 * confidence:g} % interval", "unit", "episodes", "", "what"]
+        arrows = {"higher": "up", "lower": "down", "neither": ""}
+        lines = [heads]
+        for name, s in self.summary(confidence=confidence).items():
+            metric = records[name]
+            interval = "" if np.isnan(s.low) else f"[{s.low:.3f}, {s.high:.3f}]"
+            mean = "undefined" if np.isnan(s.mean) else f"{s.mean:.3f}"
+            unit = "" if metric.unit == "1" else metric.unit
+            of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
+            lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
+        widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
+        table = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
+        return "\n".join(table + self._note_lines())
+
+    def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
+        """Summary, notes and all episodes as JSON types; NaN becomes None."""
+        summary = {
+            name: {
+                "mean": _or_none(s.mean),
+                "low": _or_none(s.low),
+                "high": _or_none(s.high),
+                "count": s.count,
+                "method": s.method,
+            }
+            for name, s in self.summary(confidence=confidence).items()
+        }
+        return {
+            "profile": self.profile,
+            "confidence": confidence,
+            "metrics": {m.name: m.id for m in metrics_of(self.profile)},
+            "summary": summary,
+            "episodes": [e.to_dict() for e in self.episodes],
+        }
+
+    def to_json(self, *, confidence: float = 0.95, indent: int | None = 2) -> str:
+        """`to_dict` as JSON text."""
+        return json.dumps(self.to_dict(confidence=confidence), indent=indent, allow_nan=False)
+
+    def _note_lines(self) -> list[str]:
+        by_text: dict[tuple[str, int], list[str]] = {}
+        for name, texts in self.notes().items():
+            for text, times in texts.items():
+                by_text.setdefault((text, times), []).append(name)
+        lines = []
+        for (text, times), names in by_text.items():
+            lines.append(
+                f"  {', '.join(names)}: {text}" + (f" ({times} of {len(self)} episodes)" if len(self) > 1 else "")
+            )
+        return ["Notes", *lines] if lines else []
+
+
+def measure_many(recordings: Iterable[Recording], profile: str = "paper") -> MetricsTable:
+    """Metrics of every recording, one at a time: memory for one recording, whatever their number."""
+    return tabulate((measure(recording, profile) for recording in recordings), profile=profile)
+
+
+def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str = "paper") -> MetricsTable:
+    """A table of episodes that were measured elsewhere, e.g. by several workers."""
+    names = [m.name for m in metrics_of(profile)]
+    rows = tuple(episodes)
+    return MetricsTable(
+        profile=profile,
+        episode_ids=tuple(e.episode_id for e in rows),
+        columns={name: np.array([e.values[name] for e in rows], np.float64) for name in names},
+        episodes=rows,
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return None if np.isnan(value) else value

@@ -1,0 +1,65 @@
+"""Intervals against scipy.stats."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from h3data.errors import InputError
+from h3data.metrics import bootstrap_interval, t_interval, wilson_interval
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 20), (20, 20), (3, 7), (451, 500), (702, 1000)])
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.999])
+def test_wilson(k, n, confidence):
+    expected = scipy.stats.binomtest(k, n).proportion_ci(confidence, method="wilson")
+    got = wilson_interval(k, n, confidence=confidence)
+    assert got == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert 0 <= got[0] <= k / n <= got[1] <= 1
+
+
+@pytest.mark.parametrize("n", [2, 3, 30])
+def test_student(n):
+    values = np.random.default_rng(n).normal(3, 2, n)
+    expected = scipy.stats.t.interval(0.9, n - 1, values.mean(), scipy.stats.sem(values))
+    assert t_interval(values, confidence=0.9) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("n", [8, 200])
+def test_bootstrap(n):
+    values = np.random.default_rng(n).exponential(1, n)
+    reference = scipy.stats.bootstrap((values,), np.mean, n_resamples=10_000, method="percentile", rng=1)
+    low, high = bootstrap_interval(values)
+    width = high - low
+    assert abs(low - reference.confidence_interval.low) < 0.04 * width
+    assert abs(high - reference.confidence_interval.high) < 0.04 * width
+
+
+def test_the_bootstrap_is_seeded_and_in_blocks_equal_to_itself(monkeypatch):
+    values = np.random.default_rng(0).normal(size=50)
+    assert bootstrap_interval(values, seed=3) == bootstrap_interval(values, seed=3)
+    assert bootstrap_interval(values, seed=3) != bootstrap_interval(values, seed=4)
+    whole = bootstrap_interval(values, resamples=2000)
+    monkeypatch.setattr("h3data.metrics.statistics._BLOCK", 777)
+    assert bootstrap_interval(values, resamples=2000) == whole
+
+
+def test_undefined_values_are_left_out():
+    values = np.array([1.0, np.nan, 2.0, 4.0])
+    assert t_interval(values) == t_interval(values[~np.isnan(values)])
+    assert bootstrap_interval(values) == bootstrap_interval([1.0, 2.0, 4.0])
+    for too_few in ([], [1.0], [np.nan, 2.0]):
+        assert all(math.isnan(x) for x in (*bootstrap_interval(too_few), *t_interval(too_few)))
+    assert all(math.isnan(x) for x in wilson_interval(0, 0))
+
+
+def test_nonsense_is_refused():
+    with pytest.raises(InputError, match="3 of 2"):
+        wilson_interval(3, 2)
+    with pytest.raises(InputError, match="confidence"):
+        t_interval([1.0, 2.0], confidence=95)
+    with pytest.raises(InputError, match="shape"):
+        bootstrap_interval([[1.0, 2.0]])
