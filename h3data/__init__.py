@@ -1,0 +1,63 @@
+"""h3data: simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
+
+```python
+import h3data
+
+rec = h3data.open("out/demo/episode.mcap")     # a Recording: who, what, every step
+print(rec)                                     # shapes and names, not data
+state = h3data.Replay(rec).at(step=420)        # where everything was
+image = h3data.render_frame(rec, camera="third_person", step=420)["rgb"]
+print(h3data.measure(rec))                     # S, SPS, F, CR, BYR, TD, FD
+```
+
+Everything is imported at first use, so `import h3data` is quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from h3data.api import open, render_frame
+    from h3data.errors import H3DataError
+    from h3data.metrics import measure
+    from h3data.recording import Dataset, Recording
+    from h3data.replay import Replay
+    from h3data.scene import HomeSpec, Scene, build_home
+
+_HOMES = {
+    "open": "h3data.api",
+    "render_frame": "h3data.api",
+    "measure": "h3data.metrics",
+    "H3DataError": "h3data.errors",
+    "Dataset": "h3data.recording",
+    "Recording": "h3data.recording",
+    "Replay": "h3data.replay",
+    "HomeSpec": "h3data.scene",
+    "Scene": "h3data.scene",
+    "build_home": "h3data.scene",
+}
+
+__all__ = [
+    "Dataset",
+    "H3DataError",
+    "HomeSpec",
+    "Recording",
+    "Replay",
+    "Scene",
+    "build_home",
+    "measure",
+    "open",
+    "render_frame",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'h3data' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,290 @@
+"""Dressing a rig: T-shirt, trousers, socks, shoes, hair, eyes and brows, all as smooth geometric fields in the rest pose.
+
+Lengths are fractions of the stature where they grow with the person and metres where they do not (cloth thickness).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.skeleton import FINGERS, JOINT_INDEX
+from h3data.geometry import normalized
+from h3data_pipelines.bake.cutting import Cloth, Dressed, Field, cut, raise_regions
+from h3data_pipelines.bake.rig import Rig
+
+REGIONS = ("skin", "shirt", "trousers", "socks", "shoes", "soles", "hair", "brows", "sclera", "iris", "lips")
+SKIN, SHIRT, TROUSERS, SOCKS, SHOES, SOLES, HAIR, BROWS, SCLERA, IRIS, LIPS = range(len(REGIONS))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outfit:
+    """How one body is dressed. Colours are sRGB."""
+
+    colors: dict[str, tuple[int, int, int]]
+    """One for each of `REGIONS`."""
+    sleeve: float = 0.62
+    """Where the sleeve ends, as a fraction of the upper arm."""
+    hair_m: float = 0.022
+    """Thickness of the hair on top [m]."""
+    bun_m: float = 0.0
+    """Radius of a bun at the back of the head [m]; 0 = none."""
+
+
+def smoothstep(low: float, high: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """0 below ``low``, 1 above ``high``, smooth between."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def _weight(mesh: Cloth, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return mesh.weights[:, [JOINT_INDEX[n] for n in names]].sum(axis=1)
+
+
+def _arm_names(side: str) -> tuple[str, ...]:
+    fingers = tuple(f"{side}_{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
+    return (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist", *fingers)
+
+
+class Tailor:
+    """The fields of one rig. Each returns metres, positive inside what its name says."""
+
+    def __init__(self, rig: Rig, outfit: Outfit) -> None:
+        self.rig, self.outfit = rig, outfit
+        self.stature = float(rig.vertices[:, 1].max())
+        self.eye = (rig.joint("left_eye_smplhf") + rig.joint("right_eye_smplhf")) / 2
+        self.hem_y = float(rig.joint("pelvis")[1] + 0.002 * self.stature)
+        ankle = float(rig.joint("left_ankle")[1])
+        self.cuff_y, self.shoe_y, self.sole_y = ankle + 0.022, ankle - 0.004, 0.016
+        self.head_z = float(np.mean(rig.vertices[rig.vertices[:, 1] > self.eye[1]][:, 2]))
+
+    def is_eye(self, mesh: Cloth) -> NDArray[np.bool_]:
+        """Vertices of the eyeballs."""
+        return _weight(mesh, ("left_eye_smplhf", "right_eye_smplhf")) > 0.9
+
+    def is_head(self, mesh: Cloth) -> NDArray[np.bool_]:
+        return mesh.vertices[:, 1] > self.rig.joint("neck")[1]
+
+    def bare_arm(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Beyond the sleeves: a plane across each upper arm."""
+        result = np.full(len(mesh.vertices), -1.0)
+        for side in ("left", "right"):
+            shoulder, elbow = self.rig.joint(f"{side}_shoulder"), self.rig.joint(f"{side}_elbow")
+            bone = elbow - shoulder
+            middle = shoulder + self.outfit.sleeve * bone
+            beyond = (mesh.vertices - middle) @ normalized(bone)
+            result = np.where(_weight(mesh, _arm_names(side)) > 0.5, beyond, result)
+        return result
+
+    def neck(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Above the crew neck: a cone of revolution about the tilted neck axis, so the border is an oval."""
+        base = self.rig.joint("neck") + np.array([0, -0.036, 0.0]) * self.stature
+        axis = normalized(np.array([0.0, 1.0, 0.45]))
+        offset = mesh.vertices - base
+        along = offset @ axis
+        across = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+        return along - 0.75 * (across - 0.047 * self.stature)
+
+    def above_hem(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Above the shirt's lower edge: a horizontal plane; the arms do not count."""
+        arms = _weight(mesh, _arm_names("left")) + _weight(mesh, _arm_names("right")) > 0.5
+        return np.where(arms, 1.0, mesh.vertices[:, 1] - self.hem_y)
+
+    def above_cuff(self, mesh: Cloth) -> NDArray[np.float64]:
+        return mesh.vertices[:, 1] - self.cuff_y
+
+    def above_shoe(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Above the shoe's upper edge, which rises towards the heel."""
+        z = mesh.vertices[:, 2] - self.rig.joint("left_ankle")[2]
+        return mesh.vertices[:, 1] - self.shoe_y + 0.10 * z
+
+    def above_sole(self, mesh: Cloth) -> NDArray[np.float64]:
+        return mesh.vertices[:, 1] - self.sole_y
+
+    def hair(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Above the hairline, whose height is a smooth function of the azimuth round the head (0 = front)."""
+        from scipy.interpolate import PchipInterpolator
+
+        x, y, z = mesh.vertices.T
+        azimuth = np.degrees(np.abs(np.arctan2(x, z - self.head_z)))
+        knots = np.array([(0, 64), (25, 63), (45, 55), (62, 34), (78, 20), (92, 27), (108, 20), (125, -34), (150, -62), (180, -68)])
+        line = PchipInterpolator(knots[:, 0], knots[:, 1] * 1e-3 * self.stature / 1.63)(azimuth)
+        return np.where(self.is_head(mesh) & ~self.is_eye(mesh), y - self.eye[1] - line, -1.0)
+
+    def brow(self, mesh: Cloth) -> NDArray[np.float64]:
+        """Two arched bands above the eyes."""
+        x, y, z = mesh.vertices.T
+        side = np.abs(x) - self.eye_x
+        middle = self.eye[1] + 0.0200 - 9.0 * (side - 0.004) ** 2
+        taper = 0.0034 - 0.06 * np.maximum(side, 0)
+        band = np.minimum(taper - np.abs(y - middle), 0.019 - np.abs(side - 0.002))
+        return np.where((z > self.eye[2] - 0.02) & ~self.is_eye(mesh) & self.is_head(mesh), band, -1.0)
+
+    @property
+    def eye_x(self) -> float:
+        return float(self.rig.joint("left_eye_smplhf")[0])
+
+    def iris(self, mesh: Cloth) -> NDArray[np.float64]:
+        """A disc on the front of each eyeball."""
+        x, y, _ = mesh.vertices.T
+        disc = 0.0062 - np.hypot(np.abs(x) - self.eye_x, y - self.eye[1])
+        return np.where(self.is_eye(mesh), disc, -1.0)
+
+    def fields(self) -> tuple[Field, ...]:
+        """All cuts, in order."""
+        return (
+            self.bare_arm, self.neck, self.above_hem, self.above_cuff, self.above_shoe, self.above_sole, self.hair,
+            self.brow, self.iris,
+        )  # fmt: skip
+
+    def face_regions(self, mesh: Cloth) -> NDArray[np.uint8]:
+        """Region of each face, from the fields at its middle."""
+        at = mesh.centroids
+        region = np.full(len(at.vertices), SHIRT, np.uint8)
+        region[self.above_hem(at) < 0] = TROUSERS
+        region[self.above_cuff(at) < 0] = SOCKS
+        region[self.above_shoe(at) < 0] = SHOES
+        region[self.above_sole(at) < 0] = SOLES
+        region[(self.bare_arm(at) > 0) | (self.neck(at) > 0)] = SKIN
+        region[self.hair(at) > 0] = HAIR
+        region[self.brow(at) > 0] = BROWS
+        region[self.is_eye(at)] = SCLERA
+        region[self.iris(at) > 0] = IRIS
+        return region
+
+    def thickness(self, mesh: Cloth, region: int) -> NDArray[np.float64]:
+        """How far a region is lifted off the skin [m], per vertex."""
+        y = mesh.vertices[:, 1]
+        flat = np.zeros(len(y))
+        if region == SHIRT:  # hangs looser towards the hem and the sleeve ends
+            waist = smoothstep(self.hem_y + 0.14 * self.stature, self.hem_y, y)
+            sleeve = smoothstep(-0.10, 0.0, self.bare_arm(mesh))
+            return 0.006 + 0.008 * waist + 0.006 * sleeve * (self.bare_arm(mesh) > -0.5)
+        if region == TROUSERS:  # straight cut: wider below the knee
+            knee = float(self.rig.joint("left_knee")[1])
+            return 0.005 + 0.012 * smoothstep(knee + 0.05, self.cuff_y, y) + 0.002 * smoothstep(self.hem_y - 0.1, self.hem_y, y)
+        if region == HAIR:
+            return self.outfit.hair_m * smoothstep(-0.004, 0.045, self.hair(mesh)) + 0.002
+        return flat + {SOCKS: 0.001, SHOES: 0.004, SOLES: 0.007, BROWS: 0.0006}.get(region, 0.0)
+
+
+def dress(rig: Rig, mesh: Cloth, outfit: Outfit) -> Dressed:
+    """``mesh`` (the rig's, or a decimated one) cut into regions and lifted; soles stay on the floor."""
+    tailor = Tailor(rig, outfit)
+    for field in tailor.fields():
+        mesh = cut(mesh, field)
+    dressed = raise_regions(mesh, tailor.face_regions(mesh), tailor.thickness)
+    vertices = dressed.vertices.copy()
+    vertices[:, 1] = np.maximum(vertices[:, 1], 0)
+    parts = [Dressed(vertices=vertices, weights=dressed.weights, faces=dressed.faces, regions=dressed.regions)]
+    if outfit.bun_m > 0:
+        parts.append(_bun(tailor, outfit.bun_m))
+    return _joined(parts)
+
+
+def _bun(tailor: Tailor, radius: float) -> Dressed:
+    """A knot of hair at the back of the head: an ellipsoid that moves with the head."""
+    rows, columns = 9, 14
+    v, u = np.meshgrid(np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, columns, endpoint=False), indexing="ij")
+    ball = np.stack([np.sin(v) * np.cos(u), np.cos(v), np.sin(v) * np.sin(u)], axis=-1).reshape(-1, 3)
+    head = tailor.rig.vertices[tailor.rig.vertices[:, 1] > tailor.eye[1]]
+    center = np.array([0, tailor.eye[1] + 0.028, head[:, 2].min() - 0.45 * radius])
+    vertices = center + ball * np.array([radius * 1.08, radius, radius * 0.85])
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
+    a, b = i * columns + j, i * columns + (j + 1) % columns
+    c, d = a + columns, b + columns
+    faces = np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
+    weights = np.zeros((len(vertices), tailor.rig.weights.shape[1]))
+    weights[:, JOINT_INDEX["head"]] = 1
+    return Dressed(
+        vertices=vertices, weights=weights, faces=faces.astype(np.int32), regions=np.full(len(vertices), HAIR, np.uint8)
+    )
+
+
+def _joined(parts: list[Dressed]) -> Dressed:
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    return Dressed(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        weights=np.concatenate([p.weights for p in parts]),
+        faces=np.concatenate([p.faces + int(s) for p, s in zip(parts, starts[:-1], strict=True)]).astype(np.int32),
+        regions=np.concatenate([p.regions for p in parts]),
+    )
+
+
+# --- the shape below the cloth ----------------------------------------------------------------------------------------
+def shaped(rig: Rig, outfit: Outfit) -> Cloth:
+    """The rig's mesh made ready for clothes: feet turned into shoes, muscles and creases under cloth smoothed away."""
+    mesh = Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
+    mesh = _without_tongue(mesh, rig)
+    tailor = Tailor(rig, outfit)
+    covered = smoothstep(0.0, 0.03, -tailor.bare_arm(mesh)) * smoothstep(0.0, 0.04, -tailor.neck(mesh))
+    covered *= smoothstep(tailor.cuff_y - 0.02, tailor.cuff_y + 0.03, mesh.vertices[:, 1])
+    vertices = _smoothed(mesh, covered, 12)
+    hairy = smoothstep(0.0, 0.02, tailor.hair(mesh))
+    vertices = _smoothed(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), hairy, 10)
+    for side in ("left", "right"):
+        vertices = _shoe(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), rig, side)
+    low = smoothstep(tailor.shoe_y + 0.01, tailor.shoe_y - 0.02, vertices[:, 1])
+    vertices = _smoothed(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), low, 3)
+    vertices[:, 1] = np.where(low > 0, vertices[:, 1] - vertices[:, 1].min() * low, vertices[:, 1])
+    return Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces)
+
+
+def _without_tongue(mesh: Cloth, rig: Rig) -> Cloth:
+    """The tongue and what else is a small part of its own inside the mouth is never seen: leave it out."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    f = mesh.faces
+    edges = (np.ones(2 * len(f)), (np.r_[f[:, 0], f[:, 1]], np.r_[f[:, 1], f[:, 2]]))
+    count, part = connected_components(coo_matrix(edges, shape=(len(mesh.vertices),) * 2), directed=False)
+    eye = np.bincount(part, Tailor(rig, Outfit(colors={})).is_eye(mesh), minlength=count) > 0
+    keep = eye | (np.bincount(part, minlength=count) == np.bincount(part).max())
+    kept = keep[part]
+    index = np.cumsum(kept) - 1
+    return Cloth(
+        vertices=mesh.vertices[kept], weights=mesh.weights[kept], faces=index[f[kept[f].all(axis=1)]].astype(np.int32)
+    )
+
+
+def _smoothed(mesh: Cloth, amount: NDArray[np.float64], rounds: int) -> NDArray[np.float64]:
+    """Vertices after Laplacian smoothing where ``amount`` [V] is 1; each round is undone by half (Taubin) to keep volume."""
+    from scipy.sparse import coo_matrix, diags
+
+    f = mesh.faces
+    i, j = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]).T
+    graph = coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(len(mesh.vertices),) * 2).tocsr()
+    graph.data[:] = 1
+    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] = (diags(1 / np.asarray(graph.sum(1)).ravel()) @ graph).dot
+    vertices = mesh.vertices.copy()
+    for _ in range(rounds):
+        for step in (0.6, -0.3):
+            vertices += step * amount[:, None] * (mean(vertices) - vertices)
+    return vertices
+
+
+def _shoe(mesh: Cloth, rig: Rig, side: str) -> NDArray[np.float64]:
+    """Vertices with one foot blown up to its convex hull: no toes, a flat sole."""
+    from scipy.spatial import ConvexHull
+
+    ankle, ball = rig.joint(f"{side}_ankle"), rig.joint(f"{side}_foot")
+    top = ankle[1] + 0.008
+    foot = (_weight(mesh, (f"{side}_ankle", f"{side}_foot")) > 0.5) & (mesh.vertices[:, 1] < top)
+    points = mesh.vertices[foot]
+    hull = ConvexHull(points)
+    spine = np.array([0.6 * ankle + 0.4 * ball, ball])
+    spine[:, 1] = 0.032
+    along = np.clip((points - spine[0]) @ (spine[1] - spine[0]) / np.sum((spine[1] - spine[0]) ** 2), -0.6, 1)
+    origin = spine[0] + along[:, None] * (spine[1] - spine[0])
+    direction = normalized(points - origin)
+    normal, level = hull.equations[:, :3], hull.equations[:, 3]
+    speed = direction @ normal.T
+    reach = np.where(speed > 1e-6, -(origin @ normal.T + level) / np.where(speed > 1e-6, speed, 1), np.inf).min(axis=1)
+    blown = origin + reach[:, None] * direction
+    amount = smoothstep(top, top - 0.025, points[:, 1])[:, None]
+    vertices = mesh.vertices.copy()
+    vertices[foot] = points + amount * (blown - points)
+    return vertices

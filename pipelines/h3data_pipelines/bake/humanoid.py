@@ -1,0 +1,74 @@
+"""Bake a person into `datasets/bodies/<name>.npz`: ``python -m h3data_pipelines.bake.humanoid [NAME ...]``.
+
+Needs the extra ``bodies`` (anny 0.6.2: 130 s and 1.8 GB the first time) and fast_simplification. The phenotype that made a
+body is stored in its file. Results are committed: users never run this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data_pipelines.bake.cutting import Cloth
+from h3data_pipelines.bake.garments import Outfit
+
+LOD_FACES = 4800
+"""Triangles of the light mesh before it is cut along the hems, which adds about 1,000."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodySpec:
+    """What one shipped body is made from."""
+
+    phenotype: dict[str, float]
+    """anny's parameters; ``height`` is found from the stature."""
+    stature_m: float
+    outfit: Outfit
+
+
+def _outfit(bun_m: float = 0.0, hair_m: float = 0.022, **colors: tuple[int, int, int]) -> Outfit:
+    base = {"sclera": (238, 234, 228), "soles": (232, 230, 225), "socks": (226, 226, 222)}
+    return Outfit(colors=base | colors, bun_m=bun_m, hair_m=hair_m)
+
+
+BODIES = {
+    "female_0": BodySpec(
+        phenotype={
+            "gender": 1, "age": 0.67, "muscle": 0.50, "weight": 0.45, "proportions": 0.6, "cupsize": 0.5,
+            "firmness": 0.5, "african": 0, "asian": 0, "caucasian": 1,
+        },
+        stature_m=1.63,
+        outfit=_outfit(
+            bun_m=0.042, skin=(226, 178, 150), shirt=(72, 148, 146), trousers=(52, 60, 86), shoes=(196, 92, 72),
+            hair=(74, 48, 34), brows=(84, 56, 42), iris=(70, 92, 84), lips=(196, 120, 110),
+        ),
+    ),
+    "male_0": BodySpec(
+        phenotype={
+            "gender": 0, "age": 0.67, "muscle": 0.55, "weight": 0.45, "proportions": 0.6, "cupsize": 0.5,
+            "firmness": 0.5, "african": 0, "asian": 0, "caucasian": 1,
+        },
+        stature_m=1.76,
+        outfit=_outfit(
+            hair_m=0.014, skin=(214, 164, 134), shirt=(214, 196, 160), trousers=(74, 82, 66), shoes=(70, 74, 84),
+            hair=(52, 40, 32), brows=(58, 44, 36), iris=(84, 66, 48), lips=(188, 116, 104),
+        ),
+    ),
+}  # fmt: skip
+
+
+def decimated(mesh: Cloth, faces: int) -> Cloth:
+    """A mesh of about ``faces`` triangles; weights from the three nearest old vertices by inverse distance."""
+    import fast_simplification
+    from scipy.spatial import cKDTree
+
+    vertices, triangles = fast_simplification.simplify(
+        mesh.vertices.astype(np.float32), mesh.faces, target_count=faces, agg=4
+    )
+    distance, nearest = cKDTree(mesh.vertices).query(vertices, k=3)
+    share: NDArray[np.float64] = 1 / (distance + 1e-6)
+    share /= share.sum(axis=1, keepdims=True)
+    weights = np.einsum("vk,vkj->vj", share, mesh.weights[nearest])
+    return Cloth(vertices=vertices.astype(np.float64), weights=weights, faces=triangles.astype(np.int32))

@@ -1,0 +1,179 @@
+"""``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import InputError
+from h3data.interop import load_habitat_scene
+from h3data.metrics import measure_many
+from h3data.recording import Dataset, DatasetWriter, Recording, write_mcap
+from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, Scene, build_home
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
+from sim_kinematic.policies import policy_by_name
+from sim_kinematic.randomness import episode_seed
+from sim_kinematic.social_nav import SocialNavWorld, require_task, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One episode to simulate: all that a worker needs to know."""
+
+    index: int
+    seed: int
+    scene: str
+    policy: str
+    human: str
+    spec: SocialNavSpec
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
+
+    Example: h3data generate social_nav --episodes 20 --seed 7 -o ds/
+    """
+
+    task: tyro.conf.Positional[str]
+    """social_nav: find a walking person and follow her at 1-2 m."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the dataset."""
+    episodes: int = 10
+    """How many."""
+    seed: int = 0
+    """Everything random follows from it."""
+    scenes: str = "small"
+    """small or medium (built-in homes), one home as small:3, or a Habitat scene (.scene_instance.json, .stage_config.json)."""
+    homes: int = 4
+    """Number of different built-in homes that the episodes go round."""
+    policy: str = "heuristic_expert"
+    """Robot policy: heuristic_expert or stand_still."""
+    human: str = "female_0"
+    """Built-in body of the person."""
+    human_speed: float = 2.5
+    """Walking speed of the person [m/s]; the paper's is 2.5."""
+    max_steps: int = 1500
+    """Length limit of an episode, at 30 steps per second."""
+    spawn_distance: float = 5.0
+    """Least distance between both at the start [m]; the paper: 3 for training, 5 for evaluation."""
+    workers: int = 1
+    """Processes."""
+    mcap: bool = False
+    """Also write each episode as <out>/mcap/<episode>.mcap."""
+    resume: bool = False
+    """Go on with an interrupted dataset that was started with the same options."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        jobs = self.jobs()
+        if self.force and not self.resume:
+            remove_dataset(self.out)
+        if not (self.resume and self.out.is_dir()):
+            claim_folder(self.out, force=False)
+        done = 0
+        with DatasetWriter(self.out, resume=self.resume) as writer:
+            done = len(writer)
+            bar = tqdm(total=len(jobs), initial=done, desc="simulate", unit="episode", disable=None)
+            for recording in simulate_jobs(jobs[done:], workers=self.workers):
+                if self.mcap:
+                    folder = self.out / "mcap"
+                    folder.mkdir(exist_ok=True)
+                    write_mcap(recording, folder / f"{recording.episode.episode_id}.mcap", overwrite=True)
+                writer.add(recording)
+                bar.update()
+            bar.close()
+        dataset = Dataset(self.out)
+        table = measure_many(dataset.recording(i) for i in range(len(dataset)))
+        hashes = [str(dataset.recording(i).columns["state_hash"][-1]) for i in range(len(dataset))]
+        steps = int(sum(len(dataset.recording(i)) for i in range(len(dataset))))
+        text = f"{len(dataset)} episodes, {steps} steps in {self.out}\n\n{table.to_text()}"
+        data: dict[str, Any] = {
+            "dataset": str(self.out), "episodes": len(dataset), "new": len(dataset) - done, "steps": steps,
+            "state_hashes": hashes, "metrics": table.to_dict(),
+        }  # fmt: skip
+        return Outcome(text=text, data=data)
+
+    def jobs(self) -> list[Job]:
+        """All episodes, or an `InputError` that names the bad option."""
+        require_task(self.task)
+        policy_by_name(self.policy)
+        for name, value, least in (
+            ("--episodes", self.episodes, 1), ("--homes", self.homes, 1), ("--max-steps", self.max_steps, 1),
+            ("--workers", self.workers, 1), ("--seed", self.seed, 0),
+        ):  # fmt: skip
+            if value < least:
+                raise InputError(f"{name} must be at least {least}, got {value}.")
+        if not 0 < self.human_speed <= 4:
+            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
+        if self.spawn_distance < 0:
+            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
+        names = scene_names(self.scenes, self.homes)
+        spec = SocialNavSpec(
+            max_steps=self.max_steps, spawn_distance_m=self.spawn_distance, human=WalkerSpec(speed_mps=self.human_speed)
+        )
+        return [
+            Job(
+                index=i, seed=episode_seed(self.seed, i), scene=names[i % len(names)], policy=self.policy,
+                human=self.human, spec=spec,
+            )
+            for i in range(self.episodes)
+        ]  # fmt: skip
+
+
+def scene_names(text: str, homes: int) -> list[str]:
+    """Scenes that ``text`` stands for: ``small`` is ``homes`` homes ``small:0``, ``small:1``, ...; a path is itself."""
+    if text in HOME_PRESETS:
+        return [f"{text}:{i}" for i in range(homes)]
+    if re.fullmatch(r"[a-z]+:\d+", text) and text.partition(":")[0] in HOME_PRESETS:
+        return [text]
+    if Path(text).exists():
+        return [str(Path(text))]
+    raise InputError(
+        f"Unknown scenes {text!r}. Expected {' or '.join(HOME_PRESETS)}, one home as small:3, or the path of a Habitat "
+        "scene (.scene_instance.json, .stage_config.json, .glb)."
+    )
+
+
+@lru_cache(maxsize=8)
+def load_scene_by_name(name: str) -> Scene:
+    """The built-in home ``preset:seed`` or the Habitat scene at a path."""
+    preset, _, seed = name.partition(":")
+    if preset in HOME_PRESETS and seed.isdigit():
+        return build_home(HomeSpec(preset=preset, seed=int(seed)))
+    return load_habitat_scene(Path(name))
+
+
+@lru_cache(maxsize=8)
+def _free_space(name: str, radius_m: float, height_m: float) -> FreeSpace:
+    return FreeSpace.from_scene(load_scene_by_name(name), radius_m=radius_m, height_m=height_m)
+
+
+def simulate_job(job: Job) -> Recording:
+    """One episode. Depends on the job alone, so any process may run it."""
+    scene = load_scene_by_name(job.scene)
+    free = _free_space(job.scene, job.spec.agent_radius_m, job.spec.agent_height_m)
+    world = SocialNavWorld.create(scene, seed=job.seed, spec=job.spec, free=free, human=job.human)
+    return simulate_social_nav(world, policy=job.policy, episode_id=f"{job.index:06d}")
+
+
+def simulate_jobs(jobs: list[Job], *, workers: int) -> Iterator[Recording]:
+    """Recordings in the order of ``jobs``, by this process or by several."""
+    if workers <= 1 or len(jobs) <= 1:
+        yield from map(simulate_job, jobs)
+        return
+    # spawn: forked children would share the thread pools of numba and torch
+    with ProcessPoolExecutor(min(workers, len(jobs), os.cpu_count() or 1), mp_context=get_context("spawn")) as pool:
+        yield from pool.map(simulate_job, jobs)
