@@ -70,7 +70,7 @@ def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
     """Quaternions [..., 4] of axis-angle vectors [..., 3] [rad]."""
     r = _floating(rotvec)
-    return quat_from_axis_angle(np.where(r == 0, 1e-300, r) if r.dtype == np.float64 else r, np.linalg.norm(r, axis=-1))
+    return quat_from_axis_angle(r, np.linalg.norm(r, axis=-1))
 
 
 def quat_from_heading(heading_rad: ArrayLike) -> Array:

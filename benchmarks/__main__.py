@@ -1,0 +1,53 @@
+"""Run the benchmark groups and keep the figures with machine, versions and command in ``benchmarks/results/``."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+GROUPS = sorted(p.stem for p in FOLDER.glob("[a-z]*.py"))
+
+
+def main(wanted: list[str]) -> int:
+    """Run ``wanted`` groups (all when empty)."""
+    unknown = sorted(set(wanted) - set(GROUPS))
+    if unknown:
+        sys.stderr.write(f"error: unknown groups {unknown}. Expected some of: {', '.join(GROUPS)}.\n")
+        return 2
+    figures: dict[str, tuple[float, str]] = {}
+
+    def emit(name: str, value: float, unit: str) -> None:
+        figures[name] = (value, unit)
+        print(f"{name} {value:.6g} {unit}", flush=True)
+
+    for group in wanted or GROUPS:
+        importlib.import_module(f"benchmarks.{group}").run(emit)
+    record = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": " ".join(["python -m benchmarks", *wanted]),
+        "machine": {"processor": _processor(), "cpus": os.cpu_count(), "platform": platform.platform()},
+        "versions": {p: importlib.metadata.version(p) for p in ("h3data", "numpy", "numba", "pyarrow", "mcap")},
+        "figures": {name: {"value": value, "unit": unit} for name, (value, unit) in figures.items()},
+    }
+    (FOLDER / "results").mkdir(exist_ok=True)
+    path = FOLDER / "results" / f"{time.strftime('%Y%m%d-%H%M%S')}-{'-'.join(wanted) or 'all'}.json"
+    path.write_text(json.dumps(record, indent=2) + "\n")
+    return 0
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,29 @@
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile(
+    "h3data", derandomize=True, deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "h3data"))
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
+
+
+@pytest.fixture(scope="session")
+def real() -> Path:
+    """Folder of real Habitat files, which are not part of the repository."""
+    if not REAL.is_dir():
+        pytest.skip("needs the real Habitat files in ../shared/real, which are not part of the repository")
+    return REAL
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _no_user_assets() -> None:
+    os.environ.pop("H3DATA_ASSETS", None)
