@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 import math
@@ -21,15 +22,15 @@ from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.viewing import View
 
-Commands = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[Import, tyro.conf.subcommand("import")]
-    | Annotated[Rerender, tyro.conf.subcommand("rerender")]
-    | Annotated[Metrics, tyro.conf.subcommand("metrics")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-)
+COMMANDS: dict[str, type[Command]] = {
+    "demo": Demo,
+    "generate": Generate,
+    "import": Import,
+    "rerender": Rerender,
+    "metrics": Metrics,
+    "view": View,
+    "doctor": Doctor,
+}
 
 _DESCRIPTION = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
 
@@ -47,13 +48,21 @@ def jsonable(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _parse(args: list[str]) -> Command:
+    """The command that ``args`` ask for; the help of each shows its docstring with the examples, unabridged."""
+    union = None
+    for name, kind in COMMANDS.items():
+        part = Annotated[kind, tyro.conf.subcommand(name, description=inspect.getdoc(kind))]
+        union = part if union is None else union | part
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+    return tyro.cli(union, args=args, prog="h3data", description=_DESCRIPTION, config=config)  # type: ignore[arg-type]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
     args = list(sys.argv[1:] if arguments is None else arguments)
-    command: Command = tyro.cli(
-        Commands, args=args or ["--help"], prog="h3data", description=_DESCRIPTION, config=(tyro.conf.OmitArgPrefixes,)
-    )  # type: ignore[call-overload]
+    command = _parse(args or ["--help"])
     try:
         outcome = command.run()
     except H3DataError as error:

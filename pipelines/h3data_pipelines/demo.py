@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from h3data_viewers import write_rrd
 from tqdm import tqdm
 
 from h3data.errors import InputError
@@ -20,18 +21,27 @@ from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
 from h3data_pipelines.rerender import render_videos
-from h3data_viewers import write_rrd
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
 
-FILES = ("episode.mcap", "third_person.mp4", "arm_depth.mp4", "top_down.mp4", "episode.rrd", "metrics.json", "summary.json")
+FILES = (
+    "episode.mcap",
+    "third_person.mp4",
+    "arm_depth.mp4",
+    "top_down.mp4",
+    "episode.rrd",
+    "metrics.json",
+    "summary.json",
+)
 
 
 @dataclass(frozen=True)
 class Demo:
     """Simulate a person and a robot in a home, record, make a dataset, render from three cameras, measure, inspect.
 
-    Example: h3data demo -o out/demo
+    Examples:
+        h3data demo
+        h3data demo -o out/demo --seed 5 --force
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/demo")
@@ -76,13 +86,13 @@ class Demo:
             "files": {name: _size(out / name) for name in (*FILES[:-1], "dataset")},
         }
         (out / "summary.json").write_text(jsonlib.dumps(summary, indent=2) + "\n")
-        return Outcome(text=_text(out, summary, table.to_text()), data=summary | {"out": str(out), "metrics": table.to_dict()})
+        return Outcome(
+            text=_text(out, summary, table.to_text()), data=summary | {"out": str(out), "metrics": table.to_dict()}
+        )
 
     def _simulate(self, path: Path) -> Recording:
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
-        spec = SocialNavSpec(
-            max_steps=self.steps, spawn_distance_m=4.0, human=WalkerSpec(speed_mps=self.human_speed)
-        )
+        spec = SocialNavSpec(max_steps=self.steps, spawn_distance_m=4.0, human=WalkerSpec(speed_mps=self.human_speed))
         world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
         record_live(world, path, policy="heuristic_expert", episode_id="demo", steps=self.steps)
         recording = open_recording(path)  # from the file: what follows uses nothing but the recording
@@ -118,7 +128,11 @@ def record_live(world: SocialNavWorld, path: Path, *, policy: str, episode_id: s
 def _videos(recording: Recording, out: Path) -> dict[str, Path]:
     """The three videos of the demo, by camera name."""
     replay = Replay(recording)
-    wanted = {"third_person": ("third_person", "rgb"), "arm_depth": ("robot_arm", "depth"), "top_down": ("top_down", "rgb")}
+    wanted = {
+        "third_person": ("third_person", "rgb"),
+        "arm_depth": ("robot_arm", "depth"),
+        "top_down": ("top_down", "rgb"),
+    }
     for output in ("rgb", "depth"):
         names = [name for name, (_, kind) in wanted.items() if kind == output]
         tracks = [camera_track(replay, wanted[name][0]) for name in names]

@@ -22,7 +22,9 @@ _PACKAGES = (
 class Doctor:
     """Show what works on this machine: renderers, video, collision, GPU, versions.
 
-    Example: h3data doctor --json
+    Examples:
+        h3data doctor
+        h3data doctor --json
     """
 
     json: JsonFlag = False

@@ -43,7 +43,10 @@ class Job:
 class Generate:
     """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
 
-    Example: h3data generate social_nav --episodes 20 --seed 7 -o ds/
+    Examples:
+        h3data generate social_nav --episodes 20 --seed 7 -o ds/
+        h3data generate social_nav --scenes medium --homes 8 --episodes 200 --workers 2 -o ds/
+        h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
     """
 
     task: tyro.conf.Positional[str]

@@ -22,7 +22,9 @@ _SUFFIXES = (".json", ".json.gz")
 class Import:
     """Turn Habitat recordings into MCAP recordings. Folders are walked, kinds are detected by content.
 
-    Example: h3data import my_session.gfx_replay.json -o rec/ --assets ~/habitat
+    Examples:
+        h3data import my_session.gfx_replay.json -o rec/
+        h3data import hitl_sessions/ -o rec/ --assets ~/habitat
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]

@@ -19,7 +19,9 @@ from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, r
 class Metrics:
     """Compute task metrics from recordings alone: S, SPS, F, CR, BYR, TD, FD with 95 % intervals.
 
-    Example: h3data metrics out/demo/episode.mcap
+    Examples:
+        h3data metrics out/demo/episode.mcap
+        h3data metrics ds/ -o metrics.json --json
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]

@@ -37,7 +37,9 @@ ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 class Rerender:
     """Draw recordings again from any camera: H.264 videos that a browser plays, or PNG pictures.
 
-    Example: h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
+    Examples:
+        h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
+        h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
@@ -79,11 +81,17 @@ class Rerender:
             lines += [f"wrote {file}" for file in files]
             lines += missing_lines(replay)
             data.append(
-                {"recording": str(path), "files": [str(f) for f in files], "missing": dict(sorted(replay.missing.items()))}
+                {
+                    "recording": str(path),
+                    "files": [str(f) for f in files],
+                    "missing": dict(sorted(replay.missing.items())),
+                }
             )
         return Outcome(text="\n".join(lines), data={"recordings": data})
 
-    def _targets(self, path: Path, tracks: Sequence[CameraTrack], outputs: Sequence[Output]) -> dict[tuple[int, str], Path]:
+    def _targets(
+        self, path: Path, tracks: Sequence[CameraTrack], outputs: Sequence[Output]
+    ) -> dict[tuple[int, str], Path]:
         stem, suffix = recording_stem(path), ".mp4" if self.format == "mp4" else ""
         targets = {
             (n, output): self.out / f"{stem}.{track.camera.name}.{output}{suffix}"

@@ -7,20 +7,22 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from h3data_viewers import write_rrd
 
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
 from h3data.replay import Replay
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.rerender import missing_lines
-from h3data_viewers import write_rrd
 
 
 @dataclass(frozen=True)
 class View:
     """Write a recording as a Rerun file: 3-D scene, moving bodies, distance plot, action lanes, event log.
 
-    Example: h3data view out/demo/episode.mcap -o episode.rrd && rerun episode.rrd
+    Examples:
+        h3data view out/demo/episode.mcap -o episode.rrd
+        h3data view rec/session.mcap --assets ~/habitat
     """
 
     recording: tyro.conf.Positional[Path]
@@ -35,7 +37,9 @@ class View:
     def run(self) -> Outcome:
         recording = open_recording(require_file(self.recording, "a recording (.mcap)"))
         if not isinstance(recording, Recording):
-            raise InputError(f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {self.recording}")
+            raise InputError(
+                f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {self.recording}"
+            )
         out = claim_file(self.out or self.recording.with_suffix(".rrd"), force=self.force)
         replay = Replay(recording, assets=self.assets, detail=False)
         write_rrd(recording, out, replay=replay, overwrite=self.force)

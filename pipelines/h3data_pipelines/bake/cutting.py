@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,8 @@ class Cloth:
     weights: NDArray[np.float64]
     """Shape [V, 55]."""
     faces: NDArray[np.int32]
-
-    @property
-    def centroids(self) -> Cloth:
-        """One vertex per face, at its middle, with the mean weights; no faces."""
-        return Cloth(
-            vertices=self.vertices[self.faces].mean(axis=1),
-            weights=self.weights[self.faces].mean(axis=1),
-            faces=np.zeros((0, 3), np.int32),
-        )
+    sides: NDArray[np.bool_] | None = None
+    """Whether each face lies where the k-th field that cut it is positive, shape [F, K]; None = never cut."""
 
 
 Field = Callable[[Cloth], NDArray[np.float64]]
@@ -45,11 +38,9 @@ def cut(mesh: Cloth, field: Field) -> Cloth:
     positive = values[mesh.faces] > 0
     count = positive.sum(axis=1)
     crossed = (count == 1) | (count == 2)
-    if not crossed.any():
-        return mesh
     faces, signs = mesh.faces[crossed], positive[crossed]
-    lone_sign = (count[crossed] == 1)[:, None]
-    first = np.argmax(signs == lone_sign, axis=1)
+    lone_sign = count[crossed] == 1
+    first = np.argmax(signs == lone_sign[:, None], axis=1)
     order = (first[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(faces, order, axis=1).T
     edges = np.sort(np.concatenate([np.stack([a, b], 1), np.stack([a, c], 1)]), axis=1)
@@ -59,11 +50,14 @@ def cut(mesh: Cloth, field: Field) -> Cloth:
     fresh = len(mesh.vertices) + inverse.ravel().astype(np.int32)
     p, q = fresh[: len(a)], fresh[len(a) :]
     split = np.concatenate([np.stack([a, p, q], 1), np.stack([p, b, c], 1), np.stack([p, c, q], 1)])
-    return replace(
-        mesh,
+    before = np.zeros((len(mesh.faces), 0), np.bool_) if mesh.sides is None else mesh.sides
+    side = np.concatenate([count[~crossed] == 3, lone_sign, ~lone_sign, ~lone_sign])
+    old_sides = np.concatenate([before[~crossed], *[before[crossed]] * 3])
+    return Cloth(
         vertices=np.concatenate([mesh.vertices, (1 - t) * mesh.vertices[start] + t * mesh.vertices[end]]),
         weights=np.concatenate([mesh.weights, (1 - t) * mesh.weights[start] + t * mesh.weights[end]]),
         faces=np.concatenate([mesh.faces[~crossed], split]).astype(np.int32),
+        sides=np.concatenate([old_sides, side[:, None]], axis=1),
     )
 
 
@@ -92,38 +86,38 @@ def raise_regions(
         height[region == r] = thickness(mesh, r)[old[region == r]]
     raised = mesh.vertices[old] + height[:, None] * normals[old]
     faces = corner.reshape(-1, 3).astype(np.int32)
-    strip_from, strip_faces = _hem_strips(faces, old, region, height, len(old))
-    # a hem shows the colour of the outer layer: the higher side of its first edge
-    outer = np.argmax(height[strip_from].reshape(-1, 4), axis=1)
-    region_of_strip = np.take_along_axis(region[strip_from].reshape(-1, 4), outer[:, None], axis=1)[:, 0]
+    strip_from, strip_regions, strip_faces = _hem_strips(faces, old, region, height)
     source = np.concatenate([np.arange(len(old)), strip_from])
     return Dressed(
         vertices=raised[source],
         weights=mesh.weights[old][source],
-        faces=np.concatenate([faces, strip_faces]).astype(np.int32),
-        regions=np.concatenate([region, np.repeat(region_of_strip, 4)]),
+        faces=np.concatenate([faces, strip_faces + len(old)]).astype(np.int32),
+        regions=np.concatenate([region, strip_regions]),
     )
 
 
 def _hem_strips(
-    faces: NDArray[np.int32], old: NDArray[np.int64], region: NDArray[np.uint8], height: NDArray[np.float64], first: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Vertices to copy [4E] and faces [2E, 3] of the quads that join regions of different height along shared edges."""
+    faces: NDArray[np.int32], old: NDArray[np.int64], region: NDArray[np.uint8], height: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]]:
+    """Quads that join regions of different height along shared edges: vertices to copy [S], their regions [S] and the
+    faces [2E, 3] among them. A hem has vertices of its own, in the colour of its outer layer, so that it has a crisp edge."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     forward = {(int(old[u]), int(old[v])): (int(u), int(v)) for u, v in edges}
+    copies: dict[tuple[int, int], int] = {}
     quads = []
-    for (ou, ov), (u, v) in forward.items():
-        other = forward.get((ov, ou))
-        if ou > ov or other is None:
+    for (start, end), (u, v) in forward.items():
+        opposite = forward.get((end, start))
+        if start > end or opposite is None:
             continue
-        v2, u2 = other
+        v2, u2 = opposite
         if region[u] != region[u2] and max(abs(height[u] - height[u2]), abs(height[v] - height[v2])) > 1e-4:
-            quads.append((v, u, u2, v2))
+            outer = int(region[u] if height[u] + height[v] > height[u2] + height[v2] else region[u2])
+            quads.append([copies.setdefault((corner, outer), len(copies)) for corner in (v, u, u2, v2)])
     if not quads:
-        return np.zeros(0, np.int64), np.zeros((0, 3), np.int32)
-    base = first + 4 * np.arange(len(quads), dtype=np.int32)[:, None]
-    strip = np.concatenate([base + np.array([0, 1, 2], np.int32), base + np.array([0, 2, 3], np.int32)])
-    return np.array(quads, np.int64).ravel(), strip
+        return np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros((0, 3), np.int32)
+    corners = np.array(quads, np.int32)
+    source, outers = np.array(list(copies)).T
+    return source, outers.astype(np.uint8), np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
 def _normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

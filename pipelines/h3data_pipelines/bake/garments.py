@@ -16,8 +16,8 @@ from h3data.geometry import normalized
 from h3data_pipelines.bake.cutting import Cloth, Dressed, Field, cut, raise_regions
 from h3data_pipelines.bake.rig import Rig
 
-REGIONS = ("skin", "shirt", "trousers", "socks", "shoes", "soles", "hair", "brows", "sclera", "iris", "lips")
-SKIN, SHIRT, TROUSERS, SOCKS, SHOES, SOLES, HAIR, BROWS, SCLERA, IRIS, LIPS = range(len(REGIONS))
+REGIONS = ("skin", "shirt", "trousers", "socks", "shoes", "soles", "hair", "brows", "sclera", "iris")
+SKIN, SHIRT, TROUSERS, SOCKS, SHOES, SOLES, HAIR, BROWS, SCLERA, IRIS = range(len(REGIONS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Tailor:
         self.eye = (rig.joint("left_eye_smplhf") + rig.joint("right_eye_smplhf")) / 2
         self.hem_y = float(rig.joint("pelvis")[1] + 0.002 * self.stature)
         ankle = float(rig.joint("left_ankle")[1])
-        self.cuff_y, self.shoe_y, self.sole_y = ankle + 0.022, ankle - 0.004, 0.016
+        self.cuff_y, self.shoe_y, self.sole_y = ankle + 0.022, ankle - 0.004, 0.013
         self.head_z = float(np.mean(rig.vertices[rig.vertices[:, 1] > self.eye[1]][:, 2]))
 
     def is_eye(self, mesh: Cloth) -> NDArray[np.bool_]:
@@ -80,13 +80,10 @@ class Tailor:
         return result
 
     def neck(self, mesh: Cloth) -> NDArray[np.float64]:
-        """Above the crew neck: a cone of revolution about the tilted neck axis, so the border is an oval."""
-        base = self.rig.joint("neck") + np.array([0, -0.036, 0.0]) * self.stature
-        axis = normalized(np.array([0.0, 1.0, 0.45]))
+        """Above the crew neck: a tilted plane, bent up towards the shoulders, so the border is a smooth oval."""
+        base = self.rig.joint("neck") + np.array([0, -0.030, 0.0]) * self.stature
         offset = mesh.vertices - base
-        along = offset @ axis
-        across = np.linalg.norm(offset - along[:, None] * axis, axis=1)
-        return along - 0.75 * (across - 0.047 * self.stature)
+        return offset @ normalized(np.array([0.0, 1.0, 0.6])) - 3.5 * offset[:, 0] ** 2
 
     def above_hem(self, mesh: Cloth) -> NDArray[np.float64]:
         """Above the shirt's lower edge: a horizontal plane; the arms do not count."""
@@ -110,7 +107,9 @@ class Tailor:
 
         x, y, z = mesh.vertices.T
         azimuth = np.degrees(np.abs(np.arctan2(x, z - self.head_z)))
-        knots = np.array([(0, 64), (25, 63), (45, 55), (62, 34), (78, 20), (92, 27), (108, 20), (125, -34), (150, -62), (180, -68)])
+        knots = np.array(
+            [(0, 64), (25, 63), (45, 55), (62, 34), (78, 20), (92, 27), (108, 20), (125, -34), (150, -62), (180, -68)]
+        )
         line = PchipInterpolator(knots[:, 0], knots[:, 1] * 1e-3 * self.stature / 1.63)(azimuth)
         return np.where(self.is_head(mesh) & ~self.is_eye(mesh), y - self.eye[1] - line, -1.0)
 
@@ -133,27 +132,25 @@ class Tailor:
         disc = 0.0062 - np.hypot(np.abs(x) - self.eye_x, y - self.eye[1])
         return np.where(self.is_eye(mesh), disc, -1.0)
 
-    def fields(self) -> tuple[Field, ...]:
-        """All cuts, in order."""
-        return (
-            self.bare_arm, self.neck, self.above_hem, self.above_cuff, self.above_shoe, self.above_sole, self.hair,
-            self.brow, self.iris,
-        )  # fmt: skip
-
-    def face_regions(self, mesh: Cloth) -> NDArray[np.uint8]:
-        """Region of each face, from the fields at its middle."""
-        at = mesh.centroids
-        region = np.full(len(at.vertices), SHIRT, np.uint8)
-        region[self.above_hem(at) < 0] = TROUSERS
-        region[self.above_cuff(at) < 0] = SOCKS
-        region[self.above_shoe(at) < 0] = SHOES
-        region[self.above_sole(at) < 0] = SOLES
-        region[(self.bare_arm(at) > 0) | (self.neck(at) > 0)] = SKIN
-        region[self.hair(at) > 0] = HAIR
-        region[self.brow(at) > 0] = BROWS
-        region[self.is_eye(at)] = SCLERA
-        region[self.iris(at) > 0] = IRIS
-        return region
+    def cut_and_named(self, mesh: Cloth) -> tuple[Cloth, NDArray[np.uint8]]:
+        """The mesh cut along every border, and the region of each of its faces."""
+        fields: dict[str, Field] = {
+            "arm": self.bare_arm, "neck": self.neck, "hem": self.above_hem, "cuff": self.above_cuff,
+            "shoe": self.above_shoe, "sole": self.above_sole, "hair": self.hair, "brow": self.brow, "iris": self.iris,
+        }  # fmt: skip
+        for field in fields.values():
+            mesh = cut(mesh, field)
+        assert mesh.sides is not None
+        side = {name: mesh.sides[:, k] for k, name in enumerate(fields)}
+        region = np.full(len(mesh.faces), SHIRT, np.uint8)
+        for name, below in (("hem", TROUSERS), ("cuff", SOCKS), ("shoe", SHOES), ("sole", SOLES)):
+            region[~side[name]] = below
+        region[side["arm"] | side["neck"]] = SKIN
+        region[side["hair"]] = HAIR
+        region[side["brow"]] = BROWS
+        region[self.is_eye(mesh)[mesh.faces].all(axis=1)] = SCLERA
+        region[side["iris"]] = IRIS
+        return mesh, region
 
     def thickness(self, mesh: Cloth, region: int) -> NDArray[np.float64]:
         """How far a region is lifted off the skin [m], per vertex."""
@@ -165,42 +162,48 @@ class Tailor:
             return 0.006 + 0.008 * waist + 0.006 * sleeve * (self.bare_arm(mesh) > -0.5)
         if region == TROUSERS:  # straight cut: wider below the knee
             knee = float(self.rig.joint("left_knee")[1])
-            return 0.005 + 0.012 * smoothstep(knee + 0.05, self.cuff_y, y) + 0.002 * smoothstep(self.hem_y - 0.1, self.hem_y, y)
+            return (
+                0.005
+                + 0.012 * smoothstep(knee + 0.05, self.cuff_y, y)
+                + 0.002 * smoothstep(self.hem_y - 0.1, self.hem_y, y)
+            )
         if region == HAIR:
             return self.outfit.hair_m * smoothstep(-0.004, 0.045, self.hair(mesh)) + 0.002
-        return flat + {SOCKS: 0.001, SHOES: 0.004, SOLES: 0.007, BROWS: 0.0006}.get(region, 0.0)
+        return flat + {SOCKS: 0.001, BROWS: 0.0006}.get(region, 0.0)
 
 
-def dress(rig: Rig, mesh: Cloth, outfit: Outfit) -> Dressed:
-    """``mesh`` (the rig's, or a decimated one) cut into regions and lifted; soles stay on the floor."""
+def dress(rig: Rig, mesh: Cloth, outfit: Outfit, *, fine: bool = True) -> Dressed:
+    """``mesh`` (the rig's, or a decimated one) cut into regions and lifted, with shoes and a bun; soles at the floor."""
     tailor = Tailor(rig, outfit)
-    for field in tailor.fields():
-        mesh = cut(mesh, field)
-    dressed = raise_regions(mesh, tailor.face_regions(mesh), tailor.thickness)
-    vertices = dressed.vertices.copy()
-    vertices[:, 1] = np.maximum(vertices[:, 1], 0)
-    parts = [Dressed(vertices=vertices, weights=dressed.weights, faces=dressed.faces, regions=dressed.regions)]
+    mesh = _merged([mesh, *(_shoe(tailor, side, 16 if fine else 9) for side in ("left", "right"))])
+    mesh, regions = tailor.cut_and_named(mesh)
+    dressed = raise_regions(mesh, regions, tailor.thickness)
+    parts = [dressed]
     if outfit.bun_m > 0:
-        parts.append(_bun(tailor, outfit.bun_m))
+        parts.append(_bun(tailor, outfit.bun_m, rows=9 if fine else 6))
     return _joined(parts)
 
 
-def _bun(tailor: Tailor, radius: float) -> Dressed:
+def _bun(tailor: Tailor, radius: float, *, rows: int) -> Dressed:
     """A knot of hair at the back of the head: an ellipsoid that moves with the head."""
-    rows, columns = 9, 14
+    columns = 2 * rows
     v, u = np.meshgrid(np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, columns, endpoint=False), indexing="ij")
-    ball = np.stack([np.sin(v) * np.cos(u), np.cos(v), np.sin(v) * np.sin(u)], axis=-1).reshape(-1, 3)
+    ball = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], axis=-1).reshape(-1, 3)
     head = tailor.rig.vertices[tailor.rig.vertices[:, 1] > tailor.eye[1]]
     center = np.array([0, tailor.eye[1] + 0.028, head[:, 2].min() - 0.45 * radius])
     vertices = center + ball * np.array([radius * 1.08, radius, radius * 0.85])
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
-    a, b = i * columns + j, i * columns + (j + 1) % columns
-    c, d = a + columns, b + columns
-    faces = np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
     weights = np.zeros((len(vertices), tailor.rig.weights.shape[1]))
     weights[:, JOINT_INDEX["head"]] = 1
-    return Dressed(
-        vertices=vertices, weights=weights, faces=faces.astype(np.int32), regions=np.full(len(vertices), HAIR, np.uint8)
+    regions = np.full(len(vertices), HAIR, np.uint8)
+    return Dressed(vertices=vertices, weights=weights, faces=_grid_faces(rows, columns), regions=regions)
+
+
+def _merged(parts: list[Cloth]) -> Cloth:
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    return Cloth(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        weights=np.concatenate([p.weights for p in parts]),
+        faces=np.concatenate([p.faces + int(s) for p, s in zip(parts, starts[:-1], strict=True)]).astype(np.int32),
     )
 
 
@@ -225,12 +228,8 @@ def shaped(rig: Rig, outfit: Outfit) -> Cloth:
     vertices = _smoothed(mesh, covered, 12)
     hairy = smoothstep(0.0, 0.02, tailor.hair(mesh))
     vertices = _smoothed(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), hairy, 10)
-    for side in ("left", "right"):
-        vertices = _shoe(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), rig, side)
-    low = smoothstep(tailor.shoe_y + 0.01, tailor.shoe_y - 0.02, vertices[:, 1])
-    vertices = _smoothed(Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces), low, 3)
-    vertices[:, 1] = np.where(low > 0, vertices[:, 1] - vertices[:, 1].min() * low, vertices[:, 1])
-    return Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces)
+    in_shoe = tailor.above_shoe(mesh) < -0.02
+    return Cloth(vertices=vertices, weights=mesh.weights, faces=mesh.faces[~in_shoe[mesh.faces].all(axis=1)])
 
 
 def _without_tongue(mesh: Cloth, rig: Rig) -> Cloth:
@@ -258,7 +257,9 @@ def _smoothed(mesh: Cloth, amount: NDArray[np.float64], rounds: int) -> NDArray[
     i, j = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]).T
     graph = coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(len(mesh.vertices),) * 2).tocsr()
     graph.data[:] = 1
-    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] = (diags(1 / np.asarray(graph.sum(1)).ravel()) @ graph).dot
+    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] = (
+        diags(1 / np.maximum(np.asarray(graph.sum(1)).ravel(), 1)) @ graph
+    ).dot
     vertices = mesh.vertices.copy()
     for _ in range(rounds):
         for step in (0.6, -0.3):
@@ -266,25 +267,51 @@ def _smoothed(mesh: Cloth, amount: NDArray[np.float64], rounds: int) -> NDArray[
     return vertices
 
 
-def _shoe(mesh: Cloth, rig: Rig, side: str) -> NDArray[np.float64]:
-    """Vertices with one foot blown up to its convex hull: no toes, a flat sole."""
-    from scipy.spatial import ConvexHull
+SHOE_LEATHER_M = 0.005
+TOE_BOX_M = 0.012
+"""How much higher than the toes a shoe is there."""
 
+
+def _shoe(tailor: Tailor, side: str, rows: int) -> Cloth:
+    """A shoe: the convex hull of the foot below its upper edge, raised over the toes, as a grid of ``rows`` rings."""
+    from scipy.spatial import ConvexHull, cKDTree
+
+    rig = tailor.rig
+    body = Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
     ankle, ball = rig.joint(f"{side}_ankle"), rig.joint(f"{side}_foot")
-    top = ankle[1] + 0.008
-    foot = (_weight(mesh, (f"{side}_ankle", f"{side}_foot")) > 0.5) & (mesh.vertices[:, 1] < top)
-    points = mesh.vertices[foot]
-    hull = ConvexHull(points)
-    spine = np.array([0.6 * ankle + 0.4 * ball, ball])
-    spine[:, 1] = 0.032
-    along = np.clip((points - spine[0]) @ (spine[1] - spine[0]) / np.sum((spine[1] - spine[0]) ** 2), -0.6, 1)
-    origin = spine[0] + along[:, None] * (spine[1] - spine[0])
-    direction = normalized(points - origin)
-    normal, level = hull.equations[:, :3], hull.equations[:, 3]
+    foot = (_weight(body, (f"{side}_ankle", f"{side}_foot")) > 0.5) & (tailor.above_shoe(body) < -SHOE_LEATHER_M)
+    points = rig.vertices[foot]
+    toe_box = points[points[:, 2] > ball[2]] + np.array([0, TOE_BOX_M, 0])
+    hull = ConvexHull(np.concatenate([points, toe_box]))
+    columns = 2 * rows
+    v, u = np.meshgrid(np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, columns, endpoint=False), indexing="ij")
+    # rings across the foot's long axis; the sideways axis is squeezed so that the rings are even on the long hull
+    ball_grid = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], axis=-1).reshape(-1, 3)
+    axis = normalized((ball - ankle) * np.array([1, 0, 1]))
+    side_axis = np.cross(np.array([0, 1.0, 0]), axis)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    middle[1] = 0.026
+    # an ellipsoid inside the foot gives start points and directions: normals of the ellipsoid spread well
+    half = np.array([0.012, 0.008, 0.36 * float(np.ptp(points @ axis))])
+    frame = np.stack([side_axis, np.array([0, 1.0, 0]), axis])
+    origin = middle + (ball_grid * half) @ frame
+    direction = normalized((ball_grid / half) @ frame)
+    normal, level = hull.equations[:, :3], hull.equations[:, 3] - SHOE_LEATHER_M
     speed = direction @ normal.T
     reach = np.where(speed > 1e-6, -(origin @ normal.T + level) / np.where(speed > 1e-6, speed, 1), np.inf).min(axis=1)
-    blown = origin + reach[:, None] * direction
-    amount = smoothstep(top, top - 0.025, points[:, 1])[:, None]
-    vertices = mesh.vertices.copy()
-    vertices[foot] = points + amount * (blown - points)
-    return vertices
+    vertices = origin + reach[:, None] * direction
+    vertices[:, 1] = np.maximum(vertices[:, 1], 0)
+    distance, nearest = cKDTree(points).query(vertices, k=8)
+    share = 1 / (distance + 0.01)
+    share /= share.sum(axis=1, keepdims=True)
+    weights = np.einsum("vk,vkj->vj", share, rig.weights[foot][nearest])
+    return Cloth(vertices=vertices, weights=weights, faces=_grid_faces(rows, columns))
+
+
+def _grid_faces(rows: int, columns: int) -> NDArray[np.int32]:
+    """Triangles of a closed grid of rings, counter-clockwise from outside where (right, up, axis) is right-handed."""
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
+    a, b = i * columns + j, i * columns + (j + 1) % columns
+    c, d = a + columns, b + columns
+    quads = np.stack([np.stack([a, d, b], -1), np.stack([a, c, d], -1)])
+    return quads.reshape(-1, 3).astype(np.int32)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.skeleton import JOINT_INDEX
 from h3data_pipelines.bake.cutting import Cloth
 from h3data_pipelines.bake.garments import Outfit
 
-LOD_FACES = 4800
+LOD_FACES = 3000
 """Triangles of the light mesh before it is cut along the hems, which adds about 1,000."""
 
 
@@ -42,7 +43,7 @@ BODIES = {
         stature_m=1.63,
         outfit=_outfit(
             bun_m=0.042, skin=(226, 178, 150), shirt=(72, 148, 146), trousers=(52, 60, 86), shoes=(196, 92, 72),
-            hair=(74, 48, 34), brows=(84, 56, 42), iris=(70, 92, 84), lips=(196, 120, 110),
+            hair=(74, 48, 34), brows=(84, 56, 42), iris=(70, 92, 84),
         ),
     ),
     "male_0": BodySpec(
@@ -53,7 +54,7 @@ BODIES = {
         stature_m=1.76,
         outfit=_outfit(
             hair_m=0.014, skin=(214, 164, 134), shirt=(214, 196, 160), trousers=(74, 82, 66), shoes=(70, 74, 84),
-            hair=(52, 40, 32), brows=(58, 44, 36), iris=(84, 66, 48), lips=(188, 116, 104),
+            hair=(52, 40, 32), brows=(58, 44, 36), iris=(84, 66, 48),
         ),
     ),
 }  # fmt: skip
@@ -64,9 +65,16 @@ def decimated(mesh: Cloth, faces: int) -> Cloth:
     import fast_simplification
     from scipy.spatial import cKDTree
 
+    eye = mesh.weights[:, [JOINT_INDEX["left_eye_smplhf"], JOINT_INDEX["right_eye_smplhf"]]].sum(axis=1) > 0.9
+    eyes = mesh.faces[eye[mesh.faces].all(axis=1)]
+    rest = mesh.faces[~eye[mesh.faces].any(axis=1)]
     vertices, triangles = fast_simplification.simplify(
-        mesh.vertices.astype(np.float32), mesh.faces, target_count=faces, agg=4
+        mesh.vertices.astype(np.float32), rest, target_count=faces - len(eyes), agg=4
     )
+    used, compact = np.unique(triangles, return_inverse=True)
+    eyes_used, eyes_compact = np.unique(eyes, return_inverse=True)
+    vertices = np.concatenate([vertices[used], mesh.vertices[eyes_used]])
+    triangles = np.concatenate([compact.reshape(-1, 3), eyes_compact.reshape(-1, 3) + len(used)])
     distance, nearest = cKDTree(mesh.vertices).query(vertices, k=3)
     share: NDArray[np.float64] = 1 / (distance + 1e-6)
     share /= share.sum(axis=1, keepdims=True)
