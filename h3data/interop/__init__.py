@@ -1,0 +1,9 @@
+"""Files of other programs, read into our records. Every foreign convention (axes, quaternion order, frames) ends here."""
+
+from h3data.interop.assets import AssetLibrary
+from h3data.interop.gfx_replay import read_gfx_replay
+from h3data.interop.habitat_scene import load_habitat_scene
+from h3data.interop.meshes import load_mesh
+from h3data.interop.sniff import FileKind, sniff
+
+__all__ = ["AssetLibrary", "FileKind", "load_habitat_scene", "load_mesh", "read_gfx_replay", "sniff"]

@@ -1,0 +1,2 @@
+def load_habitat_scene(path, scene=None):
+    raise NotImplementedError

@@ -1,0 +1,190 @@
+"""Meshes from files: GLB, glTF, OBJ, PLY and STL through trimesh, in our frame and with a colour per vertex."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import MissingAssetError, SceneError
+from h3data.geometry import normalized
+from h3data.scene.records import Mesh
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+DEFAULT_COLOR = (204, 204, 204)
+"""sRGB of a surface whose file says nothing about its colour."""
+
+Vector3 = tuple[float, float, float]
+
+
+def load_mesh(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> Mesh:
+    """The triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
+
+    ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame`` (spec/habitat.md
+    5.1): YCB files have up +Z, front +Y. Colours are sRGB per vertex, from the file's vertex colours, the material's base
+    colour, or its texture sampled at the vertices (texture detail inside a triangle is lost). Normals are kept if the file
+    has them; else None, which shades flat. The result is cached per file, time stamp and frame: do not write to it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise SceneError(
+            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(MESH_SUFFIXES)}: {path}"
+        )
+    up3, front3 = _vector3(up), _vector3(front)
+    return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
+
+
+def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
+    """3x3 rotation from a file's frame to +Y up, -Z forward: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
+    u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
+    lengths = np.linalg.norm(u), np.linalg.norm(f)
+    if u.shape != (3,) or f.shape != (3,) or min(lengths) == 0 or abs(u @ f) > 1e-3 * lengths[0] * lengths[1]:
+        raise SceneError(f"An asset frame needs two perpendicular axes. Got up {list(u)}, front {list(f)}.")
+    u, f = normalized(u), normalized(f)
+    return np.stack([np.cross(f, u), u, -f])
+
+
+def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float64]:
+    """sRGB-encoded values 0..1 of linear values 0..1 (IEC 61966-2-1)."""
+    x = np.clip(np.asarray(linear, np.float64), 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
+
+
+def linear_from_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
+    """Linear values 0..1 of sRGB-encoded values 0..1 (IEC 61966-2-1)."""
+    x = np.clip(np.asarray(encoded, np.float64), 0, 1)
+    return np.where(x <= 0.04045, x / 12.92, np.power((x + 0.055) / 1.055, 2.4))
+
+
+def recolored(mesh: Mesh, color: Sequence[int]) -> Mesh:
+    """The same mesh in one sRGB colour 0..255."""
+    colors = np.broadcast_to(np.asarray(color, np.uint8), mesh.vertices.shape).copy()
+    return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one. Normals survive only if every part has them."""
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    normals = [m.normals for m in meshes if m.normals is not None]
+    return Mesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + np.int32(s) for m, s in zip(meshes, starts, strict=False)]),
+        colors=np.concatenate([m.colors for m in meshes]),
+        normals=np.concatenate(normals) if len(normals) == len(meshes) else None,
+    )
+
+
+def _vector3(value: Sequence[float]) -> Vector3:
+    x, y, z = (float(v) for v in value)
+    return (x, y, z)
+
+
+@lru_cache(maxsize=2048)
+def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
+    del mtime_ns  # only part of the key: a changed file is read again
+    rotation = frame_rotation(up, front)
+    parts = [_part(geometry, matrix, glb=path.lower().endswith(("glb", "gltf"))) for geometry, matrix in _open(path)]
+    parts = [p for p in parts if len(p.faces)]
+    if not parts:
+        raise SceneError(f"A mesh file without triangles: {path}")
+    mesh = merged(parts)
+    if not np.isfinite(mesh.vertices).all():
+        raise SceneError(f"A mesh with vertices that are not finite numbers: {path}")
+    return Mesh(
+        vertices=(mesh.vertices @ rotation.T * units_m).astype(np.float32),
+        faces=mesh.faces,
+        colors=mesh.colors,
+        normals=None if mesh.normals is None else (mesh.normals @ rotation.T).astype(np.float32),
+    )
+
+
+def _open(path: str) -> list[tuple[Any, NDArray[np.float64]]]:
+    """Pairs of trimesh geometry and its 4x4 to the file's root."""
+    import trimesh
+
+    try:
+        loaded = trimesh.load_scene(path, process=False)
+        nodes = [(loaded.graph[node][1], loaded.graph[node][0]) for node in loaded.graph.nodes_geometry]
+        pairs = [(loaded.geometry[name], np.asarray(matrix, np.float64)) for name, matrix in nodes]
+    except Exception as fault:  # trimesh raises whatever its loaders meet
+        reason = f"{type(fault).__name__}: {fault}".splitlines()[0][:200]
+        raise SceneError(
+            f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}"
+        ) from None
+    return [(geometry, matrix) for geometry, matrix in pairs if isinstance(geometry, trimesh.Trimesh)]
+
+
+def _part(geometry: Any, matrix: NDArray[np.float64], *, glb: bool) -> Mesh:
+    """One trimesh geometry, moved into the file's root frame."""
+    vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    faces = np.asarray(geometry.faces, np.int32).reshape(-1, 3)
+    if np.linalg.det(matrix[:3, :3]) < 0:  # a mirrored node turns its triangles inside out
+        faces = faces[:, ::-1]
+    normals = None
+    if "vertex_normals" in geometry._cache:  # set by trimesh's loaders only if the file has normals
+        inverse = np.linalg.inv(matrix[:3, :3])
+        normals = normalized(np.asarray(geometry.vertex_normals, np.float64) @ inverse).astype(np.float32)
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=np.ascontiguousarray(faces),
+        colors=_colors(geometry, glb=glb),
+        normals=normals,
+    )
+
+
+def _colors(geometry: Any, *, glb: bool) -> NDArray[np.uint8]:
+    """sRGB per vertex, shape [V, 3]. glTF factors and vertex colours are linear, textures are sRGB (glTF 2.0, 3.9.2)."""
+    count, visual = len(geometry.vertices), geometry.visual
+    if visual.kind == "vertex":
+        colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
+        return _to_uint8(srgb_from_linear(colors / 255)) if glb else colors
+    if visual.kind == "face":
+        face_colors = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
+        colors = np.full((count, 3), DEFAULT_COLOR, np.uint8)
+        colors[np.asarray(geometry.faces).ravel()] = np.repeat(face_colors, 3, axis=0)
+        return colors
+    material = getattr(visual, "material", None)
+    factor = _first(material, "baseColorFactor", "diffuse") if material is not None else None
+    image = _first(material, "baseColorTexture", "image") if material is not None else None
+    uv = getattr(visual, "uv", None)
+    if image is not None and uv is not None:
+        texels = _sample(image, np.asarray(uv, np.float64))
+        if factor is None or not glb or np.all(np.asarray(factor)[:3] == 255):
+            return texels
+        linear = linear_from_srgb(texels / 255) * (np.asarray(factor, np.float64)[:3] / 255)
+        return _to_uint8(srgb_from_linear(linear))
+    if factor is None:
+        return np.full((count, 3), DEFAULT_COLOR, np.uint8)
+    rgb = np.asarray(factor, np.float64)[:3] / 255
+    return np.broadcast_to(_to_uint8(srgb_from_linear(rgb) if glb else rgb), (count, 3)).copy()
+
+
+def _first(material: Any, *names: str) -> Any:
+    values = (getattr(material, name, None) for name in names)
+    return next((v for v in values if v is not None), None)
+
+
+def _to_uint8(unit: ArrayLike) -> NDArray[np.uint8]:
+    return np.rint(np.asarray(unit) * 255).astype(np.uint8)
+
+
+def _sample(image: Any, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Nearest texels [V, 3] of a PIL image at ``uv`` [V, 2]: origin at the lower left, repeated outside 0..1."""
+    pixels = np.asarray(image.convert("RGB"))
+    height, width = pixels.shape[:2]
+    uv = np.nan_to_num(uv)
+    column = np.minimum((uv[:, 0] % 1.0 * width).astype(int), width - 1)
+    row = np.minimum(((1.0 - uv[:, 1]) % 1.0 * height).astype(int), height - 1)
+    return pixels[row, column]

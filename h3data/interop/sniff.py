@@ -1,0 +1,136 @@
+"""What a file is, told from its content."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from pathlib import Path
+from typing import Any, Literal
+
+from h3data.errors import FormatError, InputError
+
+FileKind = Literal[
+    "gfx_replay", "hitl_session", "hitl_episode", "hitl_log", "rearrange_episodes", "scene_dataset_config",
+    "scene_instance", "stage_config", "object_config", "ao_config", "lighting_config", "semantic_config", "scene_filter",
+    "json", "mcap", "parquet", "rrd", "glb", "navmesh", "pickle", "zip", "unknown",
+]  # fmt: skip
+
+KIND_WORDS: dict[str, str] = {
+    "gfx_replay": "a gfx-replay recording",
+    "hitl_session": "a human-in-the-loop session (habitat-lab rearrange_v2)",
+    "hitl_episode": "an episode of a human-in-the-loop session (habitat-lab rearrange_v2)",
+    "hitl_log": "a human-in-the-loop log of the first generation (habitat-lab rearrange)",
+    "rearrange_episodes": "an episode dataset",
+    "scene_dataset_config": "a scene dataset configuration",
+    "scene_instance": "a scene instance",
+    "stage_config": "a stage configuration",
+    "object_config": "an object configuration",
+    "ao_config": "an articulated object configuration",
+    "lighting_config": "a lighting configuration",
+    "semantic_config": "a semantic configuration",
+    "scene_filter": "a receptacle filter",
+    "json": "JSON of an unknown kind",
+}
+
+_MAGIC: tuple[tuple[bytes, FileKind], ...] = (
+    (b"\x89MCAP0\r\n", "mcap"),
+    (b"PAR1", "parquet"),
+    (b"RRF", "rrd"),
+    (b"glTF", "glb"),
+    (b"TESM", "navmesh"),
+    (b"PK\x03\x04", "zip"),
+    (b"\x80\x03", "pickle"),
+    (b"\x80\x04", "pickle"),
+    (b"\x80\x05", "pickle"),
+)
+
+
+def sniff(path: str | Path) -> FileKind:
+    """The kind of a file, from its content (gzip is looked through); a name only decides between sorts of config."""
+    import msgspec
+
+    path = Path(path)
+    try:
+        data = read_bytes(path)
+    except FormatError:
+        return "unknown"
+    for magic, kind in _MAGIC:
+        if data.startswith(magic):
+            return kind
+    try:
+        content = msgspec.json.decode(data)
+    except msgspec.DecodeError:
+        return "unknown"
+    return json_kind(content, name=path.name)
+
+
+def json_kind(content: Any, *, name: str = "") -> FileKind:
+    """The kind of a parsed JSON document."""
+    if not isinstance(content, dict):
+        return "json"
+    keys = set(content)
+    rules: tuple[tuple[bool, FileKind], ...] = (
+        ("keyframes" in keys or "keyframe" in keys, "gfx_replay"),
+        ({"session", "users", "episodes"} <= keys, "hitl_session"),
+        ({"session", "episode", "frames"} <= keys, "hitl_episode"),
+        ("steps" in keys and bool(keys & {"episode_id", "scene_id", "start_time"}), "hitl_log"),
+        ("episodes" in keys, "rearrange_episodes"),
+        ("stage_instance" in keys or "object_instances" in keys, "scene_instance"),
+        ("region_annotations" in keys, "semantic_config"),
+        ("lights" in keys and "stages" not in keys, "lighting_config"),
+        ("active" in keys and "manually_filtered" in keys, "scene_filter"),
+        (_is_dataset(content), "scene_dataset_config"),
+        ("urdf_filepath" in keys or ".ao_config." in name, "ao_config"),
+        (".stage_config." in name or bool(keys & {"gravity", "nav_asset", "semantic_asset"}), "stage_config"),
+        (".object_config." in name or "render_asset" in keys, "object_config"),
+    )
+    return next((kind for fits, kind in rules if fits), "json")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a file, unpacked if it is gzip; `InputError` if there is none, `FormatError` if the gzip is damaged."""
+    if not path.exists():
+        raise InputError(f"There is no such file: {path}")
+    if path.is_dir():
+        raise InputError(f"Expected a file, this is a folder: {path}")
+    data = path.read_bytes()
+    if not data.startswith(b"\x1f\x8b"):
+        return data
+    try:
+        return gzip.decompress(data)
+    except (OSError, EOFError, zlib.error) as fault:
+        raise FormatError(
+            f"The gzip data are damaged or cut off ({fault}). Hint: copy the file again. {path}"
+        ) from None
+
+
+def read_json(path: Path) -> tuple[bytes, Any]:
+    """Bytes and content of a JSON file (gzip allowed); `FormatError` says where it stops being JSON."""
+    import msgspec
+
+    data = read_bytes(path)
+    try:
+        return data, msgspec.json.decode(data)
+    except msgspec.DecodeError as fault:
+        raise not_json(path, data, fault) from None
+
+
+def not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
+    """The error for bytes that are not a JSON document."""
+    text = str(fault)
+    if not data.strip():
+        return FormatError(f"Expected JSON, the file is empty: {path}")
+    if "truncated" in text:
+        return FormatError(
+            f"The JSON breaks off at its end (byte {len(data)}): the file is truncated. Hint: copy it again. {path}"
+        )
+    binary = next((kind for magic, kind in _MAGIC if data.startswith(magic)), None)
+    if binary is not None:
+        return FormatError(f"Expected JSON, this is a {binary} file: {path}")
+    return FormatError(f"Expected JSON, this is not: {text.removeprefix('JSON is malformed: ')}: {path}")
+
+
+def _is_dataset(content: dict[str, Any]) -> bool:
+    sections = {"stages", "objects", "articulated_objects", "light_setups", "scene_instances"}
+    found = sections & set(content)
+    return bool(found) and all(isinstance(content[s], dict) for s in found)
