@@ -5,11 +5,11 @@ is the same thing whether it came from our simulator, from a Habitat file, from 
 
 Time-indexed data are plain arrays in `Recording.columns`, time first. Their names are the contract:
 
-====================== ================ =================================================================================
+====================== ================ ================================================================================
 column                 dtype, shape     meaning (frames and units as in `h3data.geometry`)
-====================== ================ =================================================================================
+====================== ================ ================================================================================
 ``time_ns``            int64 [T]        nanoseconds since the episode began; row k is the state after action k
-``object_pose``        float32 [T,N,7]  pose7 in the world of each body with ``moving >= 0``; NaN = not in the world then
+``object_pose``        float32 [T,N,7]  pose7 in the world of each body with ``moving >= 0``; NaN = not there then
 ``agent_<i>.base_pose``   float32 [T,7] pose7 of the agent's root: at the floor, x forward, y up, z right
 ``agent_<i>.joint_pos``   float32 [T,J] robot joint positions [rad or m], in the order of ``Agent.joint_names``
 ``agent_<i>.grasp_body``  int32 [T]     index of the held body, -1 for none
@@ -23,7 +23,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
 ``sim.<name>``            any           what the simulator needs besides, to continue from a step
 ``state_hash``            uint64 [T]    running hash of the state stream
-====================== ================ =================================================================================
+====================== ================ ================================================================================
 """
 
 from __future__ import annotations
@@ -193,6 +193,19 @@ class Recording:
         ]
         lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordingHeader:
+    """What is known of an episode before its first step; `RecordingWriter` starts from it (or from a `Recording`)."""
+
+    episode: Episode
+    assets: tuple[AssetRef, ...] = ()
+    bodies: tuple[Body, ...] = ()
+    agents: tuple[Agent, ...] = ()
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Arrays whose dtypes and trailing shapes fix the columns (any rows are ignored); empty: the first rows decide."""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def _faults(rec: Recording) -> list[str]:

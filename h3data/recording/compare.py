@@ -1,0 +1,105 @@
+"""What differs between two recordings, and a running hash that tells where two state streams part."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording.records import Recording
+from h3data.recording.schema import episode_to_dict, layout_of, struct_to_dict, topic_of
+
+
+def recordings_equal(a: Recording, b: Recording) -> list[str]:
+    """The differences, one line each; empty means equal, bit for bit (any NaN equals any NaN, order is ignored)."""
+    differences = _dict_differences("episode", _episode(a), _episode(b))
+    for kind in ("assets", "bodies", "agents", "skills", "events"):
+        ours, theirs = getattr(a, kind), getattr(b, kind)
+        if len(ours) != len(theirs):
+            differences.append(f"{kind}: {len(ours)} and {len(theirs)}")
+            continue
+        for i, (x, y) in enumerate(zip(ours, theirs, strict=True)):
+            differences += _dict_differences(f"{kind}[{i}]", _struct(x), _struct(y))
+    differences += _set_differences("columns", a.columns, b.columns)
+    for name in a.columns:
+        if name in b.columns:
+            differences += _array_differences(name, np.asarray(a.columns[name]), np.asarray(b.columns[name]))
+    differences += _set_differences("attachments", a.attachments, b.attachments)
+    differences += [
+        f"attachment {name}: contents differ"
+        for name in a.attachments
+        if name in b.attachments and bytes(a.attachments[name]) != bytes(b.attachments[name])
+    ]
+    return differences
+
+
+def _episode(rec: Recording) -> dict[str, Any]:
+    values = episode_to_dict(rec.episode)
+    values["info"] = json.dumps(json.loads(values["info"]), sort_keys=True)
+    return values
+
+
+def _struct(record: Any) -> dict[str, str]:
+    return {
+        name: repr(value) for name, value in struct_to_dict(record).items()
+    }  # repr: NaN equals NaN, -0.0 is not 0.0
+
+
+def _dict_differences(what: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    return [f"{what}.{k}: {a[k]!r} and {b[k]!r}" for k in a if a[k] != b[k]]
+
+
+def _set_differences(what: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    out = [f"{what}: {name} only in the first" for name in a if name not in b]
+    return out + [f"{what}: {name} only in the second" for name in b if name not in a]
+
+
+def _array_differences(name: str, a: NDArray[Any], b: NDArray[Any]) -> list[str]:
+    if a.dtype.newbyteorder("=") != b.dtype.newbyteorder("=") or a.shape != b.shape:
+        return [f"{name}: {a.dtype} {list(a.shape)} and {b.dtype} {list(b.shape)}"]
+    if not a.size:
+        return []
+    x, y = (np.ascontiguousarray(v, v.dtype.newbyteorder("=")) for v in (a, b))
+    unsigned = np.dtype(f"u{x.dtype.itemsize}")
+    differ = x.view(unsigned) != y.view(unsigned)
+    if x.dtype.kind == "f":
+        differ &= ~(np.isnan(x) & np.isnan(y))
+    if not differ.any():
+        return []
+    first = tuple(int(i) for i in np.argwhere(differ)[0])
+    return [f"{name}: {int(differ.sum())} of {x.size} values differ, first at {first}: {x[first]!r} and {y[first]!r}"]
+
+
+def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArray[np.uint64]:
+    """Running hash of the state stream after each row, shape [T].
+
+    Row k is BLAKE2b with an 8-byte digest over the digest of row k-1 (``previous`` before the first; little-endian) and
+    the raw little-endian bytes of row k of every state column in the sorted order of their names. State columns are all
+    but ``time_ns``, ``state_hash``, ``metrics.*`` and ``agent_*.action``: what was measured or commanded is not state.
+    """
+    names = sorted(n for n in columns if topic_of(n) == "state" and n not in ("time_ns", "state_hash"))
+    layout_of({n: columns[n] for n in names})
+    steps = len(next(iter(columns.values()))) if columns else 0
+    rows = _row_bytes([np.asarray(columns[n]) for n in names], steps)
+    out = np.empty(steps, np.uint64)
+    digest = int(previous).to_bytes(8, "little")
+    for k in range(steps):
+        digest = hashlib.blake2b(digest + rows[k], digest_size=8).digest()
+        out[k] = int.from_bytes(digest, "little")
+    return out
+
+
+def _row_bytes(arrays: Sequence[NDArray[Any]], steps: int) -> list[bytes]:
+    parts = [
+        np.ascontiguousarray(a, a.dtype.newbyteorder("<")).view(np.uint8).reshape(steps, -1)
+        for a in (x.reshape(steps, -1) for x in arrays if x.size)
+    ]
+    if not parts:
+        return [b""] * steps
+    joined = np.concatenate(parts, axis=1)
+    whole, width = joined.tobytes(), joined.shape[1]
+    return [whole[k * width : (k + 1) * width] for k in range(steps)]

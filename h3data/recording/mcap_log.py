@@ -1,0 +1,386 @@
+"""The session log: one episode per MCAP file, appended while it happens, readable up to the last flush after any crash.
+
+While it is written the file is called ``<name>.part``; only a complete file gets its final name. What is in it:
+``docs/format.md``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mimetypes
+import os
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.recording.records import SCHEMA_VERSION, Event, Recording, RecordingHeader, SkillSpan
+from h3data.recording.schema import (
+    CONVENTIONS,
+    Layout,
+    Topic,
+    default_layout,
+    episode_to_dict,
+    layout_hash,
+    layout_of,
+    layout_to_json,
+    struct_to_dict,
+)
+from h3data.recording.wire import (
+    WireLayout,
+    encode_block,
+    fields_to_metadata,
+    message_class,
+    step_descriptor,
+    struct_descriptor,
+    wire_layouts,
+)
+
+PROFILE = "h3data"
+TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metrics": "Metrics"}
+FLUSH_ROWS = 30
+FLUSH_S = 1.0
+_LAST_LOG_TIME = 2**63 - 1
+
+
+def part_path(path: Path) -> Path:
+    """Name of a file while it is being written."""
+    return path.with_name(path.name + ".part")
+
+
+def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
+    """The file under its temporary name; tests replace this by disks that fill up."""
+    return open(part, "wb" if overwrite else "xb")
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder cannot be made ({error.strerror or error}): {folder}") from None
+
+
+def publish(part: Path, final: Path) -> None:
+    """Give a finished, synced file its final name, durably."""
+    os.replace(part, final)
+    folder = os.open(final.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+class RecordingWriter:
+    """Writes one episode while it happens.
+
+    Used as a context manager it closes the file at the end. On an exception or Ctrl-C it finishes what there is as
+    ``<name>.part``, which `recover_mcap` (``h3data recover``) reads; the final name never shows an unfinished episode.
+    What was appended is handed to the operating system at least every ``flush_rows`` rows or ``flush_s`` seconds.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        header: RecordingHeader | Recording,
+        *,
+        overwrite: bool = False,
+        t0_unix_ns: int | None = None,
+        chunk_bytes: int = 1 << 20,
+        flush_rows: int = FLUSH_ROWS,
+        flush_s: float = FLUSH_S,
+    ) -> None:
+        """Create ``<path>.part`` and write all that is known before the first step.
+
+        ``header.columns`` fixes the columns if it is not empty, else the first `append` does. Log times are
+        ``t0_unix_ns`` (by default ``episode.info["t0_unix_ns"]``, or 0: then equal episodes make equal files) plus
+        ``time_ns``.
+        """
+        from mcap.writer import CompressionType, Writer
+
+        self.path = Path(path)
+        self.part = part_path(self.path)
+        self.header = header
+        self.steps = 0
+        self.closed = False
+        self._t0 = int(header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns)
+        self._flush_rows, self._flush_s = flush_rows, flush_s
+        self._layout: Layout | None = None
+        self._kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
+        self._topics: dict[Topic, tuple[int, WireLayout]] = {}
+        self._times: list[NDArray[np.int64]] = []
+        self._spans = 0
+        self._pending: list[dict[str, NDArray[Any]]] = []
+        self._written = 0
+        self._last_time: int | None = None
+        self._flushed_at = time.monotonic()
+        metadata = _header_metadata(header)
+        scene = _encode("h3.Scene", _scene(header))
+        self._refuse_existing(overwrite=overwrite)
+        _make_folder(self.path.parent)
+        with self._writing():
+            self._stream = open_part(self.part, overwrite=overwrite)
+        try:
+            with self._writing():
+                self._mcap = Writer(
+                    self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
+                )
+                self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
+                for name, values in metadata.items():
+                    self._mcap.add_metadata(name, values)
+                for name, data in header.attachments.items():
+                    media = mimetypes.guess_type(name)[0] or "application/octet-stream"
+                    self._mcap.add_attachment(self._log_time(0), self._log_time(0), name, media, bytes(data))
+                self._open_channels()
+                self._mcap.add_message(self._scene_channel, self._log_time(0), scene, self._log_time(0))
+            if header.columns:
+                self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
+        except BaseException:
+            self._stream.close()
+            self.part.unlink(missing_ok=True)  # nothing worth recovering yet
+            raise
+
+    def append(self, rows: Mapping[str, ArrayLike]) -> None:
+        """Write one or more steps: every column, time first, shape [n, ...]; n is the same for all."""
+        self._require_open()
+        arrays = {name: np.asarray(values) for name, values in rows.items()}
+        if self._layout is None:
+            self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
+        count = self._check_rows(arrays)
+        if not count:
+            return
+        self._pending.append({name: a.copy() for name, a in arrays.items()})  # callers reuse their buffers
+        self._last_time = int(arrays["time_ns"][-1])
+        self.steps += count
+        due = self.steps - self._written >= self._flush_rows
+        if due or time.monotonic() - self._flushed_at >= self._flush_s:
+            self.flush()
+
+    def event(self, event: Event) -> None:
+        """Write something that happened."""
+        self._require_open()
+        data = _encode("h3.Event", struct_to_dict(event))
+        t = self._log_time(self._time_of(event.step))
+        with self._writing():
+            self._mcap.add_message(self._event_channel, t, data, t)
+
+    def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
+        """Write a high-level action and return its number.
+
+        A skill that has just begun can be written as ``running`` and, when it ends, once more with
+        ``replaces=<its number>``: readers keep the last. So a crash does not lose what was going on.
+        """
+        self._require_open()
+        if replaces is not None and not 0 <= replaces < self._spans:
+            raise InputError(f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.")
+        number = self._spans if replaces is None else replaces
+        data = _encode("h3.Skill", {**struct_to_dict(span), "span": number})
+        t = self._log_time(self._time_of(span.start_step if span.outcome == "running" else span.end_step))
+        with self._writing():
+            self._mcap.add_message(self._skill_channel, t, data, t)
+        self._spans = max(self._spans, number + 1)
+        return number
+
+    def flush(self) -> None:
+        """Hand everything appended so far to the operating system, so that it survives the end of this process."""
+        self._require_open()
+        with self._writing():
+            self._write_pending()
+            self._mcap.flush()
+        self._flushed_at = time.monotonic()
+
+    def close(self) -> Path:
+        """Finish, sync and rename the file; returns its final path. A second call does nothing."""
+        if self.closed:
+            return self.path
+        if self._layout is None:
+            self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
+        try:
+            with self._writing():
+                self._write_pending()
+                self._mcap.flush()
+                self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
+                self._mcap.finish()
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+                self._stream.close()
+                publish(self.part, self.path)
+        finally:
+            self._shut()
+        return self.path
+
+    def abort(self, *, keep: bool = True) -> None:
+        """Stop here: what was appended stays as ``<name>.part`` for `recover_mcap`, or is deleted if not ``keep``."""
+        if self.closed:
+            return
+        try:
+            with contextlib.suppress(
+                OSError, ValueError
+            ):  # the disk may be full: what was flushed can still be recovered
+                self._write_pending()
+                self._mcap.finish()
+                self._stream.flush()
+        finally:
+            self._shut()
+            if not keep:
+                self.part.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def __repr__(self) -> str:
+        state = "closed" if self.closed else "open"
+        return f"RecordingWriter({str(self.path)!r}, {self.steps} steps, {state})"
+
+    # --- inside ---
+    def _shut(self) -> None:
+        self.closed = True
+        with contextlib.suppress(OSError):  # closing flushes; a full disk has been reported already
+            self._stream.close()
+
+    def _require_open(self) -> None:
+        if self.closed:
+            raise InputError(f"This recording is closed; nothing can be added to it: {self.path}")
+
+    def _refuse_existing(self, *, overwrite: bool) -> None:
+        if overwrite:
+            return
+        if self.path.exists():
+            raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {self.path}")
+        if self.part.exists():
+            raise InputError(
+                "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
+                f"overwrite=True (--force): {self.part}"
+            )
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError:
+            raise InputError(f"Somebody else is writing this file: {self.part}") from None
+        except OSError as error:
+            raise InputError(
+                f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
+                f"(`h3data recover`): {self.part}"
+            ) from error
+
+    def _open_channels(self) -> None:
+        descriptor = struct_descriptor()
+        channels = []
+        for name in ("Scene", "Event", "Skill"):
+            schema = self._mcap.register_schema(f"h3.{name}", "protobuf", descriptor)
+            channels.append(self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema))
+        self._scene_channel, self._event_channel, self._skill_channel = channels
+
+    def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> None:
+        """Decide the columns from arrays without rows, check them against the header, announce them in the file."""
+        layout = layout_of(empty)
+        h = self.header
+        Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
+        with self._writing():
+            self._mcap.add_metadata("h3.layout", {"columns": layout_to_json(layout), "hash": layout_hash(layout)})
+            for topic, fields in wire_layouts(layout).items():
+                message = TOPIC_MESSAGES[topic]
+                descriptor = step_descriptor(message, fields)
+                schema = self._mcap.register_schema(f"h3.{message}", "protobuf", descriptor)
+                channel = self._mcap.register_channel(f"/h3/{topic}", "protobuf", schema, fields_to_metadata(fields))
+                self._topics[topic] = (channel, fields)
+        self._layout = layout
+        self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
+
+    def _write_pending(self) -> None:
+        """Encode the rows appended since the last flush as one block, message by message into the open chunk."""
+        pending, self._pending = self._pending, []
+        if not pending:
+            return
+        rows = pending[0] if len(pending) == 1 else {n: np.concatenate([p[n] for p in pending]) for n in pending[0]}
+        messages = []
+        for channel, fields in self._topics.values():
+            block = encode_block(fields, rows, first_step=self._written)
+            messages.append((channel, block.tobytes(), block.shape[1]))
+        self._times.append(rows["time_ns"])
+        add, step = self._mcap.add_message, self._written
+        for k, time_ns in enumerate(rows["time_ns"].tolist()):
+            t = self._log_time(time_ns)
+            for channel, data, size in messages:
+                add(channel, t, data[k * size : (k + 1) * size], t, (step + k) & 0xFFFFFFFF)
+        self._written = step + len(rows["time_ns"])
+
+    def _check_rows(self, arrays: Mapping[str, NDArray[Any]]) -> int:
+        """Number of rows, if they are all of the same number and of the kind decided on."""
+        times = arrays.get("time_ns")
+        count = len(times) if times is not None and times.ndim else 0
+        faults = []
+        for name, array in arrays.items():
+            kind = self._kinds.get(name)
+            if kind is None:
+                faults.append(f"{name} is not one of the columns")
+            elif array.dtype != kind[0] or array.shape != (count, *kind[1]):
+                faults.append(f"{name} must be {kind[0]} {[count, *kind[1]]}, is {array.dtype} {list(array.shape)}")
+        if len(arrays) - len(faults) < len(self._kinds):
+            faults += [f"{name} is missing" for name in self._kinds if name not in arrays]
+        if faults:
+            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.")
+        first_is_late = self._last_time is None or count == 0 or int(arrays["time_ns"][0]) > self._last_time
+        if not first_is_late or (count > 1 and np.any(np.diff(arrays["time_ns"]) <= 0)):
+            raise InputError("time_ns must increase strictly from row to row, also from one append to the next.")
+        return count
+
+    def _time_of(self, step: int) -> int:
+        """``time_ns`` of a row that was appended; the nearest one for other steps."""
+        step = min(step, self.steps - 1)
+        if step >= self._written:
+            return self._last_time or 0  # at most one flush interval off
+        if not self._times:
+            return 0
+        if len(self._times) > 1:
+            self._times = [np.concatenate(self._times)]
+        return int(self._times[0][max(step, 0)])
+
+    def _log_time(self, time_ns: int) -> int:
+        return min(max(self._t0 + time_ns, 0), _LAST_LOG_TIME)
+
+
+def write_mcap(recording: Recording, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write a finished recording as one MCAP file and return its path; equal recordings make equal files."""
+    with RecordingWriter(path, recording, overwrite=overwrite) as writer:
+        writer.append(recording.columns)
+        for span in recording.skills:
+            writer.skill(span)
+        for event in recording.events:
+            writer.event(event)
+    return writer.path
+
+
+def _header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
+    episode = {k: str(v) for k, v in episode_to_dict(header.episode).items()}
+    try:
+        for text in [*episode.values(), *header.attachments]:
+            text.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"Names must be valid Unicode, this one is not: {error.object!r}.") from None
+    return {"h3.schema": {"version": SCHEMA_VERSION, **CONVENTIONS}, "h3.episode": episode}
+
+
+def _scene(header: RecordingHeader | Recording) -> dict[str, Any]:
+    return {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
+
+
+def _encode(message: str, values: Mapping[str, Any]) -> bytes:
+    try:
+        return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"Not a value that {message} can hold: {error}.") from error

@@ -1,0 +1,279 @@
+"""Column layouts and the records beside them: what both stores (MCAP, Parquet) write down, said once.
+
+`Column` is one time-indexed array without its rows. `STRUCTS` lists the fields of the records that are not indexed by
+time; the protobuf messages of the log and the Parquet sidecars of the dataset are both made from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.records import (
+    SCHEMA_VERSION,
+    Agent,
+    AssetRef,
+    Body,
+    Episode,
+    Event,
+    Recording,
+    RecordingHeader,
+    SkillSpan,
+)
+
+Topic = Literal["state", "action", "metrics"]
+
+CONVENTIONS = {
+    "up": "+Y",
+    "handedness": "right",
+    "length": "m",
+    "angle": "rad",
+    "time": "ns since the episode began; row k is the state after action k",
+    "quaternion": "xyzw",
+    "pose7": "x y z qx qy qz qw, local to world",
+    "absent": "NaN pose = the body is not in the world at that step",
+}
+
+DTYPES = frozenset(
+    "bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split()  # noqa: SIM905
+)
+
+_ACTION = re.compile(r"agent_\d+\.action$")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column without its rows."""
+
+    name: str
+    dtype: str
+    """numpy name of the dtype, e.g. ``float32``."""
+    shape: tuple[int, ...]
+    """Shape of one row; ``()`` is a scalar."""
+
+    @property
+    def width(self) -> int:
+        """Values per row."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    def empty(self, rows: int = 0) -> NDArray[Any]:
+        """Zeros of this kind, shape [rows, *shape]."""
+        return np.zeros((rows, *self.shape), self.dtype)
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.dtype} [T{''.join(f', {n}' for n in self.shape)}]"
+
+
+Layout = tuple[Column, ...]
+
+
+def topic_of(column: str) -> Topic:
+    """Which of the three per-step topics a column belongs to."""
+    if _ACTION.match(column):
+        return "action"
+    return "metrics" if column.startswith("metrics.") else "state"
+
+
+def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
+    """Layout of arrays [T, ...], in their order; refuses what cannot be stored, naming every such column."""
+    layout, faults = [], []
+    for name, array in columns.items():
+        array = np.asarray(array)
+        if array.dtype.name not in DTYPES:
+            faults.append(f"{name!r} has dtype {array.dtype}")
+        elif array.ndim < 1:
+            faults.append(f"{name!r} has no time axis")
+        else:
+            layout.append(Column(name, array.dtype.name, array.shape[1:]))
+    if faults:
+        raise InputError(
+            f"Columns must be bool, integer or float arrays with time as axis 0. Not so: {'; '.join(faults)}."
+        )
+    return tuple(layout)
+
+
+def default_layout(header: RecordingHeader | Recording) -> Layout:
+    """The least that a recording with these bodies and agents has: for episodes that end before their first step."""
+    moving = sum(b.moving >= 0 for b in header.bodies)
+    layout = [Column("time_ns", "int64", ())]
+    if moving:
+        layout.append(Column("object_pose", "float32", (moving, 7)))
+    layout += [Column(f"agent_{i}.base_pose", "float32", (7,)) for i in range(len(header.agents))]
+    return tuple(layout)
+
+
+def required_columns(agents: int) -> set[str]:
+    """Columns that a `Recording` cannot do without."""
+    return {"time_ns", "object_pose", *(f"agent_{i}.base_pose" for i in range(agents))}
+
+
+def layout_hash(layout: Layout) -> str:
+    """16 hex digits that tell two layouts apart."""
+    return hashlib.sha256(layout_to_json(layout).encode()).hexdigest()[:16]
+
+
+def layout_to_json(layout: Layout) -> str:
+    """A JSON list of ``[name, dtype, shape]``."""
+    return json.dumps([[c.name, c.dtype, list(c.shape)] for c in layout], ensure_ascii=False)
+
+
+def layout_from_json(text: str) -> Layout:
+    """The inverse of `layout_to_json`; a `FormatError` if it is not one."""
+    try:
+        layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
+    except (ValueError, TypeError) as error:
+        raise FormatError(f"Expected a JSON list of [name, dtype, shape], got {text[:80]!r}.") from error
+    unknown = sorted({c.dtype for c in layout} - DTYPES)
+    if unknown:
+        raise FormatError(f"Unknown dtypes {unknown} in a column layout. Hint: a newer h3data may read this file.")
+    return layout
+
+
+def check_version(version: str, *, path: object) -> None:
+    """Refuses files whose major schema version is newer than ours, or unreadable."""
+    ours = int(SCHEMA_VERSION.split(".")[0])
+    try:
+        major = int(version.split(".")[0])
+    except (ValueError, AttributeError):
+        raise FormatError(f"Expected a schema version such as {SCHEMA_VERSION!r}, got {version!r}: {path}") from None
+    if major > ours:
+        raise FormatError(
+            f"Written with schema version {version}; this h3data reads up to {ours}.x. "
+            f"Hint: install a newer h3data (pip install --upgrade h3data): {path}"
+        )
+
+
+# --- records that are not indexed by time -----------------------------------------------------------------------------
+STRUCTS: dict[str, dict[str, str]] = {
+    "Asset": {
+        "name": "string",
+        "uri": "string",
+        "up": "double*",
+        "front": "double*",
+        "units_m": "double",
+        "color": "int64*",
+    },
+    "Body": {
+        "name": "string",
+        "asset": "string",
+        "pose": "float*",
+        "scale": "float*",
+        "semantic_id": "int64",
+        "moving": "int64",
+        "layer": "string",
+        "agent": "int64",
+    },
+    "Agent": {
+        "name": "string",
+        "kind": "string",
+        "model": "string",
+        "semantic_id": "int64",
+        "joint_names": "string*",
+        "motion_names": "string*",
+        "action_names": "string*",
+        "skill_names": "string*",
+    },
+    "Event": {"step": "int64", "agent": "int64", "kind": "string", "target": "string", "detail": "string"},
+    "Skill": {
+        "agent": "int64",
+        "name": "string",
+        "target": "string",
+        "start_step": "int64",
+        "end_step": "int64",
+        "outcome": "string",
+        "reason": "string",
+    },
+}
+"""Fields in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a list."""
+
+RECORD_TYPES: dict[str, type] = {"Asset": AssetRef, "Body": Body, "Agent": Agent, "Event": Event, "Skill": SkillSpan}
+_STRUCT_NAMES = {cls: name for name, cls in RECORD_TYPES.items()}
+
+_SCALARS: dict[str, Callable[[Any], Any]] = {"string": str, "int64": int, "double": float}
+
+
+def struct_to_dict(record: Any) -> dict[str, Any]:
+    """Plain strings, numbers and lists of an asset, body, agent, event or skill span. Poses and scales are float32."""
+    values: dict[str, Any] = {}
+    for name, kind in STRUCTS[_STRUCT_NAMES[type(record)]].items():
+        value = getattr(record, name)
+        if kind == "float*":
+            values[name] = np.asarray(value, np.float32).ravel().tolist()
+        elif kind.endswith("*"):
+            values[name] = [] if value is None else [_SCALARS[kind[:-1]](v) for v in value]
+        else:
+            values[name] = _SCALARS[kind](value)
+    return values
+
+
+def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
+    """The record of `struct_to_dict`; fields that the file does not know keep their defaults."""
+    arguments: dict[str, Any] = {}
+    for name, kind in STRUCTS[struct].items():
+        if name not in values or values[name] is None:
+            continue
+        if kind == "float*":
+            arguments[name] = np.array(values[name], np.float32)
+        elif kind.endswith("*"):
+            arguments[name] = tuple(values[name])
+        else:
+            arguments[name] = values[name]
+    if arguments.get("color") == ():
+        arguments["color"] = None
+    return RECORD_TYPES[struct](**arguments)
+
+
+# --- the episode itself -----------------------------------------------------------------------------------------------
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def info_to_json(info: Mapping[str, Any]) -> str:
+    """JSON of `Episode.info`; numpy numbers and arrays become plain ones."""
+    try:
+        return json.dumps(dict(info), ensure_ascii=False, default=_plain)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"Episode.info must hold only what JSON can hold: {error}.") from None
+
+
+def episode_to_dict(episode: Episode) -> dict[str, Any]:
+    """Fields of an episode; ``info`` as JSON text."""
+    return {
+        "uid": str(episode.uid),
+        "episode_id": str(episode.episode_id),
+        "task": str(episode.task),
+        "scene": str(episode.scene),
+        "seed": int(episode.seed),
+        "dt_ns": int(episode.dt_ns),
+        "created_by": str(episode.created_by),
+        "schema_version": str(episode.schema_version),
+        "info": info_to_json(episode.info),
+    }
+
+
+def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
+    """The inverse of `episode_to_dict`; numbers may come as text."""
+    try:
+        known = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
+        info = json.loads(values["info"])
+        episode = Episode(**known, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
+    except (KeyError, ValueError, TypeError) as error:
+        raise FormatError(f"The episode record is incomplete or malformed ({error}): {path}") from error
+    return episode
+
+
+def ordered(columns: Mapping[str, NDArray[Any]], names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """The same columns in the order of ``names``."""
+    return {name: columns[name] for name in names if name in columns}
