@@ -1,0 +1,157 @@
+"""Motion kernels: exact in the open, never through a wall, the same for one world and for many."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from h3data.geometry import IDENTITY_POSE
+from h3data.scene import Asset, Box, FreeSpace, Instance, Mesh, Room, Scene
+from sim_kinematic import step as kernels
+from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.state import WorldState
+
+SPEC = BaseSpec()
+OFFSETS = np.asarray(SPEC.disc_offsets_m)
+
+
+def empty_mesh() -> Mesh:
+    return Mesh(vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8))
+
+
+@pytest.fixture(scope="module")
+def free() -> FreeSpace:
+    """A 6 x 5 m room with a table and a slanted shelf."""
+    turned = np.array([0.0, 0.5, 0.0, 0.0, np.sin(0.3), 0.0, np.cos(0.3)])
+    block = Asset(name="block", mesh=empty_mesh(), shapes=(Box(pose=IDENTITY_POSE, half_extents=np.array([0.6, 0.5, 0.4])),))
+    shelf = Asset(name="shelf", mesh=empty_mesh(), shapes=(Box(pose=turned, half_extents=np.array([0.8, 0.5, 0.1])),))
+    scene = Scene(
+        name="room",
+        assets={"block": block, "shelf": shelf},
+        instances=(
+            Instance(name="table", asset="block", pose=np.array([2.0, 0.5, 2.0, 0, 0, 0, 1.0])),
+            Instance(name="shelf", asset="shelf", pose=np.array([4.3, 0.0, 3.2, 0, 0, 0, 1.0])),
+        ),
+        rooms=(Room(name="room", category="living", rectangles=np.array([[0.0, 0.0, 6.0, 5.0]])),),
+    )
+    return FreeSpace.from_scene(scene, radius_m=0.25, cache=False)
+
+
+def clearance(free: FreeSpace, xz: np.ndarray, heading: float) -> float:
+    return kernels.least_clearance(free.sdf, free.origin, free.cell_m, *xz, heading, OFFSETS)
+
+
+def random_starts(free: FreeSpace, rng: np.random.Generator, count: int) -> WorldState:
+    state = WorldState.zeros(count)
+    for w in range(count):
+        while True:
+            xz, heading = free.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi)
+            if clearance(free, xz, heading) >= SPEC.disc_radius_m:
+                break
+        state.robot_xz[w], state.robot_heading[w] = xz, heading
+    return state
+
+
+def test_free_motion_is_the_formula(free: FreeSpace) -> None:
+    """Habitat's rule: first move along the old heading, then turn (spec/habitat.md 0)."""
+    state = WorldState.zeros(1)
+    state.robot_xz[0], state.robot_heading[0] = (3.5, 1.0), 0.3
+    kernels.drive_robots(state, free, np.array([[0.5, -0.4]]), SPEC)
+    expected = np.array([3.5, 1.0]) + 0.5 * 2.5 * STEP_S * np.array([np.cos(0.3), -np.sin(0.3)])
+    np.testing.assert_allclose(state.robot_xz[0], expected, atol=1e-12)
+    np.testing.assert_allclose(state.robot_heading[0], 0.3 - 0.4 * 2.5 * STEP_S, atol=1e-12)
+    assert not state.robot_contact[0]
+
+
+def test_ten_habitat_units_are_two_and_a_half_metres_per_second(free: FreeSpace) -> None:
+    state = WorldState.zeros(1)
+    state.robot_xz[0], state.robot_heading[0] = (3.0, 0.8), 0.0
+    kernels.drive_robots(state, free, np.array([[1.0, 0.0]]), SPEC)
+    assert state.robot_xz[0, 0] - 3.0 == pytest.approx(10 / 120)
+
+
+def test_commands_are_clipped(free: FreeSpace) -> None:
+    a, b = WorldState.zeros(1), WorldState.zeros(1)
+    for state, action in ((a, [[1.0, 1.0]]), (b, [[50.0, 7.0]])):
+        state.robot_xz[0] = (3.0, 0.8)
+        kernels.drive_robots(state, free, np.array(action), SPEC)
+    np.testing.assert_array_equal(a.robot_xz, b.robot_xz)
+
+
+def test_no_command_changes_nothing(free: FreeSpace) -> None:
+    state = random_starts(free, np.random.default_rng(3), 5)
+    before = state.copy()
+    kernels.drive_robots(state, free, np.zeros((5, 2)), SPEC)
+    np.testing.assert_array_equal(state.robot_xz, before.robot_xz)
+    np.testing.assert_array_equal(state.robot_heading, before.robot_heading)
+
+
+def test_the_base_never_enters_an_obstacle(free: FreeSpace) -> None:
+    rng = np.random.default_rng(0)
+    state = random_starts(free, rng, 50)
+    touched = 0
+    for _ in range(400):
+        before = state.copy()
+        # mostly full speed ahead: the worst case
+        action = np.stack([rng.choice([1.0, 1.0, -1.0, 0.5], 50), rng.uniform(-1, 1, 50)], -1)
+        kernels.drive_robots(state, free, action, SPEC)
+        touched += int(state.robot_contact.sum())
+        moved = np.hypot(*(state.robot_xz - before.robot_xz).T)
+        assert moved.max() < 2.5 * STEP_S + 2 * SPEC.disc_radius_m * 2.5 * STEP_S + 0.01
+        least = min(clearance(free, state.robot_xz[w], state.robot_heading[w]) for w in range(50))
+        assert least >= SPEC.disc_radius_m - SPEC.clearance_tolerance_m - 1e-9
+    assert touched > 100  # it did meet walls
+
+
+def test_sliding_along_a_wall(free: FreeSpace) -> None:
+    state = WorldState.zeros(1)
+    state.robot_xz[0], state.robot_heading[0] = (1.0, 0.5), 0.5  # forward and into the wall at z = 0
+    for _ in range(20):
+        kernels.drive_robots(state, free, np.array([[1.0, 0.0]]), SPEC)
+    assert state.robot_xz[0, 0] > 2.0
+    assert state.robot_contact[0]
+
+
+def test_many_worlds_are_one_world_many_times(free: FreeSpace) -> None:
+    rng = np.random.default_rng(1)
+    many = random_starts(free, rng, 8)
+    singles = [WorldState(**{k: v[w : w + 1].copy() for k, v in vars(many).items()}) for w in range(8)]
+    for _ in range(100):
+        action = rng.uniform(-1.5, 1.5, (8, 2))
+        goal = rng.uniform(0.5, 4.5, (8, 2))
+        kernels.drive_robots(many, free, action, SPEC)
+        kernels.walk_humans(many, goal, WalkerSpec())
+        for w, single in enumerate(singles):
+            kernels.drive_robots(single, free, action[w : w + 1], SPEC)
+            kernels.walk_humans(single, goal[w : w + 1], WalkerSpec())
+    for name, array in vars(many).items():
+        np.testing.assert_array_equal(array, np.concatenate([getattr(s, name) for s in singles]), err_msg=name)
+
+
+def test_compiled_is_the_readable_reference(free: FreeSpace) -> None:
+    rng = np.random.default_rng(2)
+    state = random_starts(free, rng, 40)
+    for w in range(40):
+        args = (
+            free.sdf, free.origin, free.cell_m, *state.robot_xz[w], state.robot_heading[w], rng.uniform(-2.5, 2.5),
+            rng.uniform(-2.5, 2.5), 0.2, OFFSETS, 0.25, 3, 2e-3, 1e-5,
+        )  # fmt: skip
+        np.testing.assert_allclose(kernels.drive_base(*args), kernels.drive_base.py_func(*args), atol=1e-12)
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3.1, 3.1))
+def test_the_walker_arrives_without_overshoot(x: float, z: float, heading: float) -> None:
+    spec = WalkerSpec(speed_mps=1.3)
+    state, goal = WorldState.zeros(1), np.array([[x, z]])
+    state.human_heading[0] = heading
+    distance = np.hypot(x, z)
+    for _ in range(300):
+        before = state.copy()
+        kernels.walk_humans(state, goal, spec)
+        left = np.hypot(*(state.human_xz[0] - goal[0]))
+        assert left <= np.hypot(*(before.human_xz[0] - goal[0])) + 1e-12
+        walked = state.human_distance[0] - before.human_distance[0]
+        assert walked <= spec.speed_mps * STEP_S + 1e-12
+        assert 0.0 <= state.human_blend[0] <= 1.0
+    assert left <= spec.arrive_m
+    assert state.human_distance[0] == pytest.approx(max(distance - left, 0.0), abs=1e-9)
