@@ -1,0 +1,62 @@
+"""Cameras, the CPU rasteriser with its shading, colour maps, overlays, pictures and videos.
+
+`Camera` and its helpers are cheap; everything else is imported at its first use (numba, OpenCV, PyAV).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from h3data.render.camera import OPENGL_TO_OPENCV, Camera, look_at, pinhole
+
+if TYPE_CHECKING:
+    from h3data.render import overlay
+    from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
+    from h3data.render.files import write_depth_png, write_png
+    from h3data.render.renderer import Output, Renderer
+    from h3data.render.scene import RenderInstance, RenderScene
+    from h3data.render.shading import Light
+    from h3data.render.video import VideoWriter
+
+__all__ = [
+    "OPENGL_TO_OPENCV",
+    "Camera",
+    "Light",
+    "Output",
+    "RenderInstance",
+    "RenderScene",
+    "Renderer",
+    "VideoWriter",
+    "depth_to_rgb",
+    "instance_to_rgb",
+    "look_at",
+    "normalize_depth",
+    "overlay",
+    "pinhole",
+    "write_depth_png",
+    "write_png",
+]
+
+_HOMES = {
+    "Light": "shading",
+    "Output": "renderer",
+    "RenderInstance": "scene",
+    "RenderScene": "scene",
+    "Renderer": "renderer",
+    "VideoWriter": "video",
+    "depth_to_rgb": "colors",
+    "instance_to_rgb": "colors",
+    "normalize_depth": "colors",
+    "write_depth_png": "files",
+    "write_png": "files",
+}
+"""Module of each name that is imported late."""
+
+
+def __getattr__(name: str) -> Any:
+    if name == "overlay":
+        return import_module("h3data.render.overlay")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -43,6 +43,20 @@ class Camera:
         """3x3 camera matrix K."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
+    def to_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+        """World points [N, 3] in the camera's frame, shape [N, 3] [m]."""
+        p = np.asarray(points, np.float64).reshape(-1, 3)
+        return (p - self.pose[:3, 3]) @ self.pose[:3, :3]
+
+    def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where world points [N, 3] appear: pixel coordinates [N, 2] and z-depth [N] [m].
+
+        The first pixel's centre is (0.5, 0.5). Points at or behind the camera's plane (z <= 0) get NaN pixels.
+        """
+        p = self.to_camera(points)
+        z = np.where(p[:, 2] > 0, p[:, 2], np.nan)[:, None]
+        return p[:, :2] / z * (self.fx, self.fy) + (self.cx, self.cy), p[:, 2]
+
 
 def pinhole(
     width: int,

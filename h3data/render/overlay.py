@@ -1,0 +1,111 @@
+"""Lines, dots and labels drawn over a picture at points of the world."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.render.camera import Camera
+
+Color = tuple[int, int, int]
+
+_NEAR_M = 0.01
+_SUBPIXEL_BITS = 4
+_FAR_PX = 1 << 20
+"""Ends of lines are kept within this many pixels, so that OpenCV's integers do not overflow."""
+
+
+def draw_polyline(
+    image: NDArray[np.uint8], camera: Camera, points: ArrayLike, color: Color, thickness: int = 2
+) -> None:
+    """Draw the line through world points [N, 3] [m] into ``image`` [H, W, 3]; a point of NaN interrupts it.
+
+    What is behind the camera is cut away; nothing in the scene hides the line.
+    """
+    _check(image, camera)
+    p = camera.to_camera(points)
+    for start, end in zip(p[:-1], p[1:], strict=True):
+        if not (np.isfinite(start).all() and np.isfinite(end).all()) or max(start[2], end[2]) < _NEAR_M:
+            continue
+        a, b = (_cut(start, end), _cut(end, start))
+        _line(image, camera, a, b, color, thickness)
+
+
+def draw_circle(
+    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, color: Color, *, radius_px: int = 5, thickness: int = -1
+) -> None:
+    """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
+    import cv2
+
+    at = _pixel(image, camera, point)
+    if at is not None:
+        cv2.circle(image, at, radius_px, color, thickness, cv2.LINE_AA)
+
+
+def draw_label(
+    image: NDArray[np.uint8], camera: Camera, point: ArrayLike, text: str, color: Color, *, scale: float = 0.45
+) -> None:
+    """Write ``text`` centred above a world point [3] [m], with a dark rim, unless it is behind the camera."""
+    import cv2
+
+    at = _pixel(image, camera, point)
+    if at is None:
+        return
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    origin = (at[0] - width // 2, at[1] - 6)
+    for rim, paint in ((3, (20, 20, 20)), (1, color)):
+        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
+
+
+def _cut(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``point``, moved along the line to ``other`` until it is in front of the camera."""
+    if point[2] >= _NEAR_M:
+        return point
+    return point + (other - point) * ((_NEAR_M - point[2]) / (other[2] - point[2]))
+
+
+def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, color: Color, thickness: int) -> None:
+    import cv2
+
+    ends = np.stack([a, b])
+    pixels = ends[:, :2] / ends[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    pixels = _cut_to_square(pixels)
+    if pixels is None:
+        return
+    # OpenCV counts from the middle of the first pixel
+    fixed = np.rint((pixels - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    start, end = ((int(x), int(y)) for x, y in fixed)
+    cv2.line(image, start, end, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _cut_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The part of a line [2, 2] within +-2^20 pixels (Liang & Barsky 1984), None if there is none."""
+    start, step = pixels[0], pixels[1] - pixels[0]
+    low, high = 0.0, 1.0
+    for axis in range(2):
+        for sign in (1.0, -1.0):
+            room, speed = _FAR_PX - sign * start[axis], sign * step[axis]
+            if speed == 0 and room < 0:
+                return None
+            if speed > 0:
+                high = min(high, room / speed)
+            elif speed < 0:
+                low = max(low, room / speed)
+    return np.stack([start + low * step, start + high * step]) if low < high else None
+
+
+def _pixel(image: NDArray[np.uint8], camera: Camera, point: ArrayLike) -> tuple[int, int] | None:
+    _check(image, camera)
+    pixels, z = camera.project(np.asarray(point, np.float64).reshape(1, 3))
+    if not z[0] > _NEAR_M or not np.isfinite(pixels).all() or np.abs(pixels).max() > _FAR_PX:
+        return None
+    return int(np.floor(pixels[0, 0])), int(np.floor(pixels[0, 1]))
+
+
+def _check(image: NDArray[np.uint8], camera: Camera) -> None:
+    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or not image.flags.c_contiguous:
+        raise InputError(
+            f"Expected a contiguous uint8 image [{camera.height}, {camera.width}, 3] of this camera, "
+            f"got {image.dtype} {list(image.shape)}."
+        )

@@ -1,0 +1,168 @@
+"""What is drawn: meshes cut into clusters, and instances of them. Built once, shared by any number of renderers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.render.clusters import Clusters, build_clusters, enclosing_box, normal_groups
+from h3data.render.raster import Geometry
+from h3data.scene.records import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class RenderInstance:
+    """One mesh placed in the world. Its position in the scene's list is its id in pictures."""
+
+    mesh: int
+    """Index into the scene's meshes."""
+    matrix: NDArray[np.float64]
+    """Mesh to world, 4x4; may hold any scale. NaN: not there."""
+    semantic_id: int = 0
+    layer: str = ""
+    """Cameras can leave layers out (`Camera.hidden_layers`)."""
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What shading needs to know of the meshes; vertices of all meshes one after another."""
+
+    faces: NDArray[np.int32]
+    """Shape [F, 3]."""
+    colors: NDArray[np.uint8]
+    """sRGB, shape [V, 3]."""
+    normals: NDArray[np.float32]
+    """Shape [V, 3]; zero where a mesh is shaded flat."""
+    packet_faces: NDArray[np.int32]
+    """Face of every lane of every packet, -1 = padding, shape [P, 8]."""
+
+
+class RenderScene:
+    """Meshes and instances, ready to be drawn. Immutable; what changes over time lives in a `Renderer`."""
+
+    def __init__(
+        self, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], *, deformable: Sequence[int] = ()
+    ) -> None:
+        """``deformable`` names the meshes whose vertices will be replaced, e.g. skinned bodies."""
+        self.meshes = tuple(meshes)
+        self.instances = tuple(instances)
+        self.deformable = tuple(sorted({int(m) for m in deformable}))
+        _check(self.meshes, self.instances, self.deformable)
+        count = len(self.instances)
+        self.instance_mesh = np.array([i.mesh for i in self.instances], np.int32).reshape(count)
+        self.instance_matrix = np.zeros((count, 3, 4))
+        for k, instance in enumerate(self.instances):
+            self.instance_matrix[k] = np.asarray(instance.matrix, np.float64)[:3]
+        self.semantic_ids = np.array([i.semantic_id for i in self.instances], np.int32).reshape(count)
+        self.layers = np.array([i.layer for i in self.instances], dtype=np.str_).reshape(count)
+
+        parts = [build_clusters(mesh.vertices, mesh.faces) for mesh in self.meshes]
+        self.geometry, self.packet_triangles = _join(parts, self.deformable)
+        mesh_first = self.geometry.mesh_first
+        self.draw_limit = int(np.sum(np.diff(mesh_first)[self.instance_mesh])) if count else 0
+        self.first_vertex = _starts(len(mesh.vertices) for mesh in self.meshes)
+        self.first_face = _starts(len(mesh.faces) for mesh in self.meshes)
+        self.surface = self._build_surface()
+        self.parts = {m: parts[m] for m in self.deformable}
+        self.groups = {
+            m: normal_groups(mesh.vertices, mesh.normals)
+            for m, mesh in enumerate(self.meshes)
+            if m in self.deformable and mesh.normals is not None
+        }
+
+    def _build_surface(self) -> Surface:
+        vertices, faces = int(self.first_vertex[-1]), int(self.first_face[-1])
+        surface = Surface(
+            faces=np.zeros((faces, 3), np.int32),
+            colors=np.zeros((vertices, 3), np.uint8),
+            normals=np.zeros((vertices, 3), np.float32),
+            packet_faces=self.packet_triangles.copy(),
+        )
+        geometry = self.geometry
+        for m, mesh in enumerate(self.meshes):
+            v, f = int(self.first_vertex[m]), int(self.first_face[m])
+            surface.faces[f : f + len(mesh.faces)] = mesh.faces + v
+            surface.colors[v : v + len(mesh.vertices)] = mesh.colors
+            if mesh.normals is not None:
+                surface.normals[v : v + len(mesh.vertices)] = mesh.normals
+        for m in range(len(self.meshes)):
+            packets = surface.packet_faces[_packet_range(geometry, m)]
+            packets[packets >= 0] += int(self.first_face[m])
+        return surface
+
+    def own_packet_range(self, mesh: int) -> slice:
+        """Where a deformable mesh's packets lie in a renderer's own soup."""
+        packets = _packet_range(self.geometry, mesh)
+        shared = len(self.geometry.shared_packets)
+        return slice(packets.start - shared, packets.stop - shared)
+
+    def cluster_range(self, mesh: int) -> slice:
+        """Where a mesh's clusters lie."""
+        return slice(int(self.geometry.mesh_first[mesh]), int(self.geometry.mesh_first[mesh + 1]))
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of all instances together."""
+        return int(np.diff(self.first_face)[self.instance_mesh].sum()) if len(self.instances) else 0
+
+    def __repr__(self) -> str:
+        return (
+            f"RenderScene({len(self.meshes)} meshes, {len(self.instances)} instances, {self.triangle_count} triangles, "
+            f"{len(self.deformable)} deformable)"
+        )
+
+
+def _starts(lengths: Iterable[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(list(lengths), dtype=np.int64)]).astype(np.int64)
+
+
+def _packet_range(geometry: Geometry, mesh: int) -> slice:
+    """The packets of one mesh, numbered through shared and own ones."""
+    clusters = geometry.cluster_packets[geometry.mesh_first[mesh] : geometry.mesh_first[mesh + 1]]
+    return slice(int(clusters[0, 0]), int(clusters[-1, 1])) if len(clusters) else slice(0, 0)
+
+
+def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry, NDArray[np.int32]]:
+    """One `Geometry` of all meshes, and the mesh triangle of every lane [P, 8].
+
+    Clusters are numbered mesh by mesh; the packets of the deformable meshes come after all the others.
+    """
+    storage = [m for m in range(len(parts)) if m not in deformable] + list(deformable)
+    start = dict(zip(storage, _starts(len(parts[m].packets) for m in storage), strict=False))
+    ranges = [np.stack([p.first[:-1], p.first[1:]], axis=1) + start[m] for m, p in enumerate(parts)]
+    boxes = [enclosing_box(p.center, p.half) for p in parts]
+    no_packets = np.zeros((0, 9, 8), np.float32)
+    shared = [parts[m].packets for m in storage if m not in deformable]
+    geometry = Geometry(
+        shared_packets=np.concatenate([no_packets, *shared]),
+        own_packets=np.concatenate([no_packets, *(parts[m].packets for m in deformable)]),
+        cluster_packets=np.concatenate([np.zeros((0, 2)), *ranges]).astype(np.int32),
+        center=np.concatenate([np.zeros((0, 3)), *(p.center for p in parts)]),
+        half=np.concatenate([np.zeros((0, 3)), *(p.half for p in parts)]),
+        mesh_first=_starts(len(p.center) for p in parts).astype(np.int32),
+        mesh_box=np.stack(boxes) if boxes else np.zeros((0, 2, 3)),
+    )
+    lanes = [parts[m].triangles for m in storage]
+    return geometry, np.concatenate([np.zeros((0, 8), np.int32), *lanes])
+
+
+def _check(meshes: tuple[Mesh, ...], instances: tuple[RenderInstance, ...], deformable: tuple[int, ...]) -> None:
+    faults = []
+    for m, mesh in enumerate(meshes):
+        if not np.isfinite(mesh.vertices).all():
+            faults.append(f"mesh {m} has vertices that are not finite")
+    for k, instance in enumerate(instances):
+        label = f"instance {k}" + (f" ({instance.name})" if instance.name else "")
+        if not 0 <= instance.mesh < len(meshes):
+            faults.append(f"{label} refers to mesh {instance.mesh}, there are {len(meshes)}")
+        if np.shape(instance.matrix) not in ((4, 4), (3, 4)):
+            faults.append(f"{label} needs a 4x4 matrix, got shape {list(np.shape(instance.matrix))}")
+    faults += [f"deformable names mesh {m}, there are {len(meshes)}" for m in deformable if not 0 <= m < len(meshes)]
+    if faults:
+        more = f" and {len(faults) - 5} more faults" if len(faults) > 5 else ""
+        raise InputError("Not a scene that can be drawn: " + "; ".join(faults[:5]) + more + ".")

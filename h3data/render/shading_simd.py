@@ -1,0 +1,87 @@
+"""Lighting of 8 pixels at a time, as one numba intrinsic.
+
+Note for those who edit this file: numba caches the kernels of `shading.py` by that file's time stamp, so touch it too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+from numba.extending import intrinsic
+
+from h3data.render.vectors import FLOAT, INT8, Vec, fma, lanes, load, splat, store
+
+TONE_SIZE = 8192
+TONE_LIMIT = 2.0
+"""Colours leave here as int32 linear levels: `TONE_SIZE` of them from 0 to `TONE_LIMIT`."""
+
+# Float32 words of a triangle's attributes: colour and normal at vertex 0, and the differences of vertices 1 and 2.
+COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
+ATTRIBUTES = 18
+# Float32 words of the light: mean of sky and ground, half their difference, sun, headlight, direction of the sun.
+MEAN, UP, SUN, HEADLIGHT, SUN_DIRECTION = 0, 3, 6, 9, 12
+LIGHT_WORDS = 15
+# Float32 words of a block's rays and planes: value at its first pixel, then the step to the next pixel.
+NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
+BLOCK_WORDS = 12
+
+
+def _dot(a: list[Vec], b: list[Vec]) -> Vec:
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+
+
+def _emit_light(b: Any, block_at: Any, attributes_at: Any, light_at: Any, strip_at: Any, row_bytes: Any) -> None:
+    def words(address: Any, first: int) -> list[Vec]:
+        return [Vec(b, splat(b, load(b, address, 4 * (first + a), FLOAT))) for a in range(3)]
+
+    def linear(first: int) -> Vec:
+        start, step = (Vec(b, splat(b, load(b, block_at, 4 * (first + k), FLOAT))) for k in range(2))
+        return fma(step, lanes(b), start)
+
+    def mix(first: int) -> list[Vec]:
+        corner, second_difference, third_difference = (words(attributes_at, first + k) for k in (0, 3, 6))
+        return [
+            fma(third, d3, fma(second, d2, c))
+            for c, d2, d3 in zip(corner, second_difference, third_difference, strict=True)
+        ]
+
+    # perspective-correct barycentrics: (b / z) / (1 / z); clamped, since the inside test is a little generous
+    z = linear(NEARNESS).reciprocal()
+    second = (linear(SECOND) * z).maximum(0.0).minimum(1.0)
+    third = (linear(THIRD) * z).maximum(0.0).minimum(1.0)
+
+    normal = mix(NORMAL)
+    squared = _dot(normal, normal).maximum(1e-20)
+    scale = squared.unary("sqrt").reciprocal()
+    normal = [n * scale for n in normal]
+    ray = [linear(RAY + 2 * a) for a in range(3)]
+    facing = (-_dot(normal, ray)).maximum(0.0).divided_by(_dot(ray, ray).unary("sqrt"))
+    sunny = _dot(normal, words(light_at, SUN_DIRECTION)).maximum(0.0)
+
+    color = mix(COLOR)
+    mean, up, sun, head = (words(light_at, k) for k in (MEAN, UP, SUN, HEADLIGHT))
+    for a in range(3):
+        light = fma(up[a], normal[1], fma(sun[a], sunny, fma(head[a], facing, mean[a])))
+        level = (color[a] * light * (TONE_SIZE / TONE_LIMIT)).maximum(0.0).minimum(TONE_SIZE - 1.0)
+        store(b, b.fptosi(level.value, INT8), strip_at)
+        strip_at = b.add(strip_at, row_bytes)
+    for n in normal:
+        store(b, n.value, strip_at)
+        strip_at = b.add(strip_at, row_bytes)
+
+
+@intrinsic
+def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
+    """Light 8 neighbouring pixels of one triangle.
+
+    Addresses of the tables described above and of the strip: 6 rows, of which three get linear levels (int32) and three
+    the unit normal (float32).
+    """
+
+    def codegen(context, builder, signature, arguments):
+        _emit_light(builder, *arguments)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p, p), codegen

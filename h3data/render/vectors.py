@@ -1,0 +1,121 @@
+"""Eight float32 at a time in numba: a small algebra that emits ``<8 x float>`` LLVM IR inside intrinsics.
+
+Nothing relies on the auto-vectoriser or on a C compiler; LLVM lowers the vectors to whatever the machine has.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+
+LANES = 8
+FLOAT = ir.FloatType()
+INT = ir.IntType(32)
+INT64 = ir.IntType(64)
+FLOAT8 = ir.VectorType(FLOAT, LANES)
+INT8 = ir.VectorType(INT, LANES)
+
+
+class Mask:
+    """Eight booleans."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __and__(self, other: Mask) -> Mask:
+        return Mask(self.builder, self.builder.and_(self.value, other.value))
+
+    def __or__(self, other: Mask) -> Mask:
+        return Mask(self.builder, self.builder.or_(self.value, other.value))
+
+    def __invert__(self) -> Mask:
+        return Mask(self.builder, self.builder.not_(self.value))
+
+    def bits(self, shift: int) -> Any:
+        """The eight booleans as bits ``shift`` to ``shift + 7`` of an int32."""
+        b = self.builder
+        return b.shl(b.zext(b.bitcast(self.value, ir.IntType(LANES)), INT), ir.Constant(INT, shift))
+
+
+class Vec:
+    """Eight float32 with arithmetic; plain numbers are broadcast."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def _lift(self, other: Vec | float) -> Any:
+        return other.value if isinstance(other, Vec) else ir.Constant(FLOAT8, [float(other)] * LANES)
+
+    def _binary(self, name: str, other: Vec | float) -> Vec:
+        return Vec(self.builder, getattr(self.builder, name)(self.value, self._lift(other)))
+
+    def __add__(self, other: Vec | float) -> Vec:
+        return self._binary("fadd", other)
+
+    def __sub__(self, other: Vec | float) -> Vec:
+        return self._binary("fsub", other)
+
+    def __mul__(self, other: Vec | float) -> Vec:
+        return self._binary("fmul", other)
+
+    def __neg__(self) -> Vec:
+        # 0 - x, not a flipped sign: -(+0) must be +0, because the span code divides by these numbers
+        return Vec(self.builder, self.builder.fsub(self._lift(0.0), self.value))
+
+    def reciprocal(self) -> Vec:
+        return Vec(self.builder, self.builder.fdiv(self._lift(1.0), self.value))
+
+    def divided_by(self, other: Vec) -> Vec:
+        return self._binary("fdiv", other)
+
+    def compare(self, operator: str, other: Vec | float) -> Mask:
+        return Mask(self.builder, self.builder.fcmp_ordered(operator, self.value, self._lift(other)))
+
+    def minimum(self, other: Vec | float) -> Vec:
+        mask = self.compare("<", other).value
+        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+
+    def maximum(self, other: Vec | float) -> Vec:
+        mask = self.compare(">", other).value
+        return Vec(self.builder, self.builder.select(mask, self.value, self._lift(other)))
+
+    def unary(self, name: str) -> Vec:
+        """``ceil``, ``floor``, ``fabs`` or ``sqrt``."""
+        signature = ir.FunctionType(FLOAT8, [FLOAT8])
+        function = cgutils.get_or_insert_function(self.builder.module, signature, f"llvm.{name}.v8f32")
+        return Vec(self.builder, self.builder.call(function, [self.value]))
+
+
+def fma(x: Vec, y: Vec | float, z: Vec | float) -> Vec:
+    """``x * y + z`` in one instruction where there is one."""
+    b = x.builder
+    function = cgutils.get_or_insert_function(b.module, ir.FunctionType(FLOAT8, [FLOAT8] * 3), "llvm.fmuladd.v8f32")
+    return Vec(b, b.call(function, [x.value, x._lift(y), x._lift(z)]))
+
+
+def lanes(builder: Any) -> Vec:
+    """0 1 2 3 4 5 6 7."""
+    return Vec(builder, ir.Constant(FLOAT8, [float(k) for k in range(LANES)]))
+
+
+def splat(builder: Any, scalar: Any, vector_type: Any = FLOAT8) -> Any:
+    """A scalar in all eight lanes."""
+    undefined = ir.Constant(vector_type, ir.Undefined)
+    first = builder.insert_element(undefined, scalar, ir.Constant(INT, 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(INT8, [0] * LANES))
+
+
+def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any:
+    """The value at ``address + offset`` bytes."""
+    pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), kind.as_pointer())
+    value = builder.load(pointer)
+    value.align = 4
+    return value
+
+
+def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
+    """Write a value to ``address + offset`` bytes."""
+    pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), value.type.as_pointer())
+    builder.store(value, pointer).align = 4
