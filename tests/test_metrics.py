@@ -16,6 +16,7 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose, heading_direction, heading_from_quat
 from h3data.metrics import EpisodeMetrics, explain, find_metric, measure, measure_many, metrics_of
 from h3data.metrics.kernels import NEVER, PAPER, Thresholds, count
+from h3data.metrics.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 
 ROBOT = Agent(name="spot", kind="robot")
@@ -308,6 +309,22 @@ def test_an_episode_does_not_depend_on_its_neighbours():
         alone = count(**{k: v[a:b] for k, v in columns.items()}, offsets=np.array([0, b - a]))
         for field in dataclasses.fields(alone):
             assert getattr(alone, field.name)[0] == getattr(together, field.name)[e], field.name
+
+
+def test_following_rows_are_what_the_sweep_counts():
+    columns = random_columns(5, [400])
+    rec = recording(
+        np.zeros(400),
+        np.zeros(400),
+        **{
+            "agent_0.base_pose": columns["robot_pose"],
+            "agent_1.base_pose": columns["human_pose"],
+            "metrics.geodesic_agents": columns["reach_m"],
+        },
+    )
+    rows = following_rows(rec, 0, 1)
+    assert 0 < rows.sum() == count(**columns).following[0]
+    assert np.flatnonzero(rows)[0] == measure(rec).encounter_row
 
 
 @settings(max_examples=10, derandomize=True, deadline=None)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.geometry import heading_direction, heading_from_quat, normalized
 from h3data.metrics.registry import metrics_of
 from h3data.recording.records import Recording
 
@@ -127,6 +128,18 @@ def l2_distance(recording: Recording, robot: int, human: int) -> NDArray[np.floa
     a = recording.agent_column(robot, "base_pose")[:, :3].astype(np.float64)
     b = recording.agent_column(human, "base_pose")[:, :3].astype(np.float64)
     return np.linalg.norm(a - b, axis=1).astype(np.float32)
+
+
+def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.bool_]:
+    """Rows in which the robot is within 1-2 m of the human and faces it, shape [T]: what ``w`` counts."""
+    from h3data.metrics.kernels import PAPER
+
+    pose = recording.agent_column(robot, "base_pose").astype(np.float64)
+    towards = recording.agent_column(human, "base_pose")[:, :3].astype(np.float64) - pose[:, :3]
+    forward = heading_direction(heading_from_quat(pose[:, 3:]))
+    facing = np.sum(forward * normalized(towards[:, [0, 2]]), axis=1) > PAPER.facing
+    reach = reach_distance(recording, robot, human)
+    return facing & (reach >= PAPER.near_m) & (reach <= PAPER.far_m)
 
 
 def _values(recording: Recording, counts: Counts, has_collision: bool, notes: _Notes) -> dict[str, float]:

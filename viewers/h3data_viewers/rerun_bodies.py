@@ -1,0 +1,251 @@
+"""Everything of a recording that has a place in the world, as Rerun entities: agents, rigid things, skinned bodies."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import pose_inverse, pose_to_matrix, quat_from_matrix, quat_sign_continuous, transform_points
+from h3data.recording.records import Recording
+from h3data.scene.records import Mesh
+from h3data_viewers.mesh_detail import ViewMesh, thin_mesh, view_mesh
+from h3data_viewers.rerun_tracks import Timeline
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+_LOG = logging.getLogger(__name__)
+
+MESH_BYTES = 12_000_000
+"""Above this, all rigid meshes are thinned alike: the file stays below 30 MB."""
+SKIN_BYTES = 12_000_000
+"""Above this, skinned bodies are sampled less often."""
+SKIN_VERTICES = 2_000
+HIDDEN = 1e-6
+"""Scale of a thing that is not in the world at a step: Rerun takes 0 and NaN for a fault and says so in its log."""
+AGENT_COLORS = {"robot": (255, 202, 40), "human": (66, 165, 245)}
+
+
+class Drawable(Protocol):
+    """One thing that can be drawn, as `h3data.replay.Drawable`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def mesh(self) -> Mesh: ...
+    @property
+    def matrix(self) -> NDArray[np.floating]: ...
+    @property
+    def layer(self) -> str: ...
+    @property
+    def agent(self) -> int: ...
+    @property
+    def moving(self) -> bool: ...
+    @property
+    def deformable(self) -> bool: ...
+
+
+class Posed(Protocol):
+    """Something that knows where everything was, as `h3data.replay.Replay`."""
+
+    @property
+    def drawables(self) -> Sequence[Drawable]: ...
+
+    def matrices(self, index: int) -> NDArray[np.float32]:
+        """4x4 of a moving drawable at every step, shape [T, 4, 4]; NaN where it was not in the world."""
+        ...
+
+    def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
+        """World vertices of a deformable drawable at ``steps``, shape [len(steps), V, 3] [m]."""
+        ...
+
+
+# --- agents -----------------------------------------------------------------------------------------------------------
+def entity_part(name: str) -> str:
+    import rerun as rr
+
+    return rr.escape_entity_path_part(name or "unnamed")
+
+
+def log_agents(stream: rr.RecordingStream, recording: Recording, timeline: Timeline, drawn: set[int]) -> None:
+    """Root frames, name tags and tracks of all agents; plain solids for those that nothing else draws."""
+    import rerun as rr
+
+    for i, agent in enumerate(recording.agents):
+        pose = recording.agent_column(i, "base_pose")
+        color = AGENT_COLORS[agent.kind]
+        root = f"world/{entity_part(agent.name)}"
+        log_track(stream, root, timeline, pose_to_matrix(pose.astype(np.float64)))
+        height = 1.95 if agent.kind == "human" else 0.95
+        tag = rr.Points3D([[0, height, 0]], radii=[0.02], colors=[color], labels=[agent.name], show_labels=True)
+        stream.log(f"{root}/name", tag, static=True, strict=True)
+        if i not in drawn:
+            stream.log(f"{root}/solid", _solid(agent.kind, color), static=True, strict=True)
+        strips = _strips(pose[:, :3] + np.array([0, 0.03, 0], np.float32))
+        if strips:
+            lines = rr.LineStrips3D(strips, colors=[color] * len(strips), radii=[0.015])
+            stream.log(f"world/trajectories/{entity_part(agent.name)}", lines, static=True, strict=True)
+
+
+def _solid(kind: str, color: tuple[int, int, int]) -> Any:
+    import rerun as rr
+
+    if kind == "human":
+        return rr.Capsules3D(
+            lengths=[1.3], radii=[0.2], translations=[[0, 0.2, 0]], colors=[color],
+            rotation_axis_angles=[rr.RotationAxisAngle(axis=[1, 0, 0], degrees=-90)], fill_mode="solid",
+        )  # fmt: skip
+    return rr.Boxes3D(half_sizes=[[0.4, 0.2, 0.15]], centers=[[0, 0.5, 0]], colors=[color], fill_mode="solid")
+
+
+def _strips(points: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Runs of finite points, at least two long."""
+    finite = np.asarray(np.isfinite(points).all(axis=1))
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(finite)) + 1)
+    return [points[run] for run in runs if len(run) > 1 and finite[run[0]]]
+
+
+# --- rigid things -----------------------------------------------------------------------------------------------------
+def log_rigid(stream: rr.RecordingStream, recording: Recording, timeline: Timeline, replay: Posed) -> None:
+    """Meshes of everything that does not deform, static or with a track."""
+    rigid = [(i, d) for i, d in enumerate(replay.drawables) if not d.deformable and len(d.mesh.faces)]
+    meshes = _view_meshes([d.mesh for _, d in rigid])
+    inverse: dict[int, NDArray[np.floating]] = {}
+    taken: set[str] = set()
+    for (index, drawable), mesh in zip(rigid, meshes, strict=True):
+        if not drawable.moving:
+            layer = f"{entity_part(drawable.layer)}/" if drawable.layer else ""
+            entity = _unique(f"world/scene/{layer}{entity_part(drawable.name)}", taken)
+            _log_mesh(stream, entity, mesh, drawable.matrix)
+            continue
+        matrices = replay.matrices(index).astype(np.float64)
+        parent = "world/objects"
+        if _has_root(recording, drawable.agent):
+            agent = drawable.agent
+            if agent not in inverse:
+                pose = recording.agent_column(agent, "base_pose").astype(np.float64)
+                inverse[agent] = pose_to_matrix(pose_inverse(pose))
+            matrices = inverse[agent] @ matrices
+            parent = f"world/{entity_part(recording.agents[agent].name)}"
+            name = drawable.name.removeprefix(recording.agents[agent].name + "/")
+        else:
+            name = drawable.name
+        entity = _unique(f"{parent}/{entity_part(name)}", taken)
+        scale = log_track(stream, entity, timeline, matrices)
+        _log_mesh(stream, f"{entity}/mesh", mesh, np.diag([*scale, 1.0]))
+
+
+def _has_root(recording: Recording, agent: int) -> bool:
+    """Whether things of this agent can hang in its root frame: it must be in the world all the time."""
+    if not 0 <= agent < len(recording.agents):
+        return False
+    return bool(np.isfinite(recording.agent_column(agent, "base_pose")).all())
+
+
+def _unique(entity: str, taken: set[str]) -> str:
+    name, number = entity, 1
+    while name in taken:
+        number += 1
+        name = f"{entity}_{number}"
+    taken.add(name)
+    return name
+
+
+def _view_meshes(meshes: list[Mesh]) -> list[ViewMesh]:
+    """Every mesh for the viewer, all thinned alike if they are too large together; shared ones are prepared once."""
+    ready = {id(m): view_mesh(m) for m in meshes}
+    total = sum(ready[id(m)].nbytes for m in meshes)
+    if total > MESH_BYTES:
+        share = MESH_BYTES / total
+        _LOG.info("Meshes of %.0f MB are thinned to %.0f %% of their vertices", total / 1e6, 100 * share)
+        for mesh in {id(m): m for m in meshes}.values():
+            ready[id(mesh)] = view_mesh(mesh, max_vertices=max(300, int(share * len(mesh.vertices))))
+    return [ready[id(m)] for m in meshes]
+
+
+def _log_mesh(stream: rr.RecordingStream, entity: str, mesh: ViewMesh, matrix: NDArray[np.floating]) -> None:
+    import rerun as rr
+
+    shape = rr.Mesh3D(
+        vertex_positions=mesh.vertices,
+        triangle_indices=mesh.faces,
+        vertex_colors=mesh.colors,
+        vertex_normals=mesh.normals,
+    )
+    parts: list[Any] = [shape]
+    if not np.allclose(matrix, np.eye(4)):
+        position, quat, scale = decompose(matrix[None])
+        parts.append(rr.Transform3D(translation=position[0], quaternion=quat[0], scale=scale[0]))
+    stream.log(entity, *parts, static=True, strict=True)
+
+
+def decompose(
+    matrices: NDArray[np.floating],
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+    """Positions [T, 3], quaternions [T, 4] and scales [T, 3] of 4x4 matrices; mirrored ones get a negative x scale."""
+    linear = matrices[:, :3, :3]
+    scale = np.linalg.norm(linear, axis=1)
+    scale[np.linalg.det(linear) < 0, 0] *= -1
+    rotation = linear / np.where(scale == 0, 1, scale)[:, None, :]
+    return matrices[:, :3, 3], quat_from_matrix(rotation), scale
+
+
+def log_track(
+    stream: rr.RecordingStream, entity: str, timeline: Timeline, matrices: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """Log poses [T, 4, 4] where they change; returns the scale [3] of the first one, which the poses leave out."""
+    import rerun as rr
+
+    there = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))
+    if not len(matrices) or not there.any():
+        if len(matrices):
+            stream.log(entity, rr.Transform3D(scale=HIDDEN), static=True, strict=True)
+        return np.ones(3)
+    filled = np.where(there[:, None, None], matrices, matrices[np.argmax(there)])
+    position, quat, scale = decompose(filled)
+    quat = quat_sign_continuous(quat)
+    # 20 µm steps: rounding noise of a thing at rest makes no new row, and nothing drifts.
+    coarse = np.concatenate([np.round(np.concatenate([position, quat], 1) / 2e-5), there[:, None]], axis=1)
+    rows = np.flatnonzero(np.concatenate([[True], np.any(np.diff(coarse, axis=0) != 0, axis=1)]))
+    shown = None if there.all() else np.where(there[rows, None], 1.0, HIDDEN) * np.ones(3)
+    columns = rr.Transform3D.columns(translation=position[rows], quaternion=quat[rows], scale=shown)
+    stream.send_columns(entity, timeline.at(rows), columns, strict=True)
+    return scale[np.argmax(there)]
+
+
+# --- skinned bodies ---------------------------------------------------------------------------------------------------
+def log_skins(
+    stream: rr.RecordingStream, recording: Recording, timeline: Timeline, replay: Posed, skin_every: int
+) -> None:
+    """Vertices of skinned bodies at a reduced rate, in the root frame of their agent, which moves at the full rate."""
+    import rerun as rr
+
+    skins = [(i, d) for i, d in enumerate(replay.drawables) if d.deformable and len(d.mesh.faces)]
+    if not skins or not len(recording):
+        return
+    thin = {i: thin_mesh(d.mesh, SKIN_VERTICES) for i, d in skins}
+    per_sample = sum(12 * len(t.keep) for t in thin.values())
+    every = max(1, skin_every, int(np.ceil(len(recording) * per_sample / SKIN_BYTES)))
+    steps = np.arange(0, len(recording), every)
+    for index, drawable in skins:
+        keep = thin[index].keep
+        # Skinning makes all vertices of each sample: in blocks, so that memory stays small.
+        blocks = [replay.vertices(index, part)[:, keep] for part in np.array_split(steps, len(steps) // 64 + 1)]
+        vertices, rows, entity = np.concatenate(blocks), steps, f"world/objects/{entity_part(drawable.name)}"
+        if _has_root(recording, drawable.agent):
+            pose = recording.agent_column(drawable.agent, "base_pose")[steps].astype(np.float64)
+            vertices = transform_points(pose_to_matrix(pose_inverse(pose)), vertices).astype(np.float32)
+            entity = f"world/{entity_part(recording.agents[drawable.agent].name)}/body"
+        changed = np.abs(np.diff(vertices, axis=0)).max((1, 2)) > 2e-4
+        chosen = np.flatnonzero(np.concatenate([[True], changed]))
+        vertices, rows = vertices[chosen], rows[chosen]
+        look = rr.Mesh3D.from_fields(
+            triangle_indices=thin[index].faces, vertex_colors=drawable.mesh.colors[keep], clear_unset=False
+        )
+        stream.log(entity, look, static=True, strict=True)
+        columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)).partition([len(keep)] * len(rows))
+        stream.send_columns(entity, timeline.at(rows), columns, strict=True)

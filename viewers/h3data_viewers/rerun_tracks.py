@@ -1,0 +1,173 @@
+"""Per-step numbers, coloured action lanes and the event log of a recording, as Rerun columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics import find_agents
+from h3data.metrics.social_nav import following_rows, l2_distance
+from h3data.recording.records import Recording
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+NOTHING = "-"
+"""Lane state while nothing runs."""
+KNOWN_COLORS = {
+    NOTHING: 0x3A3A3AFF,
+    "apart": 0x616161FF,
+    "near": 0xFFB300FF,
+    "following": 0x43A047FF,
+    "too close": 0xFB8C00FF,
+    "contact": 0xE53935FF,
+}
+PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The two timelines of a recording."""
+
+    time_ns: NDArray[np.int64]
+
+    def at(self, steps: NDArray[np.integer] | Sequence[int] | None = None) -> list[rr.TimeColumn]:
+        """Time columns ``step`` and ``sim_time`` of some rows; all rows by default."""
+        import rerun as rr
+
+        rows = np.arange(len(self.time_ns)) if steps is None else np.asarray(steps, np.int64)
+        durations = self.time_ns[rows].astype("timedelta64[ns]")
+        return [rr.TimeColumn("step", sequence=rows), rr.TimeColumn("sim_time", duration=durations)]
+
+
+def agent_pair(recording: Recording) -> tuple[int, int] | None:
+    """The robot and the human that metrics are about, or None."""
+    try:
+        return find_agents(recording)
+    except InputError:
+        return None
+
+
+# --- plots ------------------------------------------------------------------------------------------------------------
+def log_scalars(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> tuple[str, ...]:
+    """Log every per-step scalar below ``metrics/``; returns the entities that are distances and belong in one plot."""
+    import rerun as rr
+
+    curves: dict[str, NDArray[Any]] = {
+        name.removeprefix("metrics."): column
+        for name, column in recording.columns.items()
+        if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
+    }
+    plotted = [name for name, column in curves.items() if column.dtype.kind == "f"]
+    pair = agent_pair(recording)
+    if pair is not None:
+        curves["distance_l2"] = l2_distance(recording, *pair)
+        plotted.append("distance_l2")
+    for name, column in curves.items():
+        values = column.astype(np.float64)
+        values[np.isinf(values)] = np.nan  # no path: a gap in the curve, not a cliff
+        stream.send_columns(f"metrics/{name}", timeline.at(), rr.Scalars.columns(scalars=values), strict=True)
+    if pair is not None and len(recording):
+        ends = np.unique([0, len(recording) - 1])
+        for name, bound in (("follow_from_1m", 1.0), ("follow_to_2m", 2.0)):
+            style = rr.SeriesLines(colors=np.array([0x43A047A0], np.uint32), widths=[1.0])
+            stream.log(f"metrics/{name}", style, static=True, strict=True)
+            columns = rr.Scalars.columns(scalars=np.full(len(ends), bound))
+            stream.send_columns(f"metrics/{name}", timeline.at(ends), columns, strict=True)
+            plotted.append(name)
+    return tuple(f"/metrics/{name}" for name in plotted)
+
+
+# --- lanes ------------------------------------------------------------------------------------------------------------
+def lanes_of(recording: Recording) -> dict[str, list[str]]:
+    """State per row of every lane, by lane name: skills and motions of each agent, and the encounter of the pair."""
+    lanes: dict[str, list[str]] = {}
+    for i, agent in enumerate(recording.agents):
+        skill = _skill_states(recording, i)
+        if skill is not None:
+            lanes[f"{agent.name}_skill"] = skill
+        motion = recording.columns.get(f"agent_{i}.motion_id")
+        if motion is not None and agent.motion_names:
+            lanes[f"{agent.name}_motion"] = [_coded(agent.motion_names, code) for code in motion.tolist()]
+    pair = agent_pair(recording)
+    if pair is not None:
+        lanes["encounter"] = _encounter_states(recording, *pair)
+    return lanes
+
+
+def log_lanes(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> tuple[str, ...]:
+    """Log the lanes below ``actions/``; returns their entities."""
+    import rerun as rr
+
+    lanes = {name: states for name, states in lanes_of(recording).items() if states}
+    for name, states in lanes.items():
+        values = list(dict.fromkeys(states))
+        unknown = [v for v in values if v not in KNOWN_COLORS]
+        colors = {v: PALETTE[k % len(PALETTE)] for k, v in enumerate(unknown)} | KNOWN_COLORS
+        rgba = np.array([colors[v] for v in values], np.uint32)
+        config = rr.StateConfiguration(values=values, labels=values, colors=rgba)
+        stream.log(f"actions/{name}", config, static=True, strict=True)
+        rows = [0, *(k for k in range(1, len(states)) if states[k] != states[k - 1])]
+        columns = rr.StateChange.columns(state=[states[k] for k in rows])
+        stream.send_columns(f"actions/{name}", timeline.at(rows), columns, strict=True)
+    return tuple(f"/actions/{name}" for name in lanes)
+
+
+def _skill_states(recording: Recording, agent: int) -> list[str] | None:
+    names, column = recording.agents[agent].skill_names, recording.columns.get(f"agent_{agent}.skill")
+    if column is not None and names:
+        return [_coded(names, code) for code in column.tolist()]
+    spans = [s for s in recording.skills if s.agent == agent]
+    if not spans:
+        return None
+    states = [NOTHING] * len(recording)
+    for span in spans:
+        for k in range(max(span.start_step, 0), min(span.end_step + 1, len(states))):
+            states[k] = span.name
+    return states
+
+
+def _coded(names: tuple[str, ...], code: int) -> str:
+    return names[code] if 0 <= code < len(names) else NOTHING
+
+
+def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
+    """How the robot stands to the human in each row: apart, near, following (1-2 m and facing), too close, contact."""
+    distance = l2_distance(recording, robot, human)
+    following = following_rows(recording, robot, human)
+    contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
+    choice = np.select(
+        [contact, following, distance < 1.0, distance <= 2.0], ["contact", "following", "too close", "near"], "apart"
+    )
+    return choice.tolist()
+
+
+# --- log --------------------------------------------------------------------------------------------------------------
+def log_events(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> bool:
+    """Log events and skills as text below ``log/``; returns whether there are any."""
+    import rerun as rr
+
+    lines: dict[str, list[tuple[int, str, str]]] = {}
+    for e in recording.events:
+        who = recording.agents[e.agent].name if 0 <= e.agent < len(recording.agents) else ""
+        text = " ".join(part for part in (who, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
+        level = "WARN" if "collision" in e.kind or "fail" in e.kind else "INFO"
+        lines.setdefault("events", []).append((e.step, text, level))
+    for s in recording.skills:
+        who = recording.agents[s.agent].name if 0 <= s.agent < len(recording.agents) else "?"
+        what = f"{who}: {s.name}({s.target})"
+        lines.setdefault("skills", []).append((s.start_step, what, "INFO"))
+        if s.outcome in ("failed", "aborted"):
+            end = f"{what} {s.outcome}" + (f": {s.reason}" if s.reason else "")
+            lines.setdefault("skills", []).append((s.end_step, end, "WARN"))
+    for name, group in lines.items():
+        group.sort(key=lambda line: line[0])
+        steps = np.clip([line[0] for line in group], 0, max(len(recording) - 1, 0))
+        columns = rr.TextLog.columns(text=[line[1] for line in group], level=[line[2] for line in group])
+        stream.send_columns(f"log/{name}", timeline.at(steps), columns, strict=True)
+    return bool(lines)
