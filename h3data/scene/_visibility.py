@@ -1,0 +1,331 @@
+"""Numba kernels of exact shortest paths among polygons: buckets of edges, point location, visibility, two-point queries.
+
+The free area is used twice: its corners are the nodes, and the edges of the same area *grown by* `GROW_M` block the view.
+A taut string runs along walls and through corners, where crossing tests on the area itself are a coin toss; against the
+grown area no right segment comes near an edge, so the tests need no special cases (and a point 0.1 mm outside is inside).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+GROW_M = 1e-4
+"""How far the blocking edges lie outside the free area [m]."""
+TANGENT_EPS = 1e-9
+"""Cross products [m^2] below this count as collinear."""
+
+
+class Graph(NamedTuple):
+    """Visibility graph of a free area, all islands; nodes are its reflex corners, ordered by island."""
+
+    nodes: NDArray[np.float64]
+    """Corners (x, z), shape [n, 2] [m]."""
+    before: NDArray[np.float64]
+    """The corner before each node on its ring (free area on the left), shape [n, 2]."""
+    after: NDArray[np.float64]
+    """The corner after each node, shape [n, 2]."""
+    first: NDArray[np.int64]
+    """Nodes of island k are ``first[k]:first[k + 1]``, shape [islands + 1]."""
+    distance: NDArray[np.float32]
+    """Shortest path length between nodes, inf between islands, shape [n, n] [m]."""
+    previous: NDArray[np.int32]
+    """Node before j on the shortest path from i to j, shape [n, n]; negative: none."""
+    rings: NDArray[np.float64]
+    """Edges of the free area, ``x0 z0 x1 z1``, shape [r, 4]."""
+    ring_island: NDArray[np.int32]
+    """Island of each of them, shape [r]."""
+    edges: NDArray[np.float64]
+    """Blocking edges (of the grown area), shape [e, 4]."""
+    edge_island: NDArray[np.int32]
+    """Island of each blocking edge, shape [e]."""
+    bucket_start: NDArray[np.int32]
+    """Blocking edges of bucket b are ``bucket_edges[bucket_start[b]:bucket_start[b + 1]]``; b = i * buckets_z + j."""
+    bucket_edges: NDArray[np.int32]
+    bucket_label: NDArray[np.int32]
+    """Island at the middle of each bucket, -1 = not free, shape [bx, bz]."""
+    bucket_origin: NDArray[np.float64]
+    """Lower corner of bucket [0, 0], shape [2] [m]."""
+    bucket_size: NDArray[np.float64]
+    """Side of a bucket, shape [1] [m]."""
+
+
+@numba.njit(cache=True, nogil=True)
+def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx: float, dz: float) -> bool:
+    """Whether segments a-b and c-d cross. Half-open: a line through a shared end point of two edges that lie on its two
+    sides crosses exactly one of them, so nothing slips through a vertex."""
+    a = (dx - cx) * (az - cz) - (dz - cz) * (ax - cx)
+    b = (dx - cx) * (bz - cz) - (dz - cz) * (bx - cx)
+    if (a >= 0.0) == (b >= 0.0):
+        return False
+    c = (bx - ax) * (cz - az) - (bz - az) * (cx - ax)
+    d = (bx - ax) * (dz - az) - (bz - az) * (dx - ax)
+    return (c >= 0.0) != (d >= 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int) -> tuple[NDArray, NDArray]:
+    """Which edges [E, 4] touch each bucket of a grid, as (start int32 [nx * nz + 1], items int32)."""
+    margin = 1e-6  # so that a ray through the corner of a bucket finds its edges whichever way rounding sends it
+    count = np.zeros(nx * nz + 1, np.int64)
+    items = np.empty(0, np.int32)
+    for phase in range(2):
+        if phase == 1:
+            total = 0
+            for b in range(nx * nz):
+                n = count[b]
+                count[b] = total
+                total += n
+            count[nx * nz] = total
+            items = np.empty(total, np.int32)
+        for e in range(len(edges)):
+            ax, az, bx, bz = edges[e]
+            i0 = max(int(np.floor((min(ax, bx) - margin - origin[0]) / size)), 0)
+            i1 = min(int(np.floor((max(ax, bx) + margin - origin[0]) / size)), nx - 1)
+            j0 = max(int(np.floor((min(az, bz) - margin - origin[1]) / size)), 0)
+            j1 = min(int(np.floor((max(az, bz) + margin - origin[1]) / size)), nz - 1)
+            half = 0.5 * size + margin
+            reach = half * (abs(bx - ax) + abs(bz - az))
+            for i in range(i0, i1 + 1):
+                mx = origin[0] + (i + 0.5) * size
+                for j in range(j0, j1 + 1):
+                    mz = origin[1] + (j + 0.5) * size
+                    if abs((bx - ax) * (mz - az) - (bz - az) * (mx - ax)) > reach:
+                        continue
+                    b = i * nz + j
+                    if phase == 1:
+                        items[count[b]] = e
+                    count[b] += 1
+    start = np.zeros(nx * nz + 1, np.int32)
+    for b in range(nx * nz):
+        start[b + 1] = count[b]
+    return start, items
+
+
+@numba.njit(cache=True, nogil=True)
+def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
+    """Whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    size = graph.bucket_size[0]
+    nx, nz = graph.bucket_label.shape
+    px = (ax - graph.bucket_origin[0]) / size
+    pz = (az - graph.bucket_origin[1]) / size
+    qx = (bx - graph.bucket_origin[0]) / size
+    qz = (bz - graph.bucket_origin[1]) / size
+    i, j = int(np.floor(px)), int(np.floor(pz))
+    last_i, last_j = int(np.floor(qx)), int(np.floor(qz))
+    step_i = 1 if qx > px else -1
+    step_j = 1 if qz > pz else -1
+    delta_i = abs(1.0 / (qx - px)) if qx != px else np.inf
+    delta_j = abs(1.0 / (qz - pz)) if qz != pz else np.inf
+    next_i = ((i + 1 - px) if step_i > 0 else (px - i)) * delta_i if qx != px else np.inf
+    next_j = ((j + 1 - pz) if step_j > 0 else (pz - j)) * delta_j if qz != pz else np.inf
+    for _ in range(abs(last_i - i) + abs(last_j - j) + 1):
+        if i < 0 or j < 0 or i >= nx or j >= nz:
+            return False
+        b = i * nz + j
+        for k in range(graph.bucket_start[b], graph.bucket_start[b + 1]):
+            e = graph.bucket_edges[k]
+            if crosses(ax, az, bx, bz, graph.edges[e, 0], graph.edges[e, 1], graph.edges[e, 2], graph.edges[e, 3]):
+                return False
+        if next_i < next_j:
+            i += step_i
+            next_i += delta_i
+        else:
+            j += step_j
+            next_j += delta_j
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def locate(graph: Graph, x: float, z: float) -> int:
+    """Island of a point, -1 = not free: the label of the bucket's middle, changed at every edge on the way to it."""
+    size = graph.bucket_size[0]
+    nx, nz = graph.bucket_label.shape
+    if not (np.isfinite(x) and np.isfinite(z)):
+        return -1
+    i = int(np.floor((x - graph.bucket_origin[0]) / size))
+    j = int(np.floor((z - graph.bucket_origin[1]) / size))
+    if i < 0 or j < 0 or i >= nx or j >= nz:
+        return -1
+    mx = graph.bucket_origin[0] + (i + 0.5) * size
+    mz = graph.bucket_origin[1] + (j + 0.5) * size
+    odd = False
+    nearest = np.inf
+    island = graph.bucket_label[i, j]
+    free = island >= 0
+    b = i * nz + j
+    for k in range(graph.bucket_start[b], graph.bucket_start[b + 1]):
+        e = graph.bucket_edges[k]
+        cx, cz, dx, dz = graph.edges[e, 0], graph.edges[e, 1], graph.edges[e, 2], graph.edges[e, 3]
+        if not crosses(x, z, mx, mz, cx, cz, dx, dz):
+            continue
+        odd = not odd
+        p = (dx - cx) * (z - cz) - (dz - cz) * (x - cx)
+        m = (dx - cx) * (mz - cz) - (dz - cz) * (mx - cx)
+        t = p / (p - m)
+        if t < nearest:
+            nearest = t
+            island = graph.edge_island[e]
+    return int(island) if free != odd else -1
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple[float, float, int]:
+    """(x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
+    island = locate(graph, x, z)
+    if island >= 0:
+        return x, z, island
+    best = max_distance
+    found_x, found_z = np.nan, np.nan
+    if not (np.isfinite(x) and np.isfinite(z)):
+        return found_x, found_z, -1
+    for e in range(len(graph.rings)):
+        ax, az, bx, bz = graph.rings[e]
+        dx = bx - ax
+        dz = bz - az
+        square = dx * dx + dz * dz
+        t = min(max(((x - ax) * dx + (z - az) * dz) / square, 0.0), 1.0) if square > 0.0 else 0.0
+        distance = np.hypot(x - ax - t * dx, z - az - t * dz)
+        if distance <= best:
+            best = distance
+            found_x, found_z, island = ax + t * dx, az + t * dz, graph.ring_island[e]
+    return found_x, found_z, island
+
+
+@numba.njit(cache=True, nogil=True)
+def tangent(graph: Graph, x: float, z: float, node: int) -> bool:
+    """Whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string."""
+    vx, vz = graph.nodes[node]
+    ux = vx - x
+    uz = vz - z
+    a = ux * (graph.before[node, 1] - vz) - uz * (graph.before[node, 0] - vx)
+    b = ux * (graph.after[node, 1] - vz) - uz * (graph.after[node, 0] - vx)
+    return not ((a > TANGENT_EPS and b < -TANGENT_EPS) or (a < -TANGENT_EPS and b > TANGENT_EPS))
+
+
+@numba.njit(cache=True, nogil=True)
+def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
+    """Pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
+    pairs = np.empty((1024, 2), np.int32)
+    lengths = np.empty(1024)
+    count = 0
+    for island in range(len(graph.first) - 1):
+        for i in range(graph.first[island], graph.first[island + 1]):
+            ix, iz = graph.nodes[i]
+            for j in range(i + 1, graph.first[island + 1]):
+                jx, jz = graph.nodes[j]
+                if not tangent(graph, ix, iz, j) or not tangent(graph, jx, jz, i):
+                    continue
+                if not sees(graph, ix, iz, jx, jz):
+                    continue
+                if count == len(pairs):
+                    pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                    lengths = np.concatenate((lengths, np.empty_like(lengths)))
+                pairs[count, 0] = i
+                pairs[count, 1] = j
+                lengths[count] = np.hypot(jx - ix, jz - iz)
+                count += 1
+    return pairs[:count], lengths[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def visible_nodes(graph: Graph, x: float, z: float, island: int, found: NDArray, away: NDArray) -> int:
+    """How many nodes a taut string from (x, z) can reach first; fills their indices and distances."""
+    count = 0
+    for node in range(graph.first[island], graph.first[island + 1]):
+        vx, vz = graph.nodes[node]
+        if tangent(graph, x, z, node) and sees(graph, x, z, vx, vz):
+            found[count] = node
+            away[count] = np.hypot(vx - x, vz - z)
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def geodesic_pair(
+    graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float
+) -> tuple[float, int, int, float, float, float, float]:
+    """Length of the shortest path [m] (inf: none), its first and last node (-1: straight), and the two ends as snapped."""
+    ax, az, island = nearest_free(graph, ax, az, max_snap)
+    bx, bz, other = nearest_free(graph, bx, bz, max_snap)
+    if island < 0 or island != other:
+        return np.inf, -1, -1, ax, az, bx, bz
+    if sees(graph, ax, az, bx, bz):
+        return np.hypot(bx - ax, bz - az), -1, -1, ax, az, bx, bz
+    size = graph.first[island + 1] - graph.first[island]
+    found = np.empty(size, np.int64)
+    away = np.empty(size)
+    count = visible_nodes(graph, ax, az, island, found, away)
+    best = np.inf
+    enter = -1
+    leave = -1
+    for node in range(graph.first[island], graph.first[island + 1]):
+        vx, vz = graph.nodes[node]
+        rest = np.hypot(bx - vx, bz - vz)
+        if rest >= best or not tangent(graph, bx, bz, node):
+            continue
+        total = np.inf
+        via = -1
+        for k in range(count):
+            d = away[k] + graph.distance[found[k], node]
+            if d < total:
+                total = d
+                via = found[k]
+        total += rest
+        if total < best and sees(graph, bx, bz, vx, vz):  # the view is the dear test: last
+            best = total
+            enter = via
+            leave = node
+    return best, enter, leave, ax, az, bx, bz
+
+
+@numba.njit(cache=True, nogil=True)
+def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float) -> NDArray:
+    """Shortest path lengths [N] [m] between points [N, 2]; inf where there is no way."""
+    out = np.empty(len(starts))
+    for k in range(len(starts)):
+        out[k] = geodesic_pair(graph, starts[k, 0], starts[k, 1], ends[k, 0], ends[k, 1], max_snap)[0]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
+    """Way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
+    length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
+    if not np.isfinite(length):
+        return np.empty((0, 2))
+    corners = 0
+    node = leave
+    while node >= 0:
+        corners += 1
+        node = graph.previous[enter, node] if node != enter else -1
+    points = np.empty((corners + 2, 2))
+    points[0, 0], points[0, 1] = ax, az
+    points[corners + 1, 0], points[corners + 1, 1] = bx, bz
+    node = leave
+    for k in range(corners, 0, -1):
+        points[k] = graph.nodes[node]
+        node = graph.previous[enter, node] if node != enter else -1
+    return points
+
+
+@numba.njit(cache=True, nogil=True)
+def locate_many(graph: Graph, points: NDArray) -> NDArray:
+    """Islands [N] of points [N, 2], -1 = not free."""
+    out = np.empty(len(points), np.int32)
+    for k in range(len(points)):
+        out[k] = locate(graph, points[k, 0], points[k, 1])
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def snap_many(graph: Graph, points: NDArray, max_distance: float) -> NDArray:
+    """Nearest free points [N, 2] of points [N, 2]; NaN where none is within ``max_distance``."""
+    out = np.empty((len(points), 2))
+    for k in range(len(points)):
+        x, z, _ = nearest_free(graph, points[k, 0], points[k, 1], max_distance)
+        out[k, 0], out[k, 1] = x, z
+    return out
