@@ -1,4 +1,4 @@
-"""Files of other programs, read into our records. Every foreign convention (axes, quaternion order, frames) ends here."""
+"""Files of other programs, read into our records. Foreign conventions (axes, quaternion order, frames) end here."""
 
 from h3data.interop.assets import AssetLibrary
 from h3data.interop.gfx_replay import read_gfx_replay

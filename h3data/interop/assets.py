@@ -46,8 +46,8 @@ class AssetLibrary:
     """Finds meshes for the assets of a recording.
 
     ``roots`` are the user's folders, searched in order; without any, those of the environment variable H3DATA_ASSETS.
-    A root may be the folder that holds ``data``, ``data`` itself, or any folder in which the files lie somewhere. What was
-    asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
+    A root may be the folder that holds ``data``, ``data`` itself, or any folder in which the files lie somewhere.
+    What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
     """
 
     def __init__(self, roots: Sequence[str | Path] | None = None, *, scene: Scene | None = None) -> None:
@@ -76,9 +76,9 @@ class AssetLibrary:
     def resolve(self, uri: str) -> Path | None:
         """The file that a recorded path means, or None.
 
-        Tried in this order: the path below each root, the same with the known aliases of its folder, then the file below a
-        root that shares the longest end of the path. A shared file name alone is not enough (every YCB object is called
-        ``textured.glb``): the shared end must hold a hash or number, three names, or a telling folder.
+        Tried in this order: the path below each root, the same with the known aliases of its folder, then the file
+        below a root that shares the longest end of the path. A shared file name alone is not enough (every YCB object
+        is called ``textured.glb``): the shared end must hold a hash or number, three names, or a telling folder.
         """
         if uri not in self._resolved:
             path = clean_path(uri)

@@ -15,8 +15,8 @@ from h3data.geometry import ground_pose, quat_rotate, quat_sign_continuous
 from h3data.recording.records import Agent, AssetRef, Body
 
 ROBOT_BASE_HEIGHT_M = {"spot": 0.48}
-"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Others: 0 (habitat-lab's
-Fetch and Stretch have their base frame at the floor)."""
+"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Others: 0, which is
+right for habitat-lab's Fetch and only assumed for the rest."""
 
 HUMAN_ROOT_HEIGHT_M = 0.9
 """Height of a humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
@@ -48,10 +48,11 @@ def add_agents(
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
     """Agents (robots first), bodies that name their agent, the agents' columns, and how they were found.
 
-    A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins where a
-    base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows habitat-lab
-    (spec/habitat.md 0): a robot stands ``ROBOT_BASE_HEIGHT_M`` under its base link and faces along that link's x axis; a
-    person stands `HUMAN_ROOT_HEIGHT_M` under the root and faces along its z axis. Both headings are projected on the floor.
+    A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins
+    where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows
+    habitat-lab (spec/habitat.md 0): a robot stands ``ROBOT_BASE_HEIGHT_M`` under its base link and faces along that
+    link's x axis; a person stands `HUMAN_ROOT_HEIGHT_M` under the root and faces along its z axis. Both headings are
+    projected on the floor.
     """
     uris = {ref.name: ref.uri for ref in assets}
     groups = _groups([uris[b.asset] for b in bodies])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, SceneError
 from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data.interop.assets import EMPTY_URI, clean_path
 from h3data.interop.gfx_agents import add_agents
@@ -32,11 +32,12 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
 
     A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the drawn nodes, asset names, nothing else. So:
 
-    - One body per created instance. A body's pose is its node's world transform, the mesh frame after the asset's ``frame``
-      has been turned to +Y up. Bodies that were always there and never moved are static, the others have tracks.
+    - One body per created instance. A body's pose is its node's world transform, the mesh frame after the asset's
+      ``frame`` has been turned to +Y up. Bodies that were always there and never moved are static, the others have
+      tracks.
     - The format has no time stamps: row k is keyframe k, at ``fps`` keyframes per second (default: the nominal 30).
-    - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are cameras
-      keep Habitat's camera frame: x right, y up, looking along -z.
+    - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are
+      cameras keep Habitat's camera frame: x right, y up, looking along -z.
     - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; skinned meshes are not deformed by them here.
     - Robots and people are recognised by their file names, see `h3data.interop.gfx_agents`.
 
@@ -46,7 +47,7 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     dt_ns = STEP_NS if fps is None else _step_ns(fps)
     data, keyframes = read_keyframes(path)
     fold = fold_keyframes(keyframes)
-    assets, refs, notes = _assets(fold)
+    assets, refs, notes = _assets(fold, path)
     poses = [_life_poses(life, path) for life in fold.lives]
     bodies, tracks = _bodies(fold, refs, poses)
     columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}
@@ -99,7 +100,7 @@ def _step_ns(fps: float) -> int:
 
 
 # --- assets -----------------------------------------------------------------------------------------------------------
-def _assets(fold: Fold) -> tuple[list[AssetRef], list[str], list[str]]:
+def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str]]:
     """Assets of the recording, the asset name of each life, and warnings."""
     by_path: dict[str, list[Load]] = {}
     for filepath, loads in fold.loads.items():
@@ -122,7 +123,10 @@ def _assets(fold: Fold) -> tuple[list[AssetRef], list[str], list[str]]:
             uri = f"primitive:{plain}" if is_primitive(plain) else clean_path(plain)
             values = {"uri": uri, "color": color, "units_m": load.virtualUnitToMeters,
                       "up": _plus_zero(load.frame.up), "front": _plus_zero(load.frame.front)}  # fmt: skip
-            frame_rotation(load.frame.up, load.frame.front)  # refuses axes that are not perpendicular
+            try:
+                frame_rotation(load.frame.up, load.frame.front)
+            except SceneError as fault:
+                raise FormatError(f"Not a valid gfx-replay: asset {plain!r}: {fault} {path}") from None
             key = tuple(values.values())
         if key not in refs:
             refs[key] = AssetRef(name=_unique(_short_name(values["uri"]), used), **values)
@@ -140,8 +144,9 @@ def _assets(fold: Fold) -> tuple[list[AssetRef], list[str], list[str]]:
 def _color(filepath: str, loads: Sequence[Load]) -> tuple[int, int, int] | None:
     """sRGB override of an instance's material, or None.
 
-    The suffix ``?phong_amb_.._dif_.._spec_..`` of the creation belongs to this instance (sRGB, one uint32 RGBA each). The
-    ``overridePhongMaterial`` of ``loads`` (linear) is shared by the path, and counts only if no plain load exists.
+    The suffix ``?phong_amb_.._dif_.._spec_..`` of the creation belongs to this instance (sRGB, one uint32 RGBA each).
+    The ``overridePhongMaterial`` of ``loads`` (linear) is shared by the path, and counts only if no plain load
+    exists.
     """
     _, _, suffix = filepath.partition("?")
     match = _DIFFUSE.search(suffix)
@@ -152,7 +157,8 @@ def _color(filepath: str, loads: Sequence[Load]) -> tuple[int, int, int] | None:
     if not overrides or any(o is None or o.diffuse is None for o in overrides):
         return None
     last = overrides[-1]
-    assert last is not None and last.diffuse is not None
+    assert last is not None
+    assert last.diffuse is not None
     r, g, b = (int(v) for v in np.rint(srgb_from_linear(last.diffuse[:3]) * 255))
     return (r, g, b)
 
@@ -232,7 +238,7 @@ def _pose7(transforms: Sequence[Transform]) -> NDArray[np.float64]:
 
 
 def _tidy(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same poses [N, ..., 7] with unit quaternions (files round to 4 decimals) whose sign is continuous over axis 0."""
+    """The same poses [N, ..., 7], quaternions of unit length (files round to 4 decimals) and sign-continuous on axis 0."""
     length = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         poses[..., 3:] /= length
@@ -242,13 +248,13 @@ def _tidy(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _invalid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which poses [N, ..., 7] hold something that is not finite, shape [N]."""
-    return ~np.isfinite(poses).reshape(len(poses), -1).all(-1)
+    return np.logical_not(np.isfinite(poses).reshape(len(poses), -1).all(-1))
 
 
 def _filled(
     steps: int, at: Sequence[int], values: NDArray[np.float64], *, end: int | None = None
 ) -> NDArray[np.float32]:
-    """Float32 rows [T, ...] that hold the latest of ``values`` [U, ...] written at steps ``at``; NaN before and from ``end``."""
+    """Rows [T, ...] that hold the latest of ``values`` [U, ...] written at steps ``at``; NaN before, and from ``end``."""
     rows = np.full((steps, *values.shape[1:]), np.nan, np.float32)
     latest = np.searchsorted(np.asarray(at), np.arange(steps), side="right") - 1
     present = latest >= 0

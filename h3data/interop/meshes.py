@@ -30,10 +30,11 @@ def load_mesh(
 ) -> Mesh:
     """The triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
-    ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame`` (spec/habitat.md
-    5.1): YCB files have up +Z, front +Y. Colours are sRGB per vertex, from the file's vertex colours, the material's base
-    colour, or its texture sampled at the vertices (texture detail inside a triangle is lost). Normals are kept if the file
-    has them; else None, which shades flat. The result is cached per file, time stamp and frame: do not write to it.
+    ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
+    (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Colours are sRGB per vertex, from the file's vertex
+    colours, the material's base colour, or its texture sampled at the vertices (texture detail inside a triangle is
+    lost). Normals are kept if the file has them; else None, which shades flat. The result is cached per file, time
+    stamp and frame: do not write to it.
     """
     path = Path(path)
     if not path.is_file():
@@ -47,13 +48,13 @@ def load_mesh(
 
 
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
-    """3x3 rotation from a file's frame to +Y up, -Z forward: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
+    """3x3 rotation from a file's frame to ours: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     if u.shape != (3,) or f.shape != (3,) or min(lengths) == 0 or abs(u @ f) > 1e-3 * lengths[0] * lengths[1]:
         raise SceneError(f"An asset frame needs two perpendicular axes. Got up {list(u)}, front {list(f)}.")
-    u, f = normalized(u), normalized(f)
-    return np.stack([np.cross(f, u), u, -f])
+    u, f = u / lengths[0], f / lengths[1]
+    return np.array([np.cross(f, u), u, -f], np.float64)
 
 
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float64]:
@@ -145,7 +146,7 @@ def _part(geometry: Any, matrix: NDArray[np.float64], *, glb: bool) -> Mesh:
 
 
 def _colors(geometry: Any, *, glb: bool) -> NDArray[np.uint8]:
-    """sRGB per vertex, shape [V, 3]. glTF factors and vertex colours are linear, textures are sRGB (glTF 2.0, 3.9.2)."""
+    """sRGB per vertex, shape [V, 3]. In glTF factors and vertex colours are linear, textures sRGB (glTF 2.0, 3.9.2)."""
     count, visual = len(geometry.vertices), geometry.visual
     if visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import PurePosixPath
 from typing import Literal
 
@@ -33,7 +34,7 @@ _KINDS: tuple[tuple[re.Pattern[str], PlaceholderKind], ...] = (
     (re.compile(r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley)/"), "small_object"),
 )
 
-# Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between the joints
+# Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between joints
 # of the Spot in a real recording (base to hip, hip to knee, ...); the thicknesses are guesses.
 _SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, float]], ...] = (
     ("base", (0, 0, 0), (0.42, 0.1, 0.09)),
@@ -51,7 +52,10 @@ _SPOT_LINKS: tuple[tuple[str, tuple[float, float, float], tuple[float, float, fl
 
 def placeholder_kind(uri: str) -> PlaceholderKind:
     """What a missing file probably was, from its recorded path alone."""
-    return next((kind for pattern, kind in _KINDS if pattern.search(uri)), "furniture")
+    for pattern, kind in _KINDS:
+        if pattern.search(uri):
+            return kind
+    return "furniture"
 
 
 @lru_cache(maxsize=512)
@@ -87,9 +91,7 @@ def striped_box(
     """A box whose six faces carry ``stripes`` magenta stripes and as many in ``color``."""
     edges = np.linspace(-1, 1, 2 * stripes + 1)
     # one face of the unit cube at +z, cut along x; the others are rotations of it
-    strip = np.stack(
-        [[(a, -1, 1), (b, -1, 1), (b, 1, 1), (a, 1, 1)] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    )
+    strip = np.stack([[(a, -1, 1), (b, -1, 1), (b, 1, 1), (a, 1, 1)] for a, b in pairwise(edges)])
     turns = [(0, 1, 2), (2, 0, 1), (1, 2, 0)]
     faces = [strip[..., t] * sign for t in turns for sign in (1, -1)]
     quads = np.concatenate([f if s == 0 else f[:, ::-1] for s, f in zip((0, 1) * 3, faces, strict=True)])
@@ -98,7 +100,7 @@ def striped_box(
     pattern = np.where((np.arange(len(quads)) % 2 == 0)[:, None], np.array(MAGENTA), np.asarray(color))
     return Mesh(
         vertices=vertices.astype(np.float32),
-        faces=np.concatenate([first + (0, 1, 2), first + (0, 2, 3)]).astype(np.int32),
+        faces=np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]).astype(np.int32),
         colors=np.repeat(pattern, 4, axis=0).astype(np.uint8),
     )
 

@@ -11,8 +11,8 @@ from h3data.errors import FormatError, InputError
 
 FileKind = Literal[
     "gfx_replay", "hitl_session", "hitl_episode", "hitl_log", "rearrange_episodes", "scene_dataset_config",
-    "scene_instance", "stage_config", "object_config", "ao_config", "lighting_config", "semantic_config", "scene_filter",
-    "json", "mcap", "parquet", "rrd", "glb", "navmesh", "pickle", "zip", "unknown",
+    "scene_instance", "stage_config", "object_config", "ao_config", "lighting_config", "semantic_config",
+    "scene_filter", "json", "mcap", "parquet", "rrd", "glb", "navmesh", "pickle", "zip", "unknown",
 ]  # fmt: skip
 
 KIND_WORDS: dict[str, str] = {
@@ -84,11 +84,14 @@ def json_kind(content: Any, *, name: str = "") -> FileKind:
         (".stage_config." in name or bool(keys & {"gravity", "nav_asset", "semantic_asset"}), "stage_config"),
         (".object_config." in name or "render_asset" in keys, "object_config"),
     )
-    return next((kind for fits, kind in rules if fits), "json")
+    for fits, kind in rules:
+        if fits:
+            return kind
+    return "json"
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes of a file, unpacked if it is gzip; `InputError` if there is none, `FormatError` if the gzip is damaged."""
+    """The bytes of a file, unpacked if it is gzip; `InputError` if there is none, `FormatError` if it is damaged."""
     if not path.exists():
         raise InputError(f"There is no such file: {path}")
     if path.is_dir():
