@@ -1,0 +1,74 @@
+"""Recordings: the records, the MCAP session log, the Parquet dataset. The stores are imported at their first use."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from h3data.recording.records import (
+    SCHEMA_VERSION,
+    STEP_NS,
+    Agent,
+    AssetRef,
+    Body,
+    Episode,
+    Event,
+    Recording,
+    RecordingHeader,
+    SkillSpan,
+)
+
+if TYPE_CHECKING:
+    from h3data.recording.compare import recordings_equal, state_hash
+    from h3data.recording.dataset import Dataset
+    from h3data.recording.dataset_writer import DatasetWriter
+    from h3data.recording.lerobot_meta import rebuild_meta
+    from h3data.recording.mcap_log import RecordingWriter, write_mcap
+    from h3data.recording.mcap_read import Recovery, read_mcap, recover_mcap
+    from h3data.recording.opening import looks_like, open_recording
+
+_HOMES = {
+    "recordings_equal": "compare",
+    "state_hash": "compare",
+    "Dataset": "dataset",
+    "DatasetWriter": "dataset_writer",
+    "rebuild_meta": "lerobot_meta",
+    "RecordingWriter": "mcap_log",
+    "write_mcap": "mcap_log",
+    "Recovery": "mcap_read",
+    "read_mcap": "mcap_read",
+    "recover_mcap": "mcap_read",
+    "looks_like": "opening",
+    "open_recording": "opening",
+}
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "STEP_NS",
+    "Agent",
+    "AssetRef",
+    "Body",
+    "Dataset",
+    "DatasetWriter",
+    "Episode",
+    "Event",
+    "Recording",
+    "RecordingHeader",
+    "RecordingWriter",
+    "Recovery",
+    "SkillSpan",
+    "looks_like",
+    "open_recording",
+    "read_mcap",
+    "rebuild_meta",
+    "recordings_equal",
+    "recover_mcap",
+    "state_hash",
+    "write_mcap",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -193,8 +193,11 @@ class RecordingWriter:
             self._mcap.flush()
         self._flushed_at = time.monotonic()
 
-    def close(self) -> Path:
-        """Finish, sync and rename the file; returns its final path. A second call does nothing."""
+    def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
+        """Finish, sync and rename the file; returns its final path. A second call does nothing.
+
+        ``info`` adds to ``episode.info`` what is known only at the end, e.g. how the episode ended.
+        """
         if self.closed:
             return self.path
         if self._layout is None:
@@ -203,6 +206,9 @@ class RecordingWriter:
             with self._writing():
                 self._write_pending()
                 self._mcap.flush()
+                if info:  # readers take the last record of a name
+                    episode = dataclasses.replace(self.header.episode, info={**self.header.episode.info, **info})
+                    self._mcap.add_metadata("h3.episode", _episode_metadata(episode))
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
                 self._mcap.finish()
                 self._stream.flush()
@@ -366,13 +372,17 @@ def write_mcap(recording: Recording, path: str | os.PathLike[str], *, overwrite:
 
 
 def _header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
-    episode = {k: str(v) for k, v in episode_to_dict(header.episode).items()}
+    episode = _episode_metadata(header.episode)
     try:
         for text in [*episode.values(), *header.attachments]:
             text.encode()
     except UnicodeEncodeError as error:
         raise InputError(f"Names must be valid Unicode, this one is not: {error.object!r}.") from None
     return {"h3.schema": {"version": SCHEMA_VERSION, **CONVENTIONS}, "h3.episode": episode}
+
+
+def _episode_metadata(episode: Episode) -> dict[str, str]:
+    return {k: str(v) for k, v in episode_to_dict(episode).items()}
 
 
 def _scene(header: RecordingHeader | Recording) -> dict[str, Any]:

@@ -1,0 +1,226 @@
+"""Reading a Parquet dataset: one row group per episode, only the columns that are asked for."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.dataset_writer import SIDECARS, is_dataset
+from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
+from h3data.recording.records import Recording
+from h3data.recording.schema import (
+    Column,
+    Layout,
+    check_version,
+    episode_from_dict,
+    layout_from_json,
+    required_columns,
+    struct_from_dict,
+)
+
+_DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError)
+
+
+class Dataset:
+    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
+
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        """Open a folder that `DatasetWriter` made."""
+        self.root = Path(root)
+        if not self.root.exists():
+            raise InputError(f"There is no such folder: {self.root}")
+        if not self.root.is_dir() or not is_dataset(self.root):
+            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}")
+        if not (self.root / "h3" / "schema.json").exists():
+            raise FormatError(
+                f"A LeRobot dataset, but not written by h3data: it lacks h3/schema.json and with it bodies and agents. "
+                f"Hint: open it with lerobot or Rerun: {self.root}"
+            )
+        self._check_info()
+        self.schema = DatasetSchema.load(self.root)
+        self._declared = {c.name: c for c in self.schema.columns}
+        self._files: dict[int, pq.ParquetFile] = {}
+        self._sidecars: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...)."""
+        paths = shard_files(self.root, "meta/episodes")
+        try:
+            tables = [pq.read_table(p, page_checksum_verification=True).replace_schema_metadata(None) for p in paths]
+            table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
+            faults = _chain_faults(table) if tables else []
+        except _DAMAGE as error:
+            raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
+        if faults:
+            raise FormatError(f"The episode table is not consistent: {'; '.join(faults)}: {self.root}")
+        return table
+
+    @cached_property
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.episodes.to_pylist()
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def recording(self, index: int, *, columns: Sequence[str] | None = None) -> Recording:
+        """Episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
+
+        Reads one row group.
+        """
+        row = self._row(index)
+        shard = self._shard_of(row)
+        records = {kind: self._records(kind, shard, index) for kind in SIDECARS}
+        names = None
+        if columns is not None:
+            self._require_columns(columns)
+            names = [*columns, *required_columns(len(records["agents"]))]
+        return Recording(
+            episode=episode_from_dict(row, path=self.root),
+            columns=self._read(index, names),
+            attachments=self._attachments(row),
+            **records,
+        )
+
+    def iter_columns(
+        self, columns: Sequence[str], *, episodes: Iterable[int] | None = None
+    ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+        """Episode by episode ``(index, {column: array [T, ...]})``: constant memory, only these columns are read.
+
+        A column that an episode does not have is not in its dict. This is the path for metrics.
+        """
+        self._require_columns(columns)
+        for index in range(len(self)) if episodes is None else episodes:
+            yield index, self._read(index, columns)
+
+    def layout(self, index: int) -> Layout:
+        """Columns of one episode with their true shapes."""
+        return _layout(self._row(index)["columns"])
+
+    def __repr__(self) -> str:
+        frames = self._rows[-1]["dataset_to_index"] if self._rows else 0
+        tasks = ", ".join(sorted({row["task"] for row in self._rows})) or "none"
+        lines = [f"Dataset {str(self.root)!r}: {len(self)} episodes, {frames} steps, tasks: {tasks}"]
+        lines += [f"  {c.name:<24} {c.dtype:<8} {['T', *c.shape]}".replace("'T'", "T") for c in self.schema.columns]
+        return "\n".join(lines)
+
+    # --- inside ---
+    def _check_info(self) -> None:
+        path = self.root / "meta" / "info.json"
+        if not path.exists():
+            return  # before the first commit
+        try:
+            info = json.loads(path.read_bytes())
+            version = info["h3data"]["schema_version"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise FormatError(
+                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
+            ) from error
+        check_version(version, path=path)
+
+    def _row(self, index: int) -> dict[str, Any]:
+        if not 0 <= index < len(self):
+            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(self) - 1}: {self.root}")
+        return self._rows[index]
+
+    def _shard_of(self, row: Mapping[str, Any]) -> int:
+        return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
+
+    def _require_columns(self, columns: Sequence[str]) -> None:
+        unknown = sorted(set(columns) - set(self._declared))
+        if unknown:
+            raise InputError(f"No columns {unknown} in this dataset. It has: {', '.join(self._declared)}: {self.root}")
+
+    def _read(self, index: int, names: Iterable[str] | None) -> dict[str, NDArray[Any]]:
+        row = self._row(index)
+        wanted = None if names is None else set(names)
+        layout = [c for c in self.layout(index) if wanted is None or c.name in wanted]
+        steps, shard = row["length"], self._shard_of(row)
+        stored = [c.name for c in layout if c.width]
+        if not steps or not stored:
+            return {c.name: c.empty(steps) for c in layout}
+        try:
+            table = self._file(shard).read_row_group(row["row_group"], columns=stored, use_threads=False)
+            if len(table) != steps:
+                raise ValueError(f"expected {steps} rows, got {len(table)}")
+            return {c.name: self._to_numpy(table, c, steps) for c in layout}
+        except _DAMAGE as error:
+            path = shard_path(self.root, "data", shard)
+            raise FormatError(f"Episode {index} cannot be read, its data are damaged ({error}): {path}") from error
+
+    def _to_numpy(self, table: pa.Table, column: Column, steps: int) -> NDArray[Any]:
+        """One column in its own shape: a writable copy, padding cut off."""
+        if not column.width:
+            return column.empty(steps)
+        home = self._declared[column.name]
+        chunks = [c.flatten() if home.width > 1 else c for c in table.column(column.name).chunks]
+        if any(c.null_count for c in chunks):
+            raise ValueError(f"column {column.name} has nulls")
+        values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
+        wide = values.astype(home.dtype, copy=False).reshape(steps, *home.shape)
+        if home.shape == column.shape:
+            return wide
+        return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
+
+    def _file(self, shard: int) -> pq.ParquetFile:
+        if shard not in self._files:
+            if len(self._files) >= 4:
+                self._files.pop(next(iter(self._files))).close()
+            path = shard_path(self.root, "data", shard)
+            self._files[shard] = pq.ParquetFile(path, memory_map=True, page_checksum_verification=True)
+        return self._files[shard]
+
+    def _records(self, kind: str, shard: int, index: int) -> tuple[Any, ...]:
+        """Bodies, assets, ... of one episode."""
+        key = (kind, shard)
+        path = shard_path(self.root, f"h3/{kind}", shard)
+        try:
+            if key not in self._sidecars:
+                if len(self._sidecars) >= 2 * len(SIDECARS):
+                    self._sidecars.pop(next(iter(self._sidecars)))
+                table = pq.read_table(path, page_checksum_verification=True)
+                self._sidecars[key] = (table, table["episode_index"].to_numpy())
+            table, owners = self._sidecars[key]
+            first, last = np.searchsorted(owners, [index, index + 1])
+            return tuple(struct_from_dict(SIDECARS[kind], d) for d in table.slice(first, last - first).to_pylist())
+        except _DAMAGE as error:
+            raise FormatError(f"The {kind} of episode {index} cannot be read ({error}): {path}") from error
+
+    def _attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
+        folder = self.root / "h3" / "files"
+        try:
+            return {
+                n: (folder / Path(stored).name).read_bytes() for n, stored in json.loads(row["attachments"]).items()
+            }
+        except (OSError, ValueError, AttributeError, TypeError) as error:
+            raise FormatError(
+                f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
+            ) from error
+
+
+@lru_cache(maxsize=64)
+def _layout(text: str) -> Layout:
+    return layout_from_json(text)
+
+
+def _chain_faults(table: pa.Table) -> list[str]:
+    """Gaps and overlaps in an episode table: boundaries are never lost silently."""
+    index, length, start, end = (
+        table[n].to_numpy() for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")
+    )
+    faults = []
+    if not np.array_equal(index, np.arange(len(index))):
+        faults.append(f"expected episodes 0..{len(index) - 1} in order, got {index[:5].tolist()}...")
+    if not np.array_equal(end - start, length) or not np.array_equal(start[1:], end[:-1]):
+        faults.append("episode boundaries do not follow each other")
+    return faults

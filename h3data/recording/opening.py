@@ -1,0 +1,87 @@
+"""One door for whatever can be replayed: an MCAP log or a dataset folder; anything else is named for what it is."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.records import Recording
+
+if TYPE_CHECKING:
+    from h3data.recording.dataset import Dataset
+
+_MAGIC = {
+    b"\x89MCAP0\r\n": "an MCAP log",
+    b"PAR1": "a Parquet file",
+    b"ARROW1": "an Arrow file",
+    b"RRF2": "a Rerun recording (.rrd)",
+    b"\x89HDF": "an HDF5 file",
+    b"glTF": "a glTF model (.glb)",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"PK\x03\x04": "a zip archive",
+    b"\x93NUMPY": "a numpy array",
+}
+_HEAD = 1 << 16
+
+
+def open_recording(path: str | os.PathLike[str]) -> Recording | Dataset:
+    """A `Recording` for an MCAP log, a `Dataset` for a dataset folder; a `FormatError` says what anything else is."""
+    path = Path(path)
+    if not path.exists():
+        part = path.with_name(path.name + ".part")
+        hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""
+        raise InputError(f"There is no such file or folder.{hint} Path: {path}")
+    if path.is_dir():
+        from h3data.recording.dataset import Dataset
+
+        return Dataset(path)
+    kind = looks_like(path)
+    if kind == "an MCAP log":
+        from h3data.recording.mcap_read import read_mcap
+
+        return read_mcap(path)
+    if path.suffix == ".part":
+        raise FormatError(f"An unfinished file ({kind}) with nothing to recover: {path}")
+    if kind == "a gfx-replay file of Habitat":
+        raise FormatError(f"This is {kind}. Hint: `h3data import {path} -o DIR` makes an MCAP log of it: {path}")
+    parquet = " Hint: open the dataset folder that it belongs to." if kind == "a Parquet file" else ""
+    raise FormatError(f"Expected an MCAP log or a dataset folder, this looks like {kind}.{parquet} File: {path}")
+
+
+def looks_like(path: Path) -> str:
+    """What a file is, judged by how it begins: ``an MCAP log``, ``a gfx-replay file of Habitat``, ``text``, ..."""
+    try:
+        with open(path, "rb") as stream:
+            head = stream.read(_HEAD)
+    except OSError as error:
+        raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+    if not head:
+        return "an empty file"
+    if head[:2] == b"\x1f\x8b":
+        return _json_kind(_gunzip_head(path)) or "a gzip archive"
+    for magic, kind in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    return _json_kind(head) or ("text" if b"\0" not in head else "binary data of an unknown kind")
+
+
+def _json_kind(head: bytes) -> str | None:
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if text[:1] not in (b"{", b"["):
+        return None
+    if b'"keyframes"' in head or b'"keyframe"' in head:
+        return "a gfx-replay file of Habitat"
+    return "a JSON file"
+
+
+def _gunzip_head(path: Path) -> bytes:
+    try:
+        with gzip.open(path) as stream:
+            return stream.read(_HEAD)
+    except (OSError, EOFError, zlib.error):
+        return b""
