@@ -30,7 +30,8 @@ def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]
     d = np.asarray(depth, np.float32)
     _check_range(near, far)
     levels = np.rint(255 * (1 - normalize_depth(d, near, far))).astype(np.uint8)
-    rgb = np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[..., ::-1])
+    bgr = np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), np.uint8)
+    rgb = np.ascontiguousarray(bgr[..., ::-1])
     rgb[~(d > 0)] = MISS_COLOR
     return rgb
 
@@ -40,7 +41,7 @@ def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
     i = np.asarray(ids)
     if i.dtype.kind not in "iu":
         raise InputError(f"Ids must be integers, got {i.dtype}.")
-    return np.where((i < 0)[..., None], np.uint8(MISS_COLOR), _palette()[i % _PALETTE_SIZE]).astype(np.uint8)
+    return np.where((i < 0)[..., None], np.array(MISS_COLOR, np.uint8), _palette()[i % _PALETTE_SIZE]).astype(np.uint8)
 
 
 def _palette() -> NDArray[np.uint8]:

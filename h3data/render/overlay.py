@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,7 +27,7 @@ def draw_polyline(
     """
     _check(image, camera)
     p = camera.to_camera(points)
-    for start, end in zip(p[:-1], p[1:], strict=True):
+    for start, end in pairwise(p):
         if not (np.isfinite(start).all() and np.isfinite(end).all()) or max(start[2], end[2]) < _NEAR_M:
             continue
         a, b = (_cut(start, end), _cut(end, start))

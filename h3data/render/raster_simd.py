@@ -9,9 +9,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from h3data.render.vectors import FLOAT, INT, INT8, LANES, Vec, fma, lanes, load, splat, store
+from h3data.render.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, splat, store
 
 NEAR_M = 0.02
 """Triangles that come nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 from numba import types
-from numba.extending import intrinsic
 
-from h3data.render.vectors import FLOAT, INT8, Vec, fma, lanes, load, splat, store
+from h3data.render.vectors import FLOAT, INT8, Vec, fma, intrinsic, lanes, load, splat, store
 
 TONE_SIZE = 8192
 TONE_LIMIT = 2.0

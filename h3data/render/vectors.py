@@ -5,10 +5,12 @@ Nothing relies on the auto-vectoriser or on a C compiler; LLVM lowers the vector
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils
+from numba.extending import intrinsic as _numba_intrinsic
 
 LANES = 8
 FLOAT = ir.FloatType()
@@ -16,6 +18,11 @@ INT = ir.IntType(32)
 INT64 = ir.IntType(64)
 FLOAT8 = ir.VectorType(FLOAT, LANES)
 INT8 = ir.VectorType(INT, LANES)
+
+
+def intrinsic(function: Callable[..., Any]) -> Any:
+    """numba's decorator; typed, since callers leave out the first argument (the typing context)."""
+    return _numba_intrinsic(function)
 
 
 class Mask:

@@ -1,0 +1,242 @@
+"""The rasteriser against a brute-force ray caster in float64, and every pitfall that once cost a wrong pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.scene.records import Mesh
+
+EDGE = 2e-4
+"""Pixels whose ray passes an edge closer than this (barycentric) may go either way."""
+
+
+def mesh_of(triangles: NDArray, color=(200, 200, 200), normals: NDArray | None = None) -> Mesh:
+    """A mesh of loose triangles [T, 3, 3]."""
+    vertices = np.asarray(triangles, np.float32).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    return Mesh(vertices=vertices, faces=faces, colors=np.tile(np.uint8(color), (len(vertices), 1)), normals=normals)
+
+
+def rays(camera: Camera) -> NDArray[np.float64]:
+    """Directions [H*W, 3] in camera space with z = 1."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    return np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
+
+
+def cast(triangles: NDArray, camera: Camera) -> tuple[NDArray, NDArray, NDArray]:
+    """Nearest depth, triangle and "this is clear" [H, W] by testing every triangle, in float64."""
+    p = (np.asarray(triangles, np.float32).astype(np.float64) - camera.pose[:3, 3]) @ camera.pose[:3, :3]
+    a, b, c = p[:, 0], p[:, 1], p[:, 2]
+    d = rays(camera)
+    with np.errstate(all="ignore"):
+        edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 1)  # [T, 3, 3]
+        numerators = np.einsum("nk,tek->nte", d, edges)
+        total = d @ np.cross(b - a, c - a).T
+        bary = numerators / total[..., None]
+        depth = np.einsum("tk,tk->t", a, np.cross(b - a, c - a)) / total
+    lowest = bary.min(-1)
+    ahead = np.isfinite(depth) & (depth > 0)
+    # in pixels, too: a sliver is narrow in pixels while its barycentrics are not
+    steps = np.abs(edges[:, :, :2] / np.array([camera.fx, camera.fy])).sum(-1)
+    with np.errstate(all="ignore"):
+        pixel_distance = (np.abs(numerators) / steps).min(-1)
+    hit = ahead & (lowest >= 0)
+    z = np.where(hit, depth, np.inf)
+    best = z.argmin(1)
+    nearest = z[np.arange(len(z)), best]
+    unsure = ahead & (lowest > -EDGE) & ((np.abs(lowest) < EDGE) | (pixel_distance < EDGE))
+    unsure &= depth < nearest[:, None] + 1e-3
+    ties = (z < (nearest + 1e-3 * np.maximum(1, nearest))[:, None]).sum(1) > 1  # coplanar: either id is right
+    shape = (camera.height, camera.width)
+    ids = np.where(np.isfinite(nearest), np.where(ties, -2, best), -1)
+    return (
+        np.where(np.isfinite(nearest), nearest, 0).reshape(shape),
+        ids.reshape(shape),
+        ~unsure.any(1).reshape(shape),
+    )
+
+
+def soup(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Triangles of every nasty kind around the origin [T, 3, 3]."""
+    small = rng.normal(size=(60, 1, 3)) * 4 + rng.normal(size=(60, 3, 3)) * rng.choice([0.03, 0.3, 1.5], (60, 1, 1))
+    through_eye = rng.normal(size=(6, 3, 3)) * 6
+    behind = rng.normal(size=(6, 3, 3)) * 3 + [0, 0, -4]
+    start = rng.normal(size=(10, 1, 3)) * 4
+    slivers = start + np.stack([np.zeros((10, 3)), rng.normal(size=(10, 3)) * 4, rng.normal(size=(10, 3)) * 0.01], 1)
+    floor = rng.uniform(-8, 8, (6, 3, 3)) * [1, 0, 1] + [0, 1, 0]
+    return np.concatenate([small, through_eye, behind, slivers, floor])
+
+
+def random_camera(rng: np.random.Generator) -> Camera:
+    width, height = (int(v) for v in rng.choice([[7, 5], [31, 23], [64, 64], [97, 41], [120, 90]]))
+    pose = look_at(rng.normal(size=3) * 0.3, rng.normal(size=3) * [2, 2, 2] + [0, 0, 3])
+    camera = pinhole(width, height, hfov_deg=float(rng.uniform(30, 140)), pose=pose)
+    # an off-centre principal point and pixels that are not square
+    k = dict(name="odd", width=width, height=height, fx=camera.fx, pose=pose)
+    shift = rng.uniform(-0.2, 0.2, 2)
+    return Camera(**k, fy=camera.fy * rng.uniform(0.8, 1.25), cx=width * (0.5 + shift[0]), cy=height * (0.5 + shift[1]))
+
+
+def draw(triangles: NDArray, camera: Camera) -> dict[str, NDArray]:
+    scene = RenderScene([mesh_of(triangles)], [RenderInstance(0, np.eye(4))])
+    poisoned = {
+        "depth": np.full((camera.height, camera.width), np.inf, np.float32),
+        "triangle": np.full((camera.height, camera.width), 12345, np.int32),
+    }
+    return Renderer(scene).render(camera, outputs=("depth", "triangle", "instance"), out=poisoned)
+
+
+def assert_same(picture: dict[str, NDArray], triangles: NDArray, camera: Camera) -> int:
+    depth, ids, clear = cast(triangles, camera)
+    error = np.abs(picture["depth"] - depth)[clear]
+    assert (error <= np.maximum(1e-4, 1e-4 * depth[clear])).all(), f"worst {error.max()} m of {camera}"
+    known = clear & (ids != -2)
+    np.testing.assert_array_equal(picture["triangle"][known], ids[known])
+    np.testing.assert_array_equal(picture["instance"] >= 0, picture["depth"] > 0)
+    return int(clear.sum())
+
+
+def test_random_soups_equal_the_ray_caster():
+    rng = np.random.default_rng(1)
+    checked = total = 0
+    for _ in range(60):
+        triangles, camera = soup(rng), random_camera(rng)
+        checked += assert_same(draw(triangles, camera), triangles, camera)
+        total += camera.width * camera.height
+    assert checked > 0.9 * total, "too few pixels were clear of edges to mean anything"
+
+
+def grid(n: int, size: float = 4.0, y: float = 0.0) -> NDArray[np.float64]:
+    """A floor of 2 n^2 triangles [T, 3, 3] around the origin."""
+    s = np.linspace(-size / 2, size / 2, n + 1)
+    x, z = np.meshgrid(s[:-1], s[:-1], indexing="ij")
+    d = size / n
+    a = np.stack([x, np.full_like(x, y), z], -1).reshape(-1, 3)
+    b, c, e = a + [d, 0, 0], a + [d, 0, d], a + [0, 0, d]
+    return np.concatenate([np.stack([a, c, b], 1), np.stack([a, e, c], 1)])
+
+
+@pytest.mark.parametrize("n", [1, 3, 17, 90])
+@pytest.mark.parametrize("size", [(64, 48), (211, 133)])
+def test_closed_surfaces_have_no_cracks(n, size):
+    # pitfalls: -0.0 in a gradient (holes), inside tolerance of slivers, the exact test of one-pixel boxes
+    rng = np.random.default_rng(n)
+    triangles = grid(n)
+    for eye in ([0, 1.3, 0], [0, 2, 1e-3], *(rng.uniform([-0.4, 0.3, -0.4], [0.4, 0.9, 0.4]) for _ in range(6))):
+        camera = pinhole(*size, hfov_deg=60, pose=look_at(eye, [eye[0], 0, eye[2]]))
+        picture = draw(triangles, camera)
+        inside = cast(grid(1, 3.9), camera)[0] > 0
+        assert (picture["depth"][inside] > 0).all(), f"a hole from {eye}"
+        np.testing.assert_allclose(picture["depth"][inside], eye[1], atol=1e-5)
+
+
+def test_axis_aligned_edges_leave_no_holes():
+    # pitfall: right angles facing the camera give gradients of exactly 0, which must be +0 for the span division
+    s = np.float64([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    triangles = np.stack([s[[0, 1, 2]], s[[0, 2, 3]], s[[2, 1, 0]] + [1, 0, 0], s[[3, 2, 0]] + [1, 0, 0]])
+    for width in (20, 33, 50, 150, 400):
+        f = width / 2.0  # the squares span the whole width
+        camera = Camera(width=width, height=width // 2, fx=f, fy=f, cx=0, cy=0, pose=np.eye(4))
+        assert (draw(triangles, camera)["depth"] == 1).all()
+
+
+def test_slivers_are_drawn_exactly():
+    # pitfall: slivers lose their float32 edge functions; they go to the double path
+    rng = np.random.default_rng(5)
+    for _ in range(12):
+        a = rng.uniform([-1, -1, 2], [1, 1, 6], (40, 3))
+        along, across = rng.normal(size=(40, 3)) * 2, rng.normal(size=(40, 3)) * 0.004
+        triangles = np.stack([a, a + along, a + along * 0.5 + across], 1)
+        camera = pinhole(160, 120, hfov_deg=50)
+        assert_same(draw(triangles, camera), triangles, camera)
+
+
+def test_strong_perspective_is_drawn_exactly():
+    # pitfall: a triangle from 3 cm to 50 m (ratio of w above 4) needs the double path
+    triangles = np.float64([[[-0.02, 0.02, 0.03], [0.02, 0.02, 0.03], [0.3, 4, 50]], [[-9, 1, 0.5], [9, 1, 0.5], [0, 1, 90]]])
+    camera = pinhole(160, 120, hfov_deg=90)
+    assert_same(draw(triangles, camera), triangles, camera)
+
+
+def test_there_is_no_near_plane():
+    for distance in (0.5, 0.021, 0.019, 0.005, 0.0005):
+        camera = pinhole(33, 21, hfov_deg=90)
+        wall = np.float64([[[-9, -9, distance], [9, -9, distance], [0, 12, distance]]])
+        np.testing.assert_allclose(draw(wall, camera)["depth"], distance, rtol=1e-5)
+
+
+def test_clusters_at_the_eye_are_never_culled():
+    # pitfall: a cluster nearer than 2 cm takes the whole screen and is not tested against the coarse depth
+    near = grid(12, 6.0, y=0.0)
+    front = np.float64([[[-3, -3, 0.5], [3, -3, 0.5], [0, 5, 0.5]]])
+    triangles = np.concatenate([front, near])
+    camera = pinhole(96, 72, hfov_deg=100, pose=look_at([0, 0.015, 0], [0, 0.0, 1]))
+    assert_same(draw(triangles, camera), triangles, camera)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 5), (8, 8), (9, 17), (63, 65)])
+def test_padding_of_odd_sizes_never_shows(size):
+    # pitfall: blocks overrun the row, and tiles reach beyond the picture: padding counts as infinitely near
+    width, height = size
+    rng = np.random.default_rng(width)
+    far, near = grid(40, 30, 0.0), rng.uniform(-3, 3, (300, 3, 3)) + [0, 2, 0]
+    triangles = np.concatenate([near, far])
+    camera = pinhole(width, height, hfov_deg=80, pose=look_at([0, 6, 0.5], [0, 0, 0]))
+    assert_same(draw(triangles, camera), triangles, camera)
+
+
+def test_occlusion_tests_have_a_margin():
+    # pitfall: layers that nearly touch: the coarse depth must not skip the nearer one
+    layers = [grid(30, 8, y=-k * 2e-3) for k in range(12)]
+    camera = pinhole(128, 96, hfov_deg=70, pose=look_at([0.1, 3, 0.1], [0, 0, 0]))
+    for order in (layers, layers[::-1]):
+        scene = RenderScene([mesh_of(t) for t in order], [RenderInstance(k, np.eye(4)) for k in range(len(order))])
+        picture = Renderer(scene).render(camera, outputs=("instance",))["instance"]
+        top = 0 if order is layers else len(layers) - 1
+        assert (picture[cast(grid(1, 7.9), camera)[0] > 0] == top).all()
+
+
+def test_degenerate_triangles_and_cluster_padding_are_never_drawn():
+    # 13 triangles: the second packet is padded with collapsed ones
+    line = np.tile(np.float64([[[-1, 0, 2], [1, 0, 2], [0, 0, 2]]]), (6, 1, 1))
+    points = np.tile(np.float64([[[0.1, 0.1, 2]] * 3]), (7, 1, 1))
+    near = np.tile(np.float64([[[0.0, 0.0, 0.001]] * 3]), (3, 1, 1))
+    picture = draw(np.concatenate([line, points, near]), pinhole(65, 49, hfov_deg=60))
+    assert (picture["triangle"] == -1).all()
+    assert (picture["depth"] == 0).all()
+
+
+def test_depth_lies_on_the_plane_of_the_reported_triangle():
+    rng = np.random.default_rng(8)
+    triangles = rng.normal(size=(4000, 1, 3)) * 3 + rng.normal(size=(4000, 3, 3)) * 0.3
+    camera = pinhole(224, 171, hfov_deg=55, pose=look_at([0, 0, -8], [0, 0, 0]))
+    picture = draw(triangles, camera)
+    hit = picture["triangle"] >= 0
+    assert hit.mean() > 0.3
+    p = (triangles.astype(np.float32).astype(np.float64) - camera.pose[:3, 3]) @ camera.pose[:3, :3]
+    p = p[picture["triangle"][hit]]
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    d = rays(camera)[hit.ravel()]
+    slope = np.abs((d * normal).sum(1)) / np.linalg.norm(normal, axis=1)
+    depth = (p[:, 0] * normal).sum(1) / (d * normal).sum(1)
+    assert np.abs(depth - picture["depth"][hit])[slope > 0.02].max() < 1e-4
+
+
+def test_pictures_repeat_bit_for_bit():
+    rng = np.random.default_rng(2)
+    triangles, camera = soup(rng), pinhole(97, 41, hfov_deg=90)
+    scene = RenderScene([mesh_of(triangles)], [RenderInstance(0, np.eye(4))])
+    first, again = Renderer(scene).render(camera), Renderer(scene)
+    again.render(pinhole(33, 50, hfov_deg=20))
+    for name, picture in again.render(camera).items():
+        np.testing.assert_array_equal(picture, first[name])
+
+
+def test_an_unknown_output_is_refused():
+    with pytest.raises(InputError, match="There are: depth, instance"):
+        Renderer(RenderScene([], [])).render(pinhole(4, 4, hfov_deg=60), outputs=("dpeth",))  # type: ignore[arg-type]
