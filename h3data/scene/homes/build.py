@@ -1,0 +1,165 @@
+"""`build_home`: plan, structure, furniture and small things put together into one `Scene`."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from h3data.errors import SceneError
+from h3data.geometry import IDENTITY_POSE, quat_from_heading
+from h3data.scene.homes import structure
+from h3data.scene.homes.check import faults
+from h3data.scene.homes.clutter import clutter, object_assets
+from h3data.scene.homes.furniture_living import ceiling_lamp
+from h3data.scene.homes.layout import WALL_HEIGHT, Layout, plan_layout
+from h3data.scene.homes.place import Placed, RoomState, room_state
+from h3data.scene.homes.rooms import FURNISH, NoRoomError
+from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
+from h3data.scene.homes.style import Style, draw_style
+from h3data.scene.records import Asset, Instance, Room, Scene
+
+_log = logging.getLogger(__name__)
+_ATTEMPTS = 12
+
+
+class _Collector:
+    """Assets and instances of a home that is being put together; names are given in order of appearance."""
+
+    def __init__(self) -> None:
+        self.assets: dict[str, Asset] = {}
+        self.instances: list[Instance] = []
+        self._names: dict[int, str] = {}
+        self._kinds: dict[str, int] = {}
+        self._count: dict[str, int] = {}
+
+    def structure(self, asset: Asset, layer: str = "") -> None:
+        self.assets[asset.name] = asset
+        self.instances.append(
+            Instance(
+                name=asset.name,
+                asset=asset.name,
+                pose=IDENTITY_POSE.copy(),
+                semantic_id=CATEGORIES[asset.category],
+                layer=layer,
+            )
+        )
+
+    def furniture(self, placed: Placed) -> Instance:
+        asset = placed.piece.asset
+        if id(asset) not in self._names:
+            number = self._kinds[asset.category] = self._kinds.get(asset.category, -1) + 1
+            name = self._names[id(asset)] = f"{asset.category}_model_{number}"
+            self.assets[name] = Asset(
+                name=name, mesh=asset.mesh, category=asset.category, shapes=asset.shapes, receptacles=asset.receptacles
+            )
+        number = self._count[asset.category] = self._count.get(asset.category, -1) + 1
+        heading = placed.quarter * np.pi / 2 + placed.yaw
+        pose = np.concatenate([[placed.x, placed.y, placed.z], quat_from_heading(heading)])
+        instance = Instance(
+            name=f"{asset.category}_{number}",
+            asset=self._names[id(asset)],
+            pose=pose,
+            semantic_id=CATEGORIES[asset.category],
+            layer=placed.layer,
+        )
+        self.instances.append(instance)
+        return instance
+
+
+def build_home(spec: HomeSpec) -> Scene:
+    """A furnished home: rooms, walls with doors and windows, furniture, small things to carry.
+
+    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z). The ceiling and its lamps
+    are in the layer ``ceiling``. The same spec gives the same bytes. Every room and every receptacle can be reached by
+    a disc of 0.30 m radius; plans for which that fails are drawn again, at most 12 times.
+    """
+    reasons = []
+    for attempt in range(_ATTEMPTS):
+        try:
+            scene = _attempt(spec, attempt)
+        except SceneError as error:
+            reasons.append(str(error))
+            _log.debug("%s, attempt %d: %s", spec, attempt, error)
+            continue
+        found = faults(scene)
+        if not found:
+            return scene
+        reasons += found
+        _log.debug("%s, attempt %d: %s", spec, attempt, "; ".join(found))
+    raise SceneError(
+        f"No home found for {spec} in {_ATTEMPTS} attempts; last reason: {reasons[-1]} Hint: use another seed."
+    )
+
+
+def _attempt(spec: HomeSpec, attempt: int) -> Scene:
+    layout = plan_layout(spec, attempt)
+    style = draw_style(stage_rng(spec, "style", attempt), layout)
+    states = _furnish(spec, attempt, layout, style)
+    home = _Collector()
+    _add_structure(home, layout, style, spec, attempt)
+    pieces: list[tuple[Instance, Asset]] = []
+    for state in states:
+        for placed in state.placed:
+            instance = home.furniture(placed)
+            pieces.append((instance, home.assets[instance.asset]))
+    rng = stage_rng(spec, "lamps", attempt)
+    lamp = ceiling_lamp(rng, style)
+    for room in layout.rooms:
+        x0, z0, x1, z1 = room.interior
+        home.furniture(
+            Placed(
+                piece=lamp, room=room.name, x=(x0 + x1) / 2, z=(z0 + z1) / 2, quarter=0, y=WALL_HEIGHT, layer="ceiling"
+            )
+        )
+    rng = stage_rng(spec, "clutter", attempt)
+    variants = object_assets(rng, style)
+    things = clutter(rng, variants, pieces)
+    used = {i.asset for i in things}
+    home.assets.update({a.name: a for group in variants.values() for a in group if a.name in used})
+    rooms = tuple(
+        Room(name=r.name, category=r.category, rectangles=np.array([r.rect], np.float64)) for r in layout.rooms
+    )
+    return Scene(
+        name=f"home_{spec.preset}_{spec.seed}",
+        assets=home.assets,
+        instances=(*home.instances, *things),
+        rooms=rooms,
+        source={"kind": "home", "preset": spec.preset, "seed": int(spec.seed)},
+    )
+
+
+def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list[RoomState]:
+    """All rooms with their furniture. The dining table stands in the kitchen if that is large, else in the living."""
+    kitchen = next(r for r in layout.rooms if r.category == "kitchen")
+    in_kitchen = kitchen.area > 10.5
+    states = []
+    for room in layout.rooms:
+        dining = {"kitchen": in_kitchen, "living": not in_kitchen}.get(room.category, False)
+        last: NoRoomError | None = None
+        for again in range(3):
+            state = room_state(layout, room)
+            try:
+                FURNISH[room.category](stage_rng(spec, f"furnish/{room.name}/{again}", attempt), style, state, dining)
+                states.append(state)
+                break
+            except NoRoomError as error:
+                last = error
+        else:
+            raise SceneError(str(last))
+    return states
+
+
+def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpec, attempt: int) -> None:
+    rng = stage_rng(spec, "structure", attempt)
+    home.structure(structure.walls_asset(layout, style, rng))
+    for room in layout.rooms:
+        mesh = structure.floor_mesh(room, style, rng)
+        home.structure(Asset(name=f"floor_{room.name}", mesh=mesh, category="floor"))
+    home.structure(structure.ceiling_asset(layout, style), layer="ceiling")
+    home.structure(structure.trim_asset(layout, style))
+    for i, opening in enumerate(o for o in layout.openings if o.kind == "window"):
+        home.structure(structure.window_asset(layout, opening, i, style))
+    for opening in layout.openings:
+        if opening.kind == "entrance":
+            home.structure(structure.entrance_asset(layout, opening, style))

@@ -1,0 +1,127 @@
+"""What a piece of furniture is, and the helpers that all of them are built with.
+
+Asset frame: origin on the floor under the middle of the footprint, +Y up, the front looks along +Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from h3data.geometry import IDENTITY_POSE
+from h3data.scene.homes.solids import Color, MeshBuilder, vary
+from h3data.scene.homes.style import Style
+from h3data.scene.records import Asset, Box, Cylinder, Receptacle, Shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Furniture:
+    """One parametric asset with what the placement has to know about it."""
+
+    asset: Asset
+    size: tuple[float, float, float]
+    """Footprint and height: x, y, z [m]."""
+    front_m: float = 0.0
+    """Depth of the strip along the front that stays free for its users [m]."""
+    wall_gap_m: float = 0.02
+    """Distance of its back from the wall [m]."""
+
+    @property
+    def solid(self) -> bool:
+        return bool(self.asset.shapes)
+
+
+Maker = Callable[[np.random.Generator, Style], Furniture]
+
+
+def box_part(center: Sequence[float], size: Sequence[float]) -> Box:
+    """Collision box by its middle and whole size."""
+    pose = IDENTITY_POSE.copy()
+    pose[:3] = center
+    return Box(pose=pose, half_extents=np.asarray(size, float) / 2)
+
+
+def cylinder_part(center: Sequence[float], radius: float, height: float) -> Cylinder:
+    """Upright collision cylinder by its middle."""
+    pose = IDENTITY_POSE.copy()
+    pose[:3] = center
+    return Cylinder(pose=pose, radius=radius, half_height=height / 2)
+
+
+def surface(name: str, center: Sequence[float], size: Sequence[float], clearance: float) -> Receptacle:
+    """A place to put things on: middle of the surface, whole size along x and z, free height above."""
+    return Receptacle(
+        name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
+    )
+
+
+def finish(
+    category: str,
+    mesh: MeshBuilder,
+    size: tuple[float, float, float],
+    *,
+    shapes: Sequence[Shape] = (),
+    receptacles: Sequence[Receptacle] = (),
+    front: float = 0.0,
+    wall_gap: float = 0.02,
+) -> Furniture:
+    """The record of a piece just built; the caller of the maker gives the asset its final name."""
+    asset = Asset(
+        name=category, mesh=mesh.mesh(), category=category, shapes=tuple(shapes), receptacles=tuple(receptacles)
+    )
+    return Furniture(asset=asset, size=size, front_m=front, wall_gap_m=wall_gap)
+
+
+def legs(mesh: MeshBuilder, half_x: float, half_z: float, top: float, color: Color, thick: float = 0.05) -> list[Shape]:
+    """Four square legs under a top; gives back their collision boxes."""
+    shapes: list[Shape] = []
+    for sx in (-1, 1):
+        for sz in (-1, 1):
+            center = (sx * half_x, top / 2, sz * half_z)
+            mesh.box(center, (thick, top, thick), color, bevel=0.004)
+            shapes.append(box_part(center, (thick, top, thick)))
+    return shapes
+
+
+def cabinet_front(
+    mesh: MeshBuilder,
+    x: tuple[float, float],
+    y: tuple[float, float],
+    z: float,
+    color: Color,
+    handle: Color,
+    *,
+    knob: str = "top",
+) -> None:
+    """A door or drawer front with a thin shadow gap round it and a bar handle; ``z`` is the carcass front."""
+    (x0, x1), (y0, y1), gap = x, y, 0.004
+    mesh.span((x0 + gap, y0 + gap, z), (x1 - gap, y1 - gap, z + 0.018), color, bevel=0.003)
+    middle = (x0 + x1) / 2
+    if knob == "none":
+        return
+    if knob == "top":
+        bar = min(0.16, 0.5 * (x1 - x0))
+        mesh.box((middle, y1 - 0.05, z + 0.03), (bar, 0.012, 0.024), handle)
+    else:
+        at = x1 - 0.05 if knob == "right" else x0 + 0.05
+        mesh.box((at, (y0 + y1) / 2, z + 0.03), (0.012, min(0.3, 0.5 * (y1 - y0)), 0.024), handle)
+
+
+_SPINES: tuple[Color, ...] = (
+    (150, 52, 44), (44, 74, 112), (58, 96, 74), (196, 160, 84), (222, 214, 196), (88, 66, 54), (110, 118, 128), (122, 72, 96)
+)  # fmt: skip
+
+
+def books(
+    mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
+) -> None:
+    """A row of upright books between two x, standing at height y."""
+    at = x[0]
+    while at < x[1] - 0.05:
+        thick = rng.uniform(0.018, 0.045)
+        height, depth = tall * rng.uniform(0.7, 1.0), (z[1] - z[0]) * rng.uniform(0.75, 0.98)
+        color = _SPINES[int(rng.integers(len(_SPINES)))]
+        mesh.span((at, y, z[0]), (at + thick - 0.002, y + height, z[0] + depth), vary(rng, color, 0.12), bevel=0.002)
+        at += thick

@@ -1,0 +1,354 @@
+"""Putting furniture into one room: against walls or free, never in front of doors, everybody still able to walk.
+
+A group is given in a frame with z = 0 at the wall behind it, +z into the room and x = 0 in its middle. Side k of a room
+is the wall that a piece turned by k quarters (about +y) backs onto: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from h3data.scene.homes.furniture import Furniture
+from h3data.scene.homes.layout import Layout, Opening, Rect, RoomPlan
+
+WALK_RADIUS = 0.30
+"""A person's disc (spec/habitat.md: humanoid radius 0.3): free space is judged with it [m]."""
+GAP_BAND = (0.45, 0.60)
+"""Free gaps that are not left: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (navigation-and-stepping.md 2.4) [m]."""
+_DOOR_DEPTH = 0.8
+_TALL = 0.88
+"""Higher things do not stand before windows [m]."""
+_REACH = {"desk": 0.85, "dining_table": 0.65}
+"""How far off the walkable area may end, where a chair stands in between; 0.36 m otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """One piece of a group, in the group's frame."""
+
+    piece: Furniture
+    x: float = 0.0
+    z: float = 0.0
+    quarter: int = 0
+    yaw: float = 0.0
+    """A small extra turn, for chairs that people left as they are [rad]."""
+    y: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """One piece where it stands in the world."""
+
+    piece: Furniture
+    room: str
+    x: float
+    z: float
+    quarter: int
+    yaw: float = 0.0
+    y: float = 0.0
+    layer: str = ""
+
+
+@dataclass
+class RoomState:
+    """What stands in a room so far; the search adds to it."""
+
+    room: RoomPlan
+    doors: list[tuple[int, Opening]]
+    """(side, opening) of doors and wide openings that people walk through."""
+    windows: list[tuple[int, Opening]]
+    keep: list[Rect]
+    """Floor that stays free before doors."""
+    placed: list[Placed] = field(default_factory=list)
+    solids: list[Rect] = field(default_factory=list)
+    fronts: list[Rect] = field(default_factory=list)
+    rugs: list[Rect] = field(default_factory=list)
+    goals: list[tuple[Rect, float]] = field(default_factory=list)
+    """Edges (flat rectangles) that a walker has to come near, and how near [m]."""
+
+    @property
+    def interior(self) -> Rect:
+        return self.room.interior
+
+
+def room_state(layout: Layout, room: RoomPlan) -> RoomState:
+    """An empty room with its doors and windows."""
+    doors, windows, keep = [], [], []
+    for o in layout.openings:
+        if room.name not in o.rooms:
+            continue
+        x0, z0, x1, z1 = room.rect
+        side = (0 if abs(o.line - z0) < 1e-9 else 2) if o.axis == 0 else (1 if abs(o.line - x0) < 1e-9 else 3)
+        if o.kind == "window":
+            windows.append((side, o))
+            continue
+        low, high = o.span[0] - 0.05, o.span[1] + 0.05
+        keep.append(_strip(room.interior, side, low, high, _DOOR_DEPTH))
+        doors.append((side, o))
+    return RoomState(room=room, doors=doors, windows=windows, keep=keep)
+
+
+def _strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
+    """Rectangle along a wall, ``depth`` into the room."""
+    x0, z0, x1, z1 = interior
+    if side == 0:
+        return low, z0, high, z0 + depth
+    if side == 1:
+        return x0, low, x0 + depth, high
+    if side == 2:
+        return low, z1 - depth, high, z1
+    return x1 - depth, low, x1, high
+
+
+def side_span(interior: Rect, side: int) -> tuple[float, float]:
+    """Both ends of a wall along its axis."""
+    return (interior[0], interior[2]) if side % 2 == 0 else (interior[1], interior[3])
+
+
+def side_depth(interior: Rect, side: int) -> float:
+    """Distance from a wall to the one opposite."""
+    return interior[3] - interior[1] if side % 2 == 0 else interior[2] - interior[0]
+
+
+def turned(quarter: int, x: float, z: float) -> tuple[float, float]:
+    """(x, z) turned by quarters about +y: +z goes to +x."""
+    return ((x, z), (z, -x), (-x, -z), (-z, x))[quarter % 4]
+
+
+def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
+    """World (x, z) of the group frame's origin on a wall."""
+    return ((u, interior[1]), (interior[0], u), (u, interior[3]), (interior[2], u))[side]
+
+
+def _around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
+    a, b = (width / 2, depth / 2) if quarter % 2 == 0 else (depth / 2, width / 2)
+    return x - a, z - b, x + a, z + b
+
+
+def footprint(p: Placed) -> Rect:
+    """Plan rectangle of a piece; small extra turns are not counted."""
+    return _around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
+
+
+def front_strip(p: Placed, depth: float) -> Rect:
+    """Plan rectangle before a piece's front."""
+    dx, dz = turned(p.quarter, 0.0, p.piece.size[2] / 2 + depth / 2)
+    return _around(p.x + dx, p.z + dz, p.piece.size[0], depth, p.quarter)
+
+
+def overlap(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
+    return a[0] < b[2] - slack and b[0] < a[2] - slack and a[1] < b[3] - slack and b[1] < a[3] - slack
+
+
+def _inside(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
+    return a[0] >= b[0] - slack and a[1] >= b[1] - slack and a[2] <= b[2] + slack and a[3] <= b[3] + slack
+
+
+def gap(a: Rect, b: Rect) -> float:
+    """Free distance between two rectangles, 0 if they meet [m]."""
+    dx = max(b[0] - a[2], a[0] - b[2], 0.0)
+    dz = max(b[1] - a[3], a[1] - b[3], 0.0)
+    return float(np.hypot(dx, dz))
+
+
+def _gap_refused(value: float) -> bool:
+    return GAP_BAND[0] < value < GAP_BAND[1]
+
+
+def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
+    """The group's pieces in the world, with its frame at ``origin`` turned by ``side`` quarters."""
+    out = []
+    for m in members:
+        dx, dz = turned(side, m.x, m.z)
+        out.append(
+            Placed(
+                piece=m.piece,
+                room=state.room.name,
+                x=origin[0] + dx,
+                z=origin[1] + dz,
+                quarter=(side + m.quarter) % 4,
+                yaw=m.yaw,
+                y=m.y,
+            )
+        )
+    return out
+
+
+def _fits(state: RoomState, group: Sequence[Placed]) -> bool:
+    """The cheap tests: inside, apart from everything, doors and windows free, no gap that is neither open nor shut."""
+    interior = state.interior
+    for p in group:
+        if not p.piece.solid or p.y > 0:
+            continue
+        rect = footprint(p)
+        if not _inside(rect, interior):
+            return False
+        if any(overlap(rect, other) for other in (*state.solids, *state.fronts, *state.keep)):
+            return False
+        if any(_gap_refused(gap(rect, other)) for other in state.solids):
+            return False
+        if any(_gap_refused(abs(rect[i] - interior[i])) for i in range(4)):
+            return False
+        if p.piece.front_m > 0:
+            front = front_strip(p, p.piece.front_m)
+            if not _inside(front, interior) or any(overlap(front, other) for other in state.solids):
+                return False
+        if p.piece.size[1] > _TALL and any(overlap(rect, w) for w in _window_strips(state)):
+            return False
+    return True
+
+
+def _window_strips(state: RoomState) -> list[Rect]:
+    return [_strip(state.interior, side, o.span[0] - 0.05, o.span[1] + 0.05, 0.35) for side, o in state.windows]
+
+
+def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
+    goals = []
+    for p in group:
+        if p.y > 0 or not p.piece.solid or not (p.piece.front_m > 0 or p.piece.asset.receptacles):
+            continue
+        near = _REACH.get(p.piece.asset.category, WALK_RADIUS + 0.06)
+        faced = p.piece.front_m > 0 or p.piece.asset.category in ("nightstand", "desk")
+        goals.append((front_strip(p, 0.002) if faced else footprint(p), near))
+    return goals
+
+
+def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
+    """Whether one island of the free floor, for a disc of `WALK_RADIUS`, joins all doors and comes near all goals."""
+    import shapely
+
+    solids = [*state.solids, *(footprint(p) for p in extra if p.piece.solid and p.y == 0)]
+    floor = [shapely.box(*state.interior)]
+    anchors = []
+    for side, o in state.doors:
+        # The disc must stand in the doorway: widen the floor through it by a little more than the disc.
+        strip = np.array(_strip(state.interior, side, *o.span, 0.1))
+        out = np.array([(0, -1, 0, 0), (-1, 0, 0, 0), (0, 0, 0, 1), (0, 0, 1, 0)][side]) * 0.5
+        floor.append(shapely.box(*(strip + out)))
+        x, z = wall_point(state.interior, side, sum(o.span) / 2)
+        dx, dz = turned(side, 0.0, 0.02)
+        anchors.append(shapely.Point(x + dx, z + dz))
+    free = shapely.union_all(floor)
+    if solids:
+        free = free.difference(shapely.union_all([shapely.box(*r) for r in solids]))
+    parts = shapely.get_parts(free.buffer(-WALK_RADIUS, quad_segs=4))
+    if not len(parts):
+        return False
+    main = max(parts, key=lambda part: part.area)
+    if sum(part.area for part in parts) - main.area > 0.02 or any(not main.intersects(a) for a in anchors):
+        return False
+    goals = [*state.goals, *_goals(extra)]
+    return not goals or bool(
+        np.all(shapely.distance(main, [shapely.box(*r) for r, _ in goals]) <= [near for _, near in goals])
+    )
+
+
+def commit(state: RoomState, group: Sequence[Placed]) -> None:
+    """Takes a group into the room. Rugs that would leave the room or cover another rug are left out."""
+    for p in group:
+        if p.piece.asset.category == "rug":
+            rect = footprint(p)
+            if not _inside(rect, state.interior) or any(overlap(rect, other) for other in state.rugs):
+                continue
+            state.rugs.append(rect)
+        elif p.piece.solid and p.y == 0:
+            state.solids.append(footprint(p))
+            if p.piece.front_m > 0:
+                state.fronts.append(front_strip(p, p.piece.front_m))
+        state.placed.append(p)
+    state.goals += _goals(group)
+
+
+def _extent(members: Sequence[Member]) -> tuple[float, float]:
+    """Smallest and largest x of a group in its own frame."""
+    rects = [_around(m.x, m.z, m.piece.size[0], m.piece.size[2], m.quarter) for m in members if m.piece.solid]
+    return min(r[0] for r in rects), max(r[2] for r in rects)
+
+
+def _positions(
+    rng: np.random.Generator, state: RoomState, side: int, low: float, high: float, *, corner: bool, middle: bool
+) -> list[tuple[float, float]]:
+    """(cost, u) of promising places of a group's origin along a wall; ``low`` and ``high`` are its ends about u."""
+    a, b = side_span(state.interior, side)
+    first, last = a - low + 0.02, b - high - 0.02
+    if last < first:
+        return []
+    found = [(0.0 if corner else 0.5, first), (0.0 if corner else 0.5, last)]
+    found.append((0.0 if middle else 0.8, (first + last) / 2))
+    found += [(0.6, float(u)) for u in rng.uniform(first, last, 4)]
+    axis = side % 2
+    strip = _strip(state.interior, side, a, b, 0.5)
+    for rect in (*state.solids, *(k for k in state.keep)):
+        if overlap(rect, strip):
+            found += [(0.3, rect[axis] - high - 0.01), (0.3, rect[axis + 2] - low + 0.01)]
+    return [(cost, u) for cost, u in found if first <= u <= last]
+
+
+def mirrored(side: int) -> bool:
+    """Whether a group's +x points to lower u on this side."""
+    return side in (1, 2)
+
+
+def place_at_wall(
+    rng: np.random.Generator,
+    state: RoomState,
+    members: Sequence[Member],
+    *,
+    corner: bool = False,
+    middle: bool = False,
+    left_corner: bool = False,
+    sides: Sequence[int] = (0, 1, 2, 3),
+    tries: int = 6,
+) -> list[Placed] | None:
+    """Puts a group against some wall and gives it back, or None if no place is good.
+
+    ``corner`` or ``middle`` of a wall is preferred; ``left_corner`` insists on a wall at the group's left.
+    """
+    x0, x1 = _extent(members)
+    options = []
+    for side in sides:
+        low, high = (-x1, -x0) if mirrored(side) else (x0, x1)
+        places = _positions(rng, state, side, low, high, corner=corner, middle=middle)
+        if left_corner:
+            a, b = side_span(state.interior, side)
+            end = b - high - 0.015 if mirrored(side) else a - low + 0.015
+            places = [(0.0, end)] if places else []
+        options += [(cost + rng.uniform(0, 0.5), side, u) for cost, u in places]
+    for _, side, u in sorted(options):
+        group = at(state, members, wall_point(state.interior, side, u), side)
+        if not _fits(state, group):
+            continue
+        if walkable(state, group):
+            commit(state, group)
+            return group
+        tries -= 1
+        if tries <= 0:
+            break
+    return None
+
+
+def place_free(
+    rng: np.random.Generator, state: RoomState, members: Sequence[Member], *, tries: int = 5
+) -> list[Placed] | None:
+    """Puts a group (given about its own middle) where most room is left round it, or gives None."""
+    x0, z0, x1, z1 = state.interior
+    options = []
+    for _ in range(40):
+        origin, side = (float(rng.uniform(x0, x1)), float(rng.uniform(z0, z1))), int(rng.integers(4))
+        group = at(state, members, origin, side)
+        if not _fits(state, group):
+            continue
+        rects = [footprint(p) for p in group]
+        room = min(
+            min((gap(r, s) for r in rects for s in (*state.solids, *state.keep)), default=2.0),
+            min(min(r[0] - x0, r[1] - z0, x1 - r[2], z1 - r[3]) for r in rects),
+        )
+        options.append((-min(room, 1.2), len(options), group))
+    for _, _, group in sorted(options)[:tries]:
+        if walkable(state, group):
+            commit(state, group)
+            return group
+    return None

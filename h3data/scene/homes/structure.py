@@ -1,0 +1,314 @@
+"""Walls, floors, ceiling, windows and trim of a plan, as assets in world coordinates (their instances stand at 0)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from h3data.geometry import IDENTITY_POSE
+from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, Opening, Rect, RoomPlan, shared_wall
+from h3data.scene.homes.solids import Color, MeshBuilder, shade, vary
+from h3data.scene.homes.style import Style
+from h3data.scene.records import Asset, Box, Mesh
+
+_PLANK_WIDTH, _PLANK_LENGTH = 0.14, 1.2
+_TILE, _GROUT = 0.3, 0.006
+_BASEBOARD_HEIGHT, _BASEBOARD_DEPTH, _CASING_WIDTH = 0.09, 0.012, 0.07
+
+
+@dataclass(frozen=True)
+class WallBox:
+    """A solid piece of wall: plan rectangle and heights."""
+
+    rect: Rect
+    bottom: float
+    top: float
+
+
+def plan_box(axis: int, along: tuple[float, float], across: tuple[float, float]) -> Rect:
+    """Plan rectangle of a span along an axis (0 = x, 1 = z) and one across it."""
+    if axis == 0:
+        return along[0], across[0], along[1], across[1]
+    return across[0], along[0], across[1], along[1]
+
+
+def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]:
+    """Both faces of the wall that an opening cuts, on the axis across it."""
+    if len(opening.rooms) == 2:
+        return opening.line - WALL_THICKNESS / 2, opening.line + WALL_THICKNESS / 2
+    return (-WALL_THICKNESS, 0.0) if opening.line == 0 else (opening.line, opening.line + WALL_THICKNESS)
+
+
+def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
+    """(axis, line, low, high) of inner walls, neighbours on one line merged, ends cut where another wall passes."""
+    pieces: dict[tuple[int, float], list[tuple[float, float]]] = {}
+    rooms = layout.rooms
+    for i, a in enumerate(rooms):
+        for b in rooms[i + 1 :]:
+            wall = shared_wall(a.rect, b.rect)
+            if wall is not None:
+                pieces.setdefault(wall[:2], []).append(wall[2:])
+    merged = []
+    for (axis, line), spans in sorted(pieces.items()):
+        runs: list[list[float]] = []
+        for low, high in sorted(spans):
+            if runs and low <= runs[-1][1] + 1e-9:
+                runs[-1][1] = max(runs[-1][1], high)
+            else:
+                runs.append([low, high])
+        end = (layout.width, layout.depth)[axis]
+        for low, high in runs:
+            trimmed = low + (WALL_THICKNESS / 2 if low > 0 else 0), high - (WALL_THICKNESS / 2 if high < end else 0)
+            merged.append((axis, line, *trimmed))
+    return merged
+
+
+def _wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
+    """(axis, line, span along, span across) of every wall; outer walls along x take the corners."""
+    t, w, d = WALL_THICKNESS, layout.width, layout.depth
+    runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
+    runs += [(0, 0.0, (-t, w + t), (-t, 0.0)), (0, d, (-t, w + t), (d, d + t))]
+    runs += [(1, 0.0, (0.0, d), (-t, 0.0)), (1, w, (0.0, d), (w, w + t))]
+    return runs
+
+
+def wall_boxes(layout: Layout) -> list[WallBox]:
+    """Solid boxes of all walls, with lintels over doors and windows and parapets under windows."""
+    boxes = []
+    for axis, line, along, across in _wall_runs(layout):
+        cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9]
+        cuts = sorted((o for o in cuts if along[0] - 1e-6 <= o.span[0] <= along[1]), key=lambda o: o.span)
+        at = along[0]
+        for o in cuts:
+            boxes.append(WallBox(plan_box(axis, (at, o.span[0]), across), 0.0, WALL_HEIGHT))
+            boxes.append(WallBox(plan_box(axis, o.span, across), o.height[1], WALL_HEIGHT))
+            if o.height[0] > 0:
+                boxes.append(WallBox(plan_box(axis, o.span, across), 0.0, o.height[0]))
+            at = o.span[1]
+        boxes.append(WallBox(plan_box(axis, (at, along[1]), across), 0.0, WALL_HEIGHT))
+    return [b for b in boxes if b.rect[2] - b.rect[0] > 1e-6 and b.rect[3] - b.rect[1] > 1e-6]
+
+
+def box_shape(low: Iterable[float], high: Iterable[float]) -> Box:
+    """A collision box between two corners."""
+    a, b = np.array(list(low), float), np.array(list(high), float)
+    pose = IDENTITY_POSE.copy()
+    pose[:3] = (a + b) / 2
+    return Box(pose=pose, half_extents=(b - a) / 2)
+
+
+_Piece = tuple[float, float, float, float]  # u0 y0 u1 y1 on a wall's face
+
+
+def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece]:
+    """Rectangles of a wall face between two ends, without its openings."""
+    out, at = [], low
+    for o in sorted(openings, key=lambda o: o.span):
+        out += [(at, 0.0, o.span[0], WALL_HEIGHT), (o.span[0], o.height[1], o.span[1], WALL_HEIGHT)]
+        if o.height[0] > 0:
+            out.append((o.span[0], 0.0, o.span[1], o.height[0]))
+        at = o.span[1]
+    out.append((at, 0.0, high, WALL_HEIGHT))
+    return [p for p in out if p[2] - p[0] > 1e-6]
+
+
+def _face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
+    """Corners of a wall-face piece; ``outward`` is the sign of its normal on the axis across."""
+    u0, y0, u1, y1 = piece
+    ring = [(u0, y0), (u1, y0), (u1, y1), (u0, y1)]
+    if (outward > 0) == (axis == 1):
+        ring = ring[::-1]
+    return [(u, y, at) if axis == 0 else (at, y, u) for u, y in ring]
+
+
+def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, float, float, list[Opening]]]:
+    """(axis, face, inward sign, low, high, openings) of the four wall faces that look into a room."""
+    sides = []
+    for axis in (0, 1):
+        across = 1 - axis
+        for end, sign in ((across, 1), (across + 2, -1)):
+            line, face = room.rect[end], room.interior[end]
+            own = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9 and room.name in o.rooms]
+            sides.append((axis, face, sign, room.interior[axis], room.interior[axis + 2], own))
+    return sides
+
+
+def _tiled(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Piece]]:
+    """The pieces split into tiles below a height and the rest above it."""
+    tiles, rest = [], []
+    for u0, y0, u1, y1 in pieces:
+        if y0 >= height:
+            rest.append((u0, y0, u1, y1))
+            continue
+        top = min(y1, height)
+        if y1 > height:
+            rest.append((u0, height, u1, y1))
+        us = np.linspace(u0, u1, max(1, round((u1 - u0) / _TILE)) + 1).tolist()
+        ys = np.linspace(y0, top, max(1, round((top - y0) / _TILE)) + 1).tolist()
+        tiles += [(a, b, c, d) for a, c in zip(us[:-1], us[1:], strict=True) for b, d in zip(ys[:-1], ys[1:], strict=True)]
+    return tiles, rest
+
+
+def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset:
+    """All walls: painted per room inside, tiled up to 1.5 m in bathrooms; their boxes are the collision shapes."""
+    mesh = MeshBuilder()
+    for room in layout.rooms:
+        paint = style.paint[room.name]
+        for axis, face, sign, low, high, openings in room_sides(layout, room):
+            pieces = _pieces(low, high, openings)
+            if room.category == "bathroom":
+                tiles, pieces = _tiled(pieces, 1.5)
+                colors = [vary(rng, style.wall_tile, 0.05) for _ in tiles]
+                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors)
+            mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
+    t, w, d = WALL_THICKNESS, layout.width, layout.depth
+    for axis, line, at, sign in ((0, 0.0, -t, -1), (0, d, d + t, 1), (1, 0.0, -t, -1), (1, w, w + t, 1)):
+        outer = [o for o in layout.openings if len(o.rooms) == 1 and o.axis == axis and o.line == line]
+        pieces = _pieces(-t, (w, d)[axis] + t, outer)
+        mesh.quads([_face_quad(axis, at, sign, p) for p in pieces], style.facade)
+    for opening in layout.openings:
+        _reveal(mesh, layout, opening, style.trim)
+    for axis, _, along, across in _wall_runs(layout):
+        x0, z0, x1, z1 = plan_box(axis, along, across)
+        top = [(x0, WALL_HEIGHT, z1), (x1, WALL_HEIGHT, z1), (x1, WALL_HEIGHT, z0), (x0, WALL_HEIGHT, z0)]
+        mesh.quads([top], style.wall_top)
+    shapes = tuple(
+        box_shape((b.rect[0], b.bottom, b.rect[1]), (b.rect[2], b.top, b.rect[3])) for b in wall_boxes(layout)
+    )
+    return Asset(name="walls", mesh=mesh.mesh(), category="wall", shapes=shapes)
+
+
+def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -> None:
+    """The inner faces of an opening, through the thickness of the wall."""
+    c0, c1 = wall_thickness_span(layout, opening)
+    (u0, u1), (y0, y1) = opening.span, opening.height
+    across = 1 - opening.axis
+    mesh.quads([_face_quad(across, u0, 1, (c0, y0, c1, y1)), _face_quad(across, u1, -1, (c0, y0, c1, y1))], color)
+    x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
+    mesh.quads([[(x0, y1, z0), (x1, y1, z0), (x1, y1, z1), (x0, y1, z1)]], color)
+    if y0 > 0:
+        mesh.quads([[(x0, y0, z1), (x1, y0, z1), (x1, y0, z0), (x0, y0, z0)]], color)
+
+
+def _flat(rects: np.ndarray, y: float = 0.0) -> np.ndarray:
+    """Upward quads [Q, 4, 3] of plan rectangles [Q, 4]."""
+    x0, z0, x1, z1 = rects.T
+    height = np.full_like(x0, y)
+    ring = [(x0, z1), (x1, z1), (x1, z0), (x0, z0)]
+    return np.stack([np.stack([x, height, z], -1) for x, z in ring], 1)
+
+
+def _planks(rect: Rect, rng: np.random.Generator) -> np.ndarray:
+    """Plan rectangles [Q, 4] of staggered floor boards along the longer side."""
+    x0, z0, x1, z1 = rect
+    swap = (z1 - z0) > (x1 - x0)
+    a0, b0, a1, b1 = (z0, x0, z1, x1) if swap else rect
+    boards = []
+    rows = np.append(np.arange(b0, b1 - 0.03, _PLANK_WIDTH), b1)
+    for low, high in zip(rows[:-1], rows[1:], strict=True):
+        cuts = np.arange(a0 - rng.uniform(0, _PLANK_LENGTH), a1, _PLANK_LENGTH)
+        ends = np.concatenate([[a0], cuts[(cuts > a0 + 0.08) & (cuts < a1 - 0.08)], [a1]])
+        boards += [(s, low, e, high) for s, e in zip(ends[:-1], ends[1:], strict=True)]
+    out = np.array(boards)
+    return out[:, [1, 0, 3, 2]] if swap else out
+
+
+def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
+    """Boards with a tint each, or tiles with grout between them in kitchens and bathrooms."""
+    mesh = MeshBuilder()
+    if room.category not in ("kitchen", "bathroom"):
+        boards = _planks(room.rect, rng)
+        mesh.quads(_flat(boards), [vary(rng, style.floor_wood, 0.09) for _ in boards])
+        return mesh.mesh()
+    x0, z0, x1, z1 = room.rect
+    xs, zs = np.append(np.arange(x0, x1 - 0.02, _TILE), x1), np.append(np.arange(z0, z1 - 0.02, _TILE), z1)
+    a0, b0 = (v.ravel() for v in np.meshgrid(xs[:-1], zs[:-1], indexing="ij"))
+    a1, b1 = (v.ravel() for v in np.meshgrid(xs[1:], zs[1:], indexing="ij"))
+    tiles = np.stack([a0, b0, a1 - _GROUT, b1 - _GROUT], 1)
+    grout = np.concatenate([np.stack([a1 - _GROUT, b0, a1, b1], 1), np.stack([a0, b1 - _GROUT, a1 - _GROUT, b1], 1)])
+    tint = style.floor_tile[room.category]
+    mesh.quads(_flat(tiles), [vary(rng, tint, 0.04) for _ in tiles])
+    mesh.quads(_flat(grout), shade(tint, 0.72))
+    return mesh.mesh()
+
+
+def ceiling_asset(layout: Layout, style: Style) -> Asset:
+    """One slab over the whole home; hide its layer to look in from above."""
+    mesh = MeshBuilder()
+    t = WALL_THICKNESS
+    mesh.span((-t, WALL_HEIGHT, -t), (layout.width + t, WALL_HEIGHT + 0.1, layout.depth + t), style.ceiling)
+    return Asset(name="ceiling", mesh=mesh.mesh(), category="ceiling")
+
+
+def trim_asset(layout: Layout, style: Style) -> Asset:
+    """Baseboards along the walls and casings round the doors."""
+    mesh = MeshBuilder()
+    for room in layout.rooms:
+        for axis, face, sign, low, high, openings in room_sides(layout, room):
+            doors = [o for o in openings if o.kind != "window"]
+            depth = (face, face + sign * _BASEBOARD_DEPTH)
+            ends = [low, *(v for o in sorted(doors, key=lambda o: o.span) for v in o.span), high]
+            for i in range(0, len(ends), 2):
+                a = ends[i] + (_CASING_WIDTH if i > 0 else 0)
+                b = ends[i + 1] - (_CASING_WIDTH if i + 2 < len(ends) else 0)
+                if b - a > 0.01:
+                    _bar(mesh, axis, (a, b), depth, (0.0, _BASEBOARD_HEIGHT), style.trim)
+            for o in doors:
+                _casing(mesh, axis, o, (face, face + sign * 0.016), style.trim)
+    return Asset(name="trim", mesh=mesh.mesh(), category="trim")
+
+
+def _bar(
+    mesh: MeshBuilder,
+    axis: int,
+    along: tuple[float, float],
+    across: tuple[float, float],
+    height: tuple[float, float],
+    color: Color,
+) -> None:
+    x0, z0, x1, z1 = plan_box(axis, along, (min(across), max(across)))
+    mesh.span((x0, height[0], z0), (x1, height[1], z1), color)
+
+
+def _casing(mesh: MeshBuilder, axis: int, o: Opening, across: tuple[float, float], color: Color) -> None:
+    w, top = _CASING_WIDTH, o.height[1]
+    _bar(mesh, axis, (o.span[0] - w, o.span[0]), across, (0.0, top), color)
+    _bar(mesh, axis, (o.span[1], o.span[1] + w), across, (0.0, top), color)
+    _bar(mesh, axis, (o.span[0] - w, o.span[1] + w), across, (top, top + w), color)
+
+
+def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
+    """Frame, panes of sky and an inner sill."""
+    mesh = MeshBuilder()
+    c0, c1 = wall_thickness_span(layout, opening)
+    inner, outer = (c1, c0) if opening.line == 0 else (c0, c1)
+    into = 1 if opening.line == 0 else -1
+    (u0, u1), (y0, y1) = opening.span, opening.height
+    middle, bar = (c0 + c1) / 2, 0.045
+    frame = (middle - 0.03, middle + 0.03)
+    posts = [u0, (u0 + u1) / 2 - bar / 2, u1 - bar] if u1 - u0 > 0.8 else [u0, u1 - bar]
+    for u in posts:
+        _bar(mesh, opening.axis, (u, u + bar), frame, (y0 + bar, y1 - bar), style.trim)
+    _bar(mesh, opening.axis, (u0, u1), frame, (y0, y0 + bar), style.trim)
+    _bar(mesh, opening.axis, (u0, u1), frame, (y1 - bar, y1), style.trim)
+    _bar(mesh, opening.axis, (u0, u1), (middle - 0.005, middle + 0.005), (y0 + bar, y1 - bar), style.glass)
+    _bar(mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0), style.trim)
+    x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (min(inner, outer), max(inner, outer)))
+    shape = box_shape((x0, y0, z0), (x1, y1, z1))
+    return Asset(name=f"window_{index}", mesh=mesh.mesh(), category="window", shapes=(shape,))
+
+
+def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
+    """The closed front door."""
+    mesh = MeshBuilder()
+    c0, c1 = wall_thickness_span(layout, opening)
+    middle = (c0 + c1) / 2
+    (u0, u1), (_, y1) = opening.span, opening.height
+    _bar(mesh, opening.axis, (u0, u1), (middle - 0.025, middle + 0.025), (0.0, y1), style.front_door)
+    for low, high in ((0.18, 0.95), (1.1, y1 - 0.18)):
+        _bar(mesh, opening.axis, (u0 + 0.15, u1 - 0.15), (middle - 0.034, middle + 0.034), (low, high), shade(style.front_door, 1.12))
+    _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
+    x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
+    return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))

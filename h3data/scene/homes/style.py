@@ -1,0 +1,76 @@
+"""Colours of one home, drawn once so that its rooms and furniture go together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from h3data.scene.homes.layout import Layout
+from h3data.scene.homes.solids import Color, shade, vary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Style:
+    """sRGB colours."""
+
+    paint: Mapping[str, Color]
+    """Wall paint per room name."""
+    floor_wood: Color
+    floor_tile: Mapping[str, Color]
+    """Per room category."""
+    wall_tile: Color
+    wood: Color
+    wood_dark: Color
+    fabric: Color
+    fabric_2: Color
+    accent: Color
+    front: Color
+    """Fronts of kitchen and wardrobe."""
+    worktop: Color
+    front_door: Color
+    trim: Color = (244, 243, 239)
+    facade: Color = (214, 206, 192)
+    wall_top: Color = (120, 118, 115)
+    ceiling: Color = (246, 246, 243)
+    glass: Color = (186, 214, 235)
+    metal: Color = (176, 180, 184)
+    white: Color = (245, 245, 243)
+    black: Color = (38, 38, 42)
+
+
+_PAINTS = [(236, 231, 220), (222, 228, 224), (229, 222, 211), (214, 224, 231), (235, 226, 214), (225, 229, 215)]
+_FLOORS = [(178, 132, 86), (154, 108, 68), (196, 158, 112), (132, 92, 62), (186, 148, 108)]
+_TILES = [(206, 202, 194), (178, 184, 188), (222, 214, 200), (150, 156, 160)]
+_WOODS = [(186, 140, 92), (150, 100, 60), (206, 172, 128), (120, 78, 50), (224, 218, 208)]
+_FABRICS = [(98, 112, 128), (142, 126, 108), (84, 108, 96), (156, 92, 78), (176, 168, 156), (70, 84, 118)]
+_ACCENTS = [(204, 120, 62), (62, 122, 142), (192, 160, 70), (150, 66, 74), (96, 138, 92)]
+_FRONTS = [(238, 236, 230), (120, 138, 128), (92, 106, 124), (208, 196, 176), (214, 218, 220)]
+_WORKTOPS = [(86, 84, 82), (200, 194, 184), (140, 104, 70), (58, 60, 64)]
+
+
+def draw_style(rng: np.random.Generator, layout: Layout) -> Style:
+    """One harmonious set of colours."""
+
+    def pick(colors: list[tuple[int, int, int]], amount: float = 0.04) -> Color:
+        return vary(rng, colors[int(rng.integers(len(colors)))], amount)
+
+    base = pick(_PAINTS, 0.02)
+    paint = {r.name: base if r.category in ("living", "hall", "kitchen") else pick(_PAINTS, 0.02) for r in layout.rooms}
+    fabric, second = (_FABRICS[i] for i in rng.permutation(len(_FABRICS))[:2].tolist())
+    wood = pick(_WOODS)
+    return Style(
+        paint=paint,
+        floor_wood=pick(_FLOORS),
+        floor_tile={"kitchen": pick(_TILES), "bathroom": pick(_TILES)},
+        wall_tile=pick([(226, 232, 234), (206, 220, 224), (232, 228, 218)], 0.02),
+        wood=wood,
+        wood_dark=shade(wood, 0.72),
+        fabric=vary(rng, fabric),
+        fabric_2=vary(rng, second),
+        accent=pick(_ACCENTS),
+        front=pick(_FRONTS),
+        worktop=pick(_WORKTOPS),
+        front_door=pick([(112, 70, 46), (60, 84, 96), (120, 48, 44), (74, 92, 76)]),
+    )
