@@ -8,7 +8,7 @@ import importlib.metadata
 import io
 import uuid
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,7 +29,7 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.scene import CATEGORIES, FreeSpace, Scene, save_scene, scene_digest
-from sim_kinematic.collision import AgentContact
+from sim_kinematic.contact import RobotHumanContact
 from sim_kinematic.oracle import oracle_min_steps
 from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name
 from sim_kinematic.randomness import generator
@@ -45,9 +45,17 @@ BLOCK = 30
 
 
 class Sink(Protocol):
-    """What receives an episode while it runs: `h3data.recording.RecordingWriter` does."""
+    """What receives an episode while it runs; `h3data.recording.RecordingWriter` does."""
 
     def append(self, rows: dict[str, NDArray[Any]]) -> None: ...
+
+    def event(self, event: Event) -> None: ...
+
+    def skill(self, span: SkillSpan) -> int: ...
+
+    def close(self, *, info: dict[str, Any]) -> object: ...
+
+    def abort(self) -> None: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,20 +126,26 @@ def draw_starts(free: FreeSpace, seed: int, spec: SocialNavSpec) -> Starts:
 
 
 @dataclass
-class _Rows:
-    """The columns of an episode while it grows, handed on to a sink in blocks."""
+class _Log:
+    """The episode as it grows: blocks of rows and events, handed on to a sink."""
 
     sink: Sink | None
     rows: list[dict[str, Any]] = field(default_factory=list)
     blocks: list[dict[str, NDArray[Any]]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
     last_hash: int = 0
 
     def add(self, row: dict[str, Any]) -> None:
         self.rows.append(row)
         if len(self.rows) == BLOCK:
-            self.close_block()
+            self._close_block()
 
-    def close_block(self) -> None:
+    def event(self, event: Event) -> None:
+        self.events.append(event)
+        if self.sink is not None:
+            self.sink.event(event)
+
+    def _close_block(self) -> None:
         if not self.rows:
             return
         block = {name: np.stack([row[name] for row in self.rows]) for name in self.rows[0]}
@@ -144,7 +158,7 @@ class _Rows:
         self.rows = []
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        self.close_block()
+        self._close_block()
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
 
 
@@ -154,74 +168,91 @@ def simulate_social_nav(
     policy: str | Policy = "heuristic_expert",
     episode_id: str = "0",
     sink: Callable[[Recording], Sink] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Recording:
     """Run one episode to its end and return its recording.
 
-    ``sink`` is called once, with a recording that has no rows yet, and returns what receives the rows while they come;
-    ``progress`` is told the number of steps done.
+    ``sink`` is called once, with a recording that has no rows yet, and returns what receives rows and events while they
+    come, such as a `RecordingWriter`; it is closed at the end, aborted on an error. ``progress`` is called with 1 after
+    every step.
     """
-    spec, free = world.spec, world.free
     act = policy_by_name(policy) if isinstance(policy, str) else policy
     header = describe(world, episode_id=episode_id, policy=policy if isinstance(policy, str) else act.__name__)
-    rows = _Rows(sink(header) if sink is not None else None)
+    log = _Log(sink(header) if sink is not None else None)
+    try:
+        ended = _run(world, act, header, log, progress or (lambda _: None))
+        columns = log.columns()
+        info = {"ended": ended, "oracle_min_steps": _oracle(world)}
+        recording = _finished(header, columns, info, log.events)
+        if log.sink is not None:
+            for span in recording.skills:
+                log.sink.skill(span)
+            log.sink.close(info=info)
+    except BaseException:
+        if log.sink is not None:
+            log.sink.abort()
+        raise
+    return recording
+
+
+def _run(world: SocialNavWorld, act: Policy, header: Recording, log: _Log, progress: Callable[[int], object]) -> str:
+    """Step to the end of the episode; returns what ended it."""
+    spec, free = world.spec, world.free
     state = WorldState.zeros(1)
     state.robot_xz[0], state.robot_heading[0] = world.starts.robot_xz, world.starts.robot_heading
     state.human_xz[0], state.human_heading[0] = world.starts.human_xz, world.starts.human_heading
     human = WaypointHuman(free, world.seed, spec.human)
-    contact = AgentContact(world.robot, world.human)
+    contact = RobotHumanContact(world.robot, world.human)
     clip = world.human.clip_for_speed(spec.human.speed_mps)
-    met, events, ended = False, [], "max_steps"
+    person = header.agents[HUMAN].name
+    met = False
     geodesic = float(free.geodesic(state.robot_xz[0], state.human_xz[0]))
     for step in range(spec.max_steps):
-        view = View(free, state.robot_xz[0].copy(), float(state.robot_heading[0]), state.human_xz[0].copy(), geodesic, met)
+        view = View(
+            free, state.robot_xz[0].copy(), float(state.robot_heading[0]), state.human_xz[0].copy(), geodesic, met
+        )
         command = act(view, spec.robot)
-        goal_before = human.goal
-        walked_before = float(state.human_distance[0])
+        goal, walked = human.goal, float(state.human_distance[0])
         walk_humans(state, human.target(state.human_xz[0])[None], spec.human)
         drive_robots(state, free, np.array([[command.forward, command.turn]]), spec.robot)
-        walked = float(state.human_distance[0]) > walked_before
         geodesic = float(free.geodesic(state.robot_xz[0], state.human_xz[0]))
-        row = _row(world, state, clip, step)
-        row |= {
-            "agent_0.action": np.array([command.forward, command.turn], np.float32),
-            "agent_0.skill": np.int32(ROBOT_SKILLS.index(command.skill)),
-            "agent_1.skill": np.int32(HUMAN_SKILLS.index("walk" if walked else "turn")),
-            "sim.human_goal": np.int32(human.goal),
-            "sim.human_leg": np.int32(human.leg),
-        }
-        collision = contact.touching(row["agent_0.base_pose"], *_human_pose(world, row))
         facing = _facing(state)
-        found = spec.near_m <= geodesic <= spec.far_m and facing > spec.facing_dot
-        row |= {
-            "metrics.dist_agents": np.float32(np.hypot(*(state.human_xz[0] - state.robot_xz[0]))),
-            "metrics.geodesic_agents": np.float32(geodesic),
-            "metrics.facing": np.float32(facing),
-            "metrics.collision": np.bool_(collision),
-            "metrics.robot_contact": np.bool_(state.robot_contact[0]),
-        }
-        rows.add(row)
-        if human.goal != goal_before:
+        row = _row(world, state, clip, step)
+        collision = contact.touching(row["agent_0.base_pose"], row["agent_0.joint_pos"], *_human_pose(world, row))
+        log.add(
+            row
+            | {
+                "agent_0.action": np.array([command.forward, command.turn], np.float32),
+                "agent_0.skill": np.int32(ROBOT_SKILLS.index(command.skill)),
+                "agent_1.skill": np.int32(HUMAN_SKILLS.index("walk" if state.human_distance[0] > walked else "turn")),
+                "sim.human_goal": np.int32(human.goal),
+                "sim.human_leg": np.int32(human.leg),
+                "metrics.dist_agents": np.float32(np.hypot(*(state.human_xz[0] - state.robot_xz[0]))),
+                "metrics.geodesic_agents": np.float32(geodesic),
+                "metrics.facing": np.float32(facing),
+                "metrics.collision": np.bool_(collision),
+                "metrics.robot_contact": np.bool_(state.robot_contact[0]),
+            }
+        )
+        progress(1)
+        if human.goal != goal:
             x, z = human.goals[-1]
-            events.append(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
-        if found and not met:
+            log.event(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
+        if not met and spec.near_m <= geodesic <= spec.far_m and facing > spec.facing_dot:
             met = True
-            events.append(Event(step=step, agent=ROBOT, kind="found", target=header.agents[HUMAN].name))
+            log.event(Event(step=step, agent=ROBOT, kind="found", target=person))
         if collision:
-            events.append(Event(step=step, agent=ROBOT, kind="collision", target=header.agents[HUMAN].name))
+            log.event(Event(step=step, agent=ROBOT, kind="collision", target=person))
             if spec.end_on_collision:
-                ended = "collision"
-                break
-        if progress is not None:
-            progress(step + 1)
-    columns = rows.columns()
-    track = human_track(free, world.starts.human_xz, world.starts.human_heading, world.seed, spec.human, spec.max_steps)
-    info = dict(header.episode.info) | {
-        "ended": ended,
-        "human_goals": [[float(v) for v in goal] for goal in human.goals],
-        "oracle_min_steps": oracle_min_steps(free, world.starts.robot_xz, world.starts.robot_heading, track, spec),
-    }
-    return _finished(header, columns, info, events)
+                return "collision"
+    return "max_steps"
+
+
+def _oracle(world: SocialNavWorld) -> int | None:
+    """The oracle's minimum steps ``l``, from the person's whole track whether or not the episode lasted that long."""
+    starts, spec = world.starts, world.spec
+    track = human_track(world.free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps)
+    return oracle_min_steps(world.free, starts.robot_xz, starts.robot_heading, track, spec)
 
 
 def _facing(state: WorldState) -> float:
@@ -248,7 +279,7 @@ def _row(world: SocialNavWorld, state: WorldState, clip: int, step: int) -> dict
 
 
 def _human_pose(world: SocialNavWorld, row: dict[str, Any]) -> tuple[NDArray[Any], Callable[[], NDArray[Any]]]:
-    """Her base pose, and her joints' world matrices [55, 4, 4] for when they are needed."""
+    """Her base pose [7], and her joints' world matrices [55, 4, 4] for when they are needed."""
     base = row["agent_1.base_pose"]
 
     def joints() -> NDArray[Any]:
@@ -334,7 +365,7 @@ def skill_spans(columns: dict[str, NDArray[Any]], agents: tuple[Agent, ...]) -> 
 def _finished(
     header: Recording, columns: dict[str, NDArray[Any]], info: dict[str, Any], events: list[Event]
 ) -> Recording:
-    episode = Episode(**{**vars(header.episode), "info": info})
+    episode = replace(header.episode, info={**header.episode.info, **info})
     return Recording(
         episode=episode, assets=header.assets, bodies=header.bodies, agents=header.agents, columns=columns,
         skills=skill_spans(columns, header.agents), events=tuple(events), attachments=header.attachments,

@@ -7,6 +7,7 @@ While it is written the file is called ``<name>.part``; only a complete file get
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import mimetypes
 import os
 import time
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.recording.records import SCHEMA_VERSION, Event, Recording, RecordingHeader, SkillSpan
+from h3data.recording.records import SCHEMA_VERSION, Episode, Event, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
     CONVENTIONS,
     Layout,

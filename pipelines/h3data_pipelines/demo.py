@@ -94,35 +94,13 @@ class Demo:
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
         spec = SocialNavSpec(max_steps=self.steps, spawn_distance_m=4.0, human=WalkerSpec(speed_mps=self.human_speed))
         world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
-        record_live(world, path, policy="heuristic_expert", episode_id="demo", steps=self.steps)
+        with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
+            simulate_social_nav(
+                world, episode_id="demo", sink=lambda header: RecordingWriter(path, header), progress=bar.update
+            )
         recording = open_recording(path)  # from the file: what follows uses nothing but the recording
         assert isinstance(recording, Recording)
         return recording
-
-
-def record_live(world: SocialNavWorld, path: Path, *, policy: str, episode_id: str, steps: int) -> None:
-    """Simulate one episode into an MCAP log that grows while it runs."""
-    writers: list[RecordingWriter] = []
-
-    def sink(header: Recording) -> RecordingWriter:
-        writers.append(RecordingWriter(path, header, overwrite=True))
-        return writers[0]
-
-    try:
-        with tqdm(total=steps, desc="simulate", unit="step", disable=None) as bar:
-            recording = simulate_social_nav(
-                world, policy=policy, episode_id=episode_id, sink=sink, progress=lambda n: bar.update(n - bar.n)
-            )
-        writer = writers[0]
-        for event in recording.events:
-            writer.event(event)
-        for skill in recording.skills:
-            writer.skill(skill)
-        writer.close(episode=recording.episode)
-    except BaseException:
-        for writer in writers:
-            writer.abort()
-        raise
 
 
 def _videos(recording: Recording, out: Path) -> dict[str, Path]:

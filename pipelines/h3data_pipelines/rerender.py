@@ -19,12 +19,11 @@ from h3data.recording import Recording, open_recording
 from h3data.render import (
     VideoWriter,
     depth_to_rgb,
-    draw_label,
-    draw_polyline,
     instance_to_rgb,
     write_depth_png,
     write_png,
 )
+from h3data.render.overlay import draw_label, draw_polyline
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.importing import recording_stem
