@@ -1,0 +1,17 @@
+"""Exact collision of convex shapes, through FCL: what touches what, how deep, how far apart."""
+
+from sim_kinematic.collision.agent_contact import AgentContact
+from sim_kinematic.collision.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance
+from sim_kinematic.collision.shapes import capsule_transforms, shapes_from_capsules
+
+__all__ = [
+    "AgentContact",
+    "Contact",
+    "FclScene",
+    "MovingShapes",
+    "capsule_transforms",
+    "collide",
+    "contacts",
+    "distance",
+    "shapes_from_capsules",
+]

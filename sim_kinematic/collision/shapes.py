@@ -1,0 +1,136 @@
+"""Our collision shapes as FCL geometry: scale, the axis of round things, hulls with faces turned outwards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError, SceneError
+from h3data.geometry import normalized, pose_to_matrix, transform_points
+from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
+
+if TYPE_CHECKING:
+    import fcl
+
+Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""FCL's cylinders and capsules stand along z, ours along y: this matrix takes their z to our y."""
+PRISM_SIDES = 32
+"""A cylinder scaled unevenly becomes a prism around it."""
+
+
+def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
+    """FCL geometry of a shape in a frame scaled per axis [3], and the rigid 4x4 matrix from it to that frame.
+
+    Boxes, cylinders and capsules stay primitives while the scale leaves them such, and become convex hulls otherwise
+    (never triangle meshes: python-fcl answers those wrongly, research/navigation-and-stepping.md 1.4). Every call makes
+    a new geometry: contacts are told apart by it.
+    """
+    import fcl
+
+    s = np.asarray(scale, np.float64)
+    if s.shape != (3,) or not np.isfinite(s).all() or (s == 0).any():
+        raise InputError(f"A scale must be three finite numbers other than 0, got {s}.")
+    even = bool(np.allclose(np.abs(s), abs(s[0]), rtol=1e-6))
+    factor = float(np.abs(s).max())
+    if isinstance(shape, Capsule):  # uneven scale: the fattest radius, so that no contact is missed
+        start, end = np.asarray(shape.start) * s, np.asarray(shape.end) * s
+        length = float(np.linalg.norm(end - start))
+        return fcl.Capsule(shape.radius * factor, length), capsule_transforms(start, end) @ Y_TO_Z
+    if isinstance(shape, Hull):
+        return _convex(np.asarray(shape.points, np.float64) * s)
+    matrix = pose_to_matrix(shape.pose).astype(np.float64)
+    matrix[:3, 3] *= s
+    mirror = np.sign(
+        s
+    )  # D R B of a box or cylinder B is (D R D) B, for it is its own mirror image; D R D is a rotation
+    matrix[:3, :3] *= mirror[:, None] * mirror[None, :]
+    if isinstance(shape, Box):
+        straight = bool(np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
+        if even or straight:
+            size = 2 * np.asarray(shape.half_extents, np.float64) * np.abs(s)
+            return fcl.Box(*size.tolist()), matrix
+    elif even:
+        return fcl.Cylinder(shape.radius * factor, 2 * shape.half_height * factor), matrix @ Y_TO_Z
+    return _convex(_corners(shape) * s)
+
+
+def capsule_transforms(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
+    """4x4 frames [..., 4, 4] midway between ``start`` and ``end`` [..., 3] with the y axis towards ``end``.
+
+    They place capsules made by `shapes_from_capsules` (and FCL's, after `Y_TO_Z`). How they are turned about y is of no
+    matter, so any perpendicular will do.
+    """
+    a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    y = normalized(b - a)
+    y = np.where(np.linalg.norm(y, axis=-1, keepdims=True) > 0, y, np.array([0.0, 1.0, 0.0]))
+    helper = np.where(np.abs(y[..., :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    z = normalized(np.cross(helper, y))
+    frames = np.zeros((*y.shape[:-1], 4, 4))
+    frames[..., :3, 0] = np.cross(y, z)
+    frames[..., :3, 1] = y
+    frames[..., :3, 2] = z
+    frames[..., :3, 3] = (a + b) / 2
+    frames[..., 3, 3] = 1
+    return frames
+
+
+def shapes_from_capsules(start: ArrayLike, end: ArrayLike, radius: ArrayLike) -> tuple[Capsule, ...]:
+    """Capsules along the y axis of their own frames with the lengths of the segments ``start``-``end`` [n, 3].
+
+    For bodies whose capsules keep their length while they move: `MovingShapes` holds them, and
+    ``set_transforms(capsule_transforms(start, end))`` poses them.
+    """
+    a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    r = np.broadcast_to(np.asarray(radius, np.float64), a.shape[:-1])
+    half = np.linalg.norm(b - a, axis=-1) / 2
+    up = np.array([0.0, 1.0, 0.0])
+    return tuple(Capsule(start=-h * up, end=h * up, radius=float(q)) for h, q in zip(half, r, strict=True))
+
+
+def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
+    """Centre [3] and radius [m] of a ball around a shape, in the shape's asset frame."""
+    if isinstance(shape, Capsule):
+        a, b = np.asarray(shape.start, np.float64), np.asarray(shape.end, np.float64)
+        return (a + b) / 2, float(np.linalg.norm(b - a) / 2 + shape.radius)
+    if isinstance(shape, Hull):
+        points = np.asarray(shape.points, np.float64)
+        center = (points.min(0) + points.max(0)) / 2
+        return center, float(np.linalg.norm(points - center, axis=1).max())
+    center = np.asarray(shape.pose, np.float64)[:3]
+    if isinstance(shape, Box):
+        return center, float(np.linalg.norm(shape.half_extents))
+    return center, float(np.hypot(shape.radius, shape.half_height))
+
+
+def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
+    """Points [N, 3] in the asset frame whose hull is the box, or a prism around the cylinder."""
+    if isinstance(shape, Box):
+        local = np.stack(np.meshgrid(*[(-h, h) for h in shape.half_extents], indexing="ij"), -1).reshape(-1, 3)
+    else:
+        angle = np.arange(PRISM_SIDES) * (2 * np.pi / PRISM_SIDES)
+        ring = np.stack([np.cos(angle), np.zeros(PRISM_SIDES), np.sin(angle)], -1)
+        ring *= shape.radius / np.cos(np.pi / PRISM_SIDES)
+        half = np.array([0.0, shape.half_height, 0.0])
+        local = np.concatenate([ring - half, ring + half])
+    return transform_points(pose_to_matrix(np.asarray(shape.pose, np.float64)), local).astype(np.float64)
+
+
+def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray[np.float64]]:
+    """The hull of points [N, 3] as FCL's convex body, its triangles counter-clockwise from outside."""
+    import fcl
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError) as fault:
+        raise SceneError(f"A hull needs at least four points that are not in one plane, got {len(points)}.") from fault
+    used = np.unique(hull.simplices)
+    vertices = np.ascontiguousarray(points[used])
+    faces = np.searchsorted(used, hull.simplices)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    flat = np.concatenate([np.full((len(faces), 1), 3), faces], axis=1).ravel()  # each face: its count, its corners
+    return fcl.Convex(vertices, len(faces), flat), np.eye(4)
