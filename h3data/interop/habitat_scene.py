@@ -168,12 +168,12 @@ class _Builder:
             position = position - quat_rotate(
                 rotation, _center_of_mass(attributes, self.assets[name].mesh, scale, template)
             )
-        number = self._counts.get(template.handle, 0)
-        self._counts[template.handle] = number + 1
+        count = self._counts.get(template.handle, 0)
+        self._counts[template.handle] = count + 1
         motion: Motion = "static" if str(entry.get("motion_type", "")).upper() == "STATIC" else "kinematic"
         self.instances.append(
             Instance(
-                name=f"{template.handle}_:{number:04d}",
+                name=f"{template.handle}_:{count:04d}",
                 asset=name,
                 pose=np.concatenate([position, rotation]).astype(np.float64),
                 scale=scale,

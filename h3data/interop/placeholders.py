@@ -19,13 +19,13 @@ PlaceholderKind = Literal["stage", "human", "robot_link", "small_object", "furni
 
 MAGENTA = (255, 0, 200)
 STRIPE_COLORS: dict[PlaceholderKind, tuple[int, int, int]] = {
-    "stage": (70, 60, 70),
+    "stage": (150, 145, 150),
     "human": (40, 90, 220),
     "robot_link": (240, 190, 0),
     "small_object": (0, 150, 60),
-    "furniture": (20, 20, 20),
+    "furniture": (50, 45, 50),
 }
-"""The second colour of the stripes, by kind; the first is always `MAGENTA`."""
+"""The other colour of the stripes, by kind; one is always `MAGENTA`."""
 
 _KINDS: tuple[tuple[re.Pattern[str], PlaceholderKind], ...] = (
     (re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$"), "human"),
@@ -62,21 +62,25 @@ def placeholder_kind(uri: str) -> PlaceholderKind:
 def placeholder_mesh(uri: str) -> Mesh:
     """A striped stand-in for a missing file, in the frame of its node: +Y up (robot links: z up).
 
-    Sizes are what the path tells: HSSD objects 0.4 m, YCB objects 0.1 m, a person of 1.7 m around a pelvis at 0.9 m, a
-    stage a 40 m slab just under the floor, Spot's links by name, other robots' links 0.12 m.
+    Sizes are what the path tells: furniture 0.4 m, standing on its origin (of 308 HSSD objects in a real session 181
+    have their origin exactly at the floor), doors and windows 0.4 m around it, YCB objects 0.1 m, a person of 1.7 m
+    around a pelvis at 0.9 m, a stage a floor of 40 m around the origin, Spot's links by name, other robots' links
+    0.12 m.
     """
     kind = placeholder_kind(uri)
     color = STRIPE_COLORS[kind]
     if kind == "human":
         return _figure(color)
     if kind == "stage":
-        return striped_box((20, 0.01, 20), center=(0, -0.03, 0), color=color, stripes=40)
+        return striped_box((20, 0.01, 20), center=(0, -0.02, 0), color=color, stripes=20, share=0.04)
     if kind == "robot_link":
         stem = PurePosixPath(uri).stem
         for ending, center, half in _SPOT_LINKS:
             if stem == ending or stem.endswith("." + ending):
                 return striped_box(half, center=center, color=color)
         return striped_box((0.06, 0.06, 0.06), color=color)
+    if kind == "furniture" and "/openings/" not in uri:
+        return striped_box((0.2, 0.2, 0.2), center=(0, 0.2, 0), color=color)
     size = 0.05 if kind == "small_object" else 0.2
     return striped_box((size, size, size), color=color)
 
@@ -86,10 +90,12 @@ def striped_box(
     *,
     center: Sequence[float] = (0, 0, 0),
     color: Sequence[int] = (20, 20, 20),
-    stripes: int = 4,
+    stripes: int = 3,
+    share: float = 0.35,
 ) -> Mesh:
-    """A box whose six faces carry ``stripes`` magenta stripes and as many in ``color``."""
-    edges = np.linspace(-1, 1, 2 * stripes + 1)
+    """A box in ``color`` whose six faces carry ``stripes`` magenta stripes that cover ``share`` of them."""
+    middles = (np.arange(stripes) + 0.5) / stripes * 2 - 1
+    edges = np.unique(np.concatenate([[-1, 1], middles - share / stripes, middles + share / stripes]))
     # one face of the unit cube at +z, cut along x; the others are rotations of it
     strip = np.stack([[(a, -1, 1), (b, -1, 1), (b, 1, 1), (a, 1, 1)] for a, b in pairwise(edges)])
     turns = [(0, 1, 2), (2, 0, 1), (1, 2, 0)]
@@ -97,12 +103,16 @@ def striped_box(
     quads = np.concatenate([f if s == 0 else f[:, ::-1] for s, f in zip((0, 1) * 3, faces, strict=True)])
     vertices = quads.reshape(-1, 3) * np.asarray(half_extents, np.float64) + np.asarray(center, np.float64)
     first = np.arange(0, len(vertices), 4)[:, None]
-    pattern = np.where((np.arange(len(quads)) % 2 == 0)[:, None], np.array(MAGENTA), np.asarray(color))
+    pattern = np.where((np.arange(len(quads)) % len(strip) % 2 == 1)[:, None], np.array(MAGENTA), np.asarray(color))
     return Mesh(
         vertices=vertices.astype(np.float32),
         faces=np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]).astype(np.int32),
         colors=np.repeat(pattern, 4, axis=0).astype(np.uint8),
     )
+
+
+_MARKED = (2, 4, 7, 9, 12)
+"""Limbs of the figure that are magenta: nose, shins, forearms."""
 
 
 def _figure(color: Sequence[int]) -> Mesh:
@@ -120,5 +130,5 @@ def _figure(color: Sequence[int]) -> Mesh:
             ((0.18 * side, 0.45, 0), (0.24 * side, 0.18, 0), 0.045),
             ((0.24 * side, 0.18, 0), (0.26 * side, -0.06, 0.04), 0.038),
         ]
-    parts = [capsule_mesh(a, b, r, color=MAGENTA if i % 2 == 0 else color) for i, (a, b, r) in enumerate(limbs)]
+    parts = [capsule_mesh(a, b, r, color=MAGENTA if i in _MARKED else color) for i, (a, b, r) in enumerate(limbs)]
     return merged(parts)
