@@ -65,7 +65,7 @@ def log_scalars(stream: rr.RecordingStream, recording: Recording, timeline: Time
     }
     plotted = [name for name, column in curves.items() if column.dtype.kind == "f"]
     pair = agent_pair(recording)
-    if pair is not None:
+    if pair is not None and "dist_agents" not in curves:
         curves["distance_l2"] = l2_distance(recording, *pair)
         plotted.append("distance_l2")
     for name, column in curves.items():

@@ -96,7 +96,8 @@ def _write(
     if replay is not None:
         log_rigid(stream, recording, timeline, replay)
         log_skins(stream, recording, timeline, replay, skin_every)
-    feeds = [log_camera(stream, timeline, feed, pictures=pictures) for feed in cameras]
+    logged = [(feed, log_camera(stream, timeline, feed, pictures=pictures)) for feed in cameras]
+    seen = [entity for feed, entity in logged if feed.video is not None]
     plotted = log_scalars(stream, recording, timeline)
     lanes = log_lanes(stream, recording, timeline)
     has_log = log_events(stream, recording, timeline)
@@ -105,7 +106,7 @@ def _write(
         {f"/world/scene/{entity_part(d.layer)}" for d in drawables if d.layer == "ceiling" and not d.moving}
     )
     stream.send_blueprint(
-        layout(focus=focus, hidden=hidden, cameras=feeds, plotted=plotted, lanes=lanes, has_log=has_log)
+        layout(focus=focus, hidden=hidden, cameras=seen, plotted=plotted, lanes=lanes, has_log=has_log)
     )
 
 
