@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import Array
+
 STATURE_BISECTIONS = 14
 """Halvings of the ``height`` parameter: 2^-14 of its range is 0.1 mm of stature."""
 
@@ -20,14 +22,14 @@ STATURE_BISECTIONS = 14
 class RawShape:
     """One body as anny returns it: Z up, facing -Y, left = +X [m], A-pose."""
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     """Shape [V, 3]."""
     faces: NDArray[np.int32]
     """Shape [F, 3]."""
     bone_names: tuple[str, ...]
-    bone_heads: NDArray[np.float64]
+    bone_heads: Array
     """Shape [104, 3]."""
-    weights: NDArray[np.float64]
+    weights: Array
     """Up to nine skin weights per vertex, shape [V, 9]."""
     weight_bones: NDArray[np.int64]
     """Bone of each weight, shape [V, 9]."""
@@ -37,13 +39,13 @@ class RawShape:
 
 def shapes(wanted: Mapping[str, tuple[Mapping[str, float], float]]) -> dict[str, RawShape]:
     """Raw shapes by name, for ``name: (phenotype without height, stature [m])``; anny loads once (130 s when cold)."""
-    import anny
+    import anny  # pyright: ignore[reportMissingImports]
     import torch
 
     model = anny.Anny(rig="anny", phenotypes="all").to(dtype=torch.float32)
     identity = torch.eye(4)[None, None].repeat(1, model.bone_count, 1, 1)
 
-    def forward(phenotype: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def forward(phenotype: Mapping[str, float]) -> tuple[Array, Array]:
         with torch.no_grad():
             out = model(pose_parameters=identity, phenotype_kwargs=dict(phenotype))
         return out["rest_vertices"][0].double().numpy(), out["rest_bone_heads"][0].double().numpy()

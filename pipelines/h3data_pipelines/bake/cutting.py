@@ -8,23 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import normalized
+from h3data.geometry import Array, normalized
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cloth:
     """A mesh with dense skin weights: what fields are evaluated on and what is cut."""
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     """Shape [V, 3] [m]."""
-    weights: NDArray[np.float64]
+    weights: Array
     """Shape [V, 55]."""
     faces: NDArray[np.int32]
     sides: NDArray[np.bool_] | None = None
     """Whether each face lies where the k-th field that cut it is positive, shape [F, K]; None = never cut."""
 
 
-Field = Callable[[Cloth], NDArray[np.float64]]
+Field = Callable[[Cloth], Array]
 """Signed values at the vertices, continuous near zero; the zero set is where the mesh is cut."""
 
 SNAP = 1e-4
@@ -65,16 +65,14 @@ def cut(mesh: Cloth, field: Field) -> Cloth:
 class Dressed:
     """A mesh whose vertices each belong to one region (skin, shirt, ...), raised by the region's thickness."""
 
-    vertices: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    vertices: Array
+    weights: Array
     faces: NDArray[np.int32]
     regions: NDArray[np.uint8]
     """Region of each vertex, shape [V]."""
 
 
-def raise_regions(
-    mesh: Cloth, face_regions: NDArray[np.uint8], thickness: Callable[[Cloth, int], NDArray[np.float64]]
-) -> Dressed:
+def raise_regions(mesh: Cloth, face_regions: NDArray[np.uint8], thickness: Callable[[Cloth, int], Array]) -> Dressed:
     """Every region lifted along the normals by ``thickness(mesh, region)`` [V]; steps between regions closed by hem strips."""
     normals = _normals(mesh.vertices, mesh.faces)
     region_count = int(face_regions.max()) + 1
@@ -97,7 +95,7 @@ def raise_regions(
 
 
 def _hem_strips(
-    faces: NDArray[np.int32], old: NDArray[np.int64], region: NDArray[np.uint8], height: NDArray[np.float64]
+    faces: NDArray[np.int32], old: NDArray[np.int64], region: NDArray[np.uint8], height: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]]:
     """Quads that join regions of different height along shared edges: vertices to copy [S], their regions [S] and the
     faces [2E, 3] among them. A hem has vertices of its own, in the colour of its outer layer, so that it has a crisp edge."""
@@ -120,7 +118,7 @@ def _hem_strips(
     return source, outers.astype(np.uint8), np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)

