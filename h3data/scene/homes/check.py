@@ -31,7 +31,7 @@ def _corners(shape: Shape) -> NDArray[np.float64]:
     else:
         r, h = shape.radius / np.cos(np.pi / 16), shape.half_height
         ring = np.stack([r * np.sin(_CIRCLE), np.zeros(16), r * np.cos(_CIRCLE)], 1)
-        local = np.concatenate([ring - [0, h, 0], ring + [0, h, 0]])
+        local = np.concatenate([ring - np.array([0, h, 0]), ring + np.array([0, h, 0])])
     return quat_rotate(shape.pose[3:], local) + shape.pose[:3]
 
 
@@ -79,5 +79,3 @@ def faults(scene: Scene) -> list[str]:
         if main.distance(shapely.Point(x, z)) > 1.1:
             found.append(f"{instance.name}|{receptacle.name} is out of reach")
     return found
-
-

@@ -57,7 +57,8 @@ def clutter(
                     continue
                 discs.append((*spot, radius))
                 local = receptacle.center + np.array([spot[0], _LIFT - low[1], spot[1]])
-                pose = pose_multiply(instance.pose, np.concatenate([local, IDENTITY_QUAT]))
+                pose = np.empty(7)
+                pose[:3] = pose_multiply(instance.pose, np.concatenate([local, IDENTITY_QUAT]))[:3]
                 pose[3:] = quat_from_heading(rng.uniform(-np.pi, np.pi))
                 count[category] = count.get(category, -1) + 1
                 out.append(

@@ -24,7 +24,13 @@ def toilet(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.lathe(bowl, _PORCELAIN, center=(0, 0, middle), segments=20, stretch=(1.0, half / 0.18))
     mesh.span((-0.1, 0, z0 + 0.02), (0.1, 0.37, middle), _PORCELAIN, bevel=0.02)
     seat = shade(_PORCELAIN, 0.97)
-    mesh.lathe([(0.125, 0.385), (0.185, 0.385), (0.185, 0.402), (0.125, 0.402)], seat, center=(0, 0, middle), segments=20, stretch=(1.0, half / 0.185))
+    mesh.lathe(
+        [(0.125, 0.385), (0.185, 0.385), (0.185, 0.402), (0.125, 0.402)],
+        seat,
+        center=(0, 0, middle),
+        segments=20,
+        stretch=(1.0, half / 0.185),
+    )
     mesh.box((0, 0.57, z0 + 0.205), (0.34, 0.38, 0.02), seat, bevel=0.009, turn=turn_x(-0.1))
     angle = np.arange(12) * (2 * np.pi / 12)
     rim = np.stack([0.185 * np.sin(angle), np.full(12, 0.4), middle + half * np.cos(angle)], 1)
@@ -51,7 +57,9 @@ def bathroom_sink(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cylinder((x, h + 0.11, -d / 2 + 0.05), 0.014, 0.22, style.metal, segments=10)
     mesh.cylinder((x, h + 0.21, -d / 2 + 0.1), 0.011, 0.12, style.metal, segments=8, turn=turn_x(np.pi / 2))
     side = w - 0.5
-    receptacles = [surface("top", (-w / 2 + side / 2 + 0.02, h, 0), (side - 0.01, d - 0.08), 0.9)] if side > 0.12 else []
+    receptacles = (
+        [surface("top", (-w / 2 + side / 2 + 0.02, h, 0), (side - 0.01, d - 0.08), 0.9)] if side > 0.12 else []
+    )
     shapes = [box_part((0, h / 2, 0), (w, h, d)), cylinder_part((x, h + 0.055, 0.03), 0.185, 0.11)]
     return finish("bathroom_sink", mesh, (w, h + 0.2, d), shapes=shapes, receptacles=receptacles, front=0.6)
 
@@ -69,7 +77,12 @@ def bathtub(rng: np.random.Generator, style: Style) -> Furniture:
     x, z = w / 2, d / 2
     mesh.span((-x, 0.0, z - 0.02), (x, h - 0.03, z), vary(rng, style.wall_tile, 0.02))
     mesh.span((-x, 0.0, -z), (x, 0.06, z - 0.02), _PORCELAIN)
-    for a, b in (((-x, -z), (x, -z + rim)), ((-x, z - rim), (x, z)), ((-x, -z + rim), (-x + rim, z - rim)), ((x - rim, -z + rim), (x, z - rim))):
+    for a, b in (
+        ((-x, -z), (x, -z + rim)),
+        ((-x, z - rim), (x, z)),
+        ((-x, -z + rim), (-x + rim, z - rim)),
+        ((x - rim, -z + rim), (x, z - rim)),
+    ):
         mesh.span((a[0], h - 0.03, a[1]), (b[0], h, b[1]), _PORCELAIN, bevel=0.008)
     top = [(-x + rim, -z + rim), (x - rim, -z + rim), (x - rim, z - rim), (-x + rim, z - rim)]
     low = [(px * 0.86, pz * 0.78) for px, pz in top]
@@ -77,7 +90,9 @@ def bathtub(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.quads([[(*_at(low[k], bottom),) for k in (3, 2, 1, 0)]], shade(_PORCELAIN, 0.97))
     for k in range(4):
         n = (k + 1) % 4
-        mesh.quads([[_at(low[k], bottom), _at(low[n], bottom), _at(top[n], h - 0.01), _at(top[k], h - 0.01)]], _PORCELAIN)
+        mesh.quads(
+            [[_at(low[k], bottom), _at(low[n], bottom), _at(top[n], h - 0.01), _at(top[k], h - 0.01)]], _PORCELAIN
+        )
     for s in (-1, 1):
         mesh.span((min(s * x, s * (x - 0.02)), 0, -z), (max(s * x, s * (x - 0.02)), h - 0.03, z - 0.02), _PORCELAIN)
     mesh.cylinder((x - 0.035, h + 0.07, 0), 0.015, 0.14, style.metal, segments=10)

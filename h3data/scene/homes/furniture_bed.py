@@ -8,6 +8,9 @@ from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, fin
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 
+DESK_DRAWERS = 0.4
+"""Width of the drawers at a desk's right; a chair fits beside them [m]."""
+
 
 def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture:
     """Head at the back (-z); mattress top at 0.53 m."""
@@ -29,7 +32,10 @@ def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture
         mesh.pillow((x, 0.6, z0 + 0.34), (0.62, 0.2, 0.44), (248, 247, 243), turn=turn_x(0.22))
     if count == 2:
         mesh.pillow((0, 0.65, z0 + 0.5), (0.4, 0.15, 0.32), vary(rng, style.fabric_2), turn=turn_x(0.9))
-    shapes = [box_part((0, 0.285, 0.03), (width, 0.57, length - 0.06)), box_part((0, 0.51, z0 + 0.03), (width, 1.02, 0.06))]
+    shapes = [
+        box_part((0, 0.285, 0.03), (width, 0.57, length - 0.06)),
+        box_part((0, 0.51, z0 + 0.03), (width, 1.02, 0.06)),
+    ]
     top = surface("cover", (0, 0.575, 0.4), (width - 0.3, 1.1), 1.2)
     return finish("bed", mesh, (width + 0.04, 1.02, length), shapes=shapes, receptacles=[top], front=0.0)
 
@@ -45,7 +51,9 @@ def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
     # A small lamp stands at the back; things go in front of it.
     mesh.cylinder((0, h + 0.01, -d / 2 + 0.1), 0.055, 0.02, style.metal, segments=14)
     mesh.cylinder((0, h + 0.12, -d / 2 + 0.1), 0.01, 0.22, style.metal, segments=8)
-    mesh.lathe([(0.1, h + 0.18), (0.065, h + 0.34), (0, h + 0.34)], (244, 232, 204), segments=16, center=(0, 0, -d / 2 + 0.1))
+    mesh.lathe(
+        [(0.1, h + 0.18), (0.065, h + 0.34), (0, h + 0.34)], (244, 232, 204), segments=16, center=(0, 0, -d / 2 + 0.1)
+    )
     top = surface("top", (0, h, 0.07), (w - 0.06, d - 0.2), 1.0)
     shapes = [box_part((0, h / 2, 0), (w, h, d)), box_part((0, h + 0.17, -d / 2 + 0.1), (0.2, 0.34, 0.18))]
     return finish("nightstand", mesh, (w, h + 0.34, d), shapes=shapes, receptacles=[top])
@@ -60,21 +68,32 @@ def wardrobe(rng: np.random.Generator, style: Style) -> Furniture:
     color = style.front if rng.random() < 0.5 else style.wood
     for i in range(doors):
         x = (-w / 2 + 0.5 * i, -w / 2 + 0.5 * (i + 1))
-        cabinet_front(mesh, x, (0.08, h - 0.02), d / 2 - 0.02, vary(rng, color, 0.02), style.metal, knob="left" if i % 2 else "right")
+        cabinet_front(
+            mesh,
+            x,
+            (0.08, h - 0.02),
+            d / 2 - 0.02,
+            vary(rng, color, 0.02),
+            style.metal,
+            knob="left" if i % 2 else "right",
+        )
     shape = box_part((0, h / 2, 0), (w, h, d))
     return finish("wardrobe", mesh, (w, h, d), shapes=[shape], front=0.65)
 
 
 def desk(rng: np.random.Generator, style: Style) -> Furniture:
-    mesh, w, d, h = MeshBuilder(), rng.uniform(1.1, 1.4), rng.uniform(0.58, 0.68), 0.74
+    mesh, w, d, h = MeshBuilder(), rng.uniform(1.1, 1.22), rng.uniform(0.58, 0.68), 0.74
     mesh.span((-w / 2, h - 0.03, -d / 2), (w / 2, h, d / 2), style.wood, bevel=0.006)
-    drawer = 0.4
+    drawer = DESK_DRAWERS
     mesh.span((w / 2 - drawer, 0.06, -d / 2 + 0.02), (w / 2 - 0.02, h - 0.03, d / 2 - 0.06), style.front, bevel=0.003)
     mesh.span((w / 2 - drawer + 0.02, 0, -d / 2 + 0.05), (w / 2 - 0.04, 0.06, d / 2 - 0.1), style.black)
     for i in range(3):
         y = (0.08 + i * 0.208, 0.08 + (i + 1) * 0.208)
         cabinet_front(mesh, (w / 2 - drawer, w / 2 - 0.02), y, d / 2 - 0.06, style.front, style.metal)
-    shapes = [box_part((0, h - 0.015, 0), (w, 0.03, d)), box_part((w / 2 - drawer / 2, h / 2, 0), (drawer, h, d - 0.04))]
+    shapes = [
+        box_part((0, h - 0.015, 0), (w, 0.03, d)),
+        box_part((w / 2 - drawer / 2, h / 2, 0), (drawer, h, d - 0.04)),
+    ]
     for z in (-d / 2 + 0.05, d / 2 - 0.05):
         mesh.box((-w / 2 + 0.05, (h - 0.03) / 2, z), (0.045, h - 0.03, 0.045), style.wood_dark, bevel=0.004)
         shapes.append(box_part((-w / 2 + 0.05, (h - 0.03) / 2, z), (0.045, h - 0.03, 0.045)))
@@ -86,7 +105,8 @@ def desk(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.span((x - 0.2, h, 0.02), (x + 0.2, h + 0.018, 0.15), (58, 58, 62), bevel=0.004)
     shapes.append(box_part((x, h + 0.23, -d / 2 + 0.14), (0.54, 0.46, 0.05)))
     top = surface("top", (w / 2 - 0.24, h, 0.0), (0.36, d - 0.12), 1.0)
-    return finish("desk", mesh, (w, h + 0.45, d), shapes=shapes, receptacles=[top], front=0.0)
+    # Its height is that of the top: a desk may stand before a window, screen and all.
+    return finish("desk", mesh, (w, h, d), shapes=shapes, receptacles=[top], front=0.0)
 
 
 def chair_reach(rng: np.random.Generator) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,9 @@ _FRONT_Z = MODULE_DEPTH / 2 - 0.04
 
 
 def _base(mesh: MeshBuilder, width: float, style: Style) -> None:
-    mesh.span((-width / 2, 0.1, -MODULE_DEPTH / 2), (width / 2, WORKTOP_HEIGHT - 0.04, _FRONT_Z), shade(style.front, 0.9))
+    mesh.span(
+        (-width / 2, 0.1, -MODULE_DEPTH / 2), (width / 2, WORKTOP_HEIGHT - 0.04, _FRONT_Z), shade(style.front, 0.9)
+    )
     mesh.span((-width / 2, 0, -MODULE_DEPTH / 2), (width / 2, 0.1, _FRONT_Z - 0.05), (60, 58, 56))
 
 
@@ -35,7 +38,15 @@ def counter(
         parts = 2 if width > 0.62 else 1
         for i in range(parts):
             x = (-half + i * width / parts, -half + (i + 1) * width / parts)
-            cabinet_front(mesh, x, (low, high), _FRONT_Z, vary(rng, style.front, 0.01), style.metal, knob="right" if i == 0 else "left")
+            cabinet_front(
+                mesh,
+                x,
+                (low, high),
+                _FRONT_Z,
+                vary(rng, style.front, 0.01),
+                style.metal,
+                knob="right" if i == 0 else "left",
+            )
     shapes: list[Shape] = [box_part((0, WORKTOP_HEIGHT / 2, 0), (width, WORKTOP_HEIGHT, MODULE_DEPTH))]
     y, back, front = WORKTOP_HEIGHT, -MODULE_DEPTH / 2, MODULE_DEPTH / 2
     if kind != "sink":
@@ -43,7 +54,12 @@ def counter(
         top = surface("top", (0, y, 0.02), (width - 0.04, MODULE_DEPTH - 0.12), 0.5)
         return finish("kitchen_counter", mesh, (width, y, MODULE_DEPTH), shapes=shapes, receptacles=[top], front=0.75)
     x0, x1, z0, z1, deep = half - 0.5, half - 0.08, -0.17, 0.2, 0.16
-    for a, b in (((-half, back), (x0, front)), ((x1, back), (half, front)), ((x0, back), (x1, z0)), ((x0, z1), (x1, front))):
+    for a, b in (
+        ((-half, back), (x0, front)),
+        ((x1, back), (half, front)),
+        ((x0, back), (x1, z0)),
+        ((x0, z1), (x1, front)),
+    ):
         mesh.span((a[0], y - 0.04, a[1]), (b[0], y, b[1]), style.worktop)
     steel, bottom = style.metal, y - deep
     mesh.quads([[(x0, bottom, z1), (x1, bottom, z1), (x1, bottom, z0), (x0, bottom, z0)]], shade(steel, 0.85))
@@ -72,7 +88,9 @@ def stove(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.span((-w / 2 + 0.08, 0.22, _FRONT_Z + 0.02), (w / 2 - 0.08, 0.58, _FRONT_Z + 0.023), (46, 48, 54))
     mesh.box((0, 0.66, _FRONT_Z + 0.045), (0.42, 0.018, 0.018), style.metal)
     for i in range(4):
-        mesh.cylinder((-0.18 + 0.12 * i, 0.79, _FRONT_Z + 0.012), 0.02, 0.026, style.black, segments=10, turn=turn_x(np.pi / 2))
+        mesh.cylinder(
+            (-0.18 + 0.12 * i, 0.79, _FRONT_Z + 0.012), 0.02, 0.026, style.black, segments=10, turn=turn_x(np.pi / 2)
+        )
     for x, z, r in ((-0.14, -0.12, 0.09), (0.14, -0.12, 0.075), (-0.14, 0.13, 0.075), (0.14, 0.13, 0.1)):
         mesh.cylinder((x, y + 0.002, z), r, 0.004, (70, 70, 74), segments=20)
         mesh.cylinder((x, y + 0.0045, z), r * 0.75, 0.001, (52, 52, 56), segments=20)
@@ -110,7 +128,7 @@ def dining_table(rng: np.random.Generator, style: Style, seats: int = 4) -> Furn
     mesh, h = MeshBuilder(), 0.74
     w, d = (1.75 if seats > 4 else rng.uniform(1.2, 1.4)), rng.uniform(0.8, 0.9)
     boards = np.linspace(-d / 2, d / 2, 5).tolist()
-    for z0, z1 in zip(boards[:-1], boards[1:], strict=True):
+    for z0, z1 in pairwise(boards):
         mesh.span((-w / 2, h - 0.035, z0), (w / 2, h, z1), vary(rng, style.wood, 0.035), bevel=0.003)
     mesh.span((-w / 2 + 0.08, h - 0.11, -d / 2 + 0.06), (w / 2 - 0.08, h - 0.035, d / 2 - 0.06), style.wood_dark)
     shapes = legs(mesh, w / 2 - 0.07, d / 2 - 0.07, h - 0.035, style.wood_dark, 0.065)
@@ -126,8 +144,19 @@ def chair(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cushion((0, seat + 0.012, 0.015), (w - 0.05, 0.035, d - 0.09), style.fabric_2, radius=0.016)
     shapes = legs(mesh, w / 2 - 0.03, d / 2 - 0.05, seat - 0.03, wood, 0.036)
     for s in (-1, 1):
-        mesh.box((s * (w / 2 - 0.025), (seat + high) / 2 - 0.02, -d / 2 + 0.035), (0.034, high - seat + 0.04, 0.03), wood, bevel=0.005, turn=turn_x(-0.06))
+        mesh.box(
+            (s * (w / 2 - 0.025), (seat + high) / 2 - 0.02, -d / 2 + 0.035),
+            (0.034, high - seat + 0.04, 0.03),
+            wood,
+            bevel=0.005,
+            turn=turn_x(-0.06),
+        )
     for y in (0.62, 0.73, 0.845):
-        mesh.box((0, y, -d / 2 + 0.03 - (y - 0.67) * 0.06), (w - 0.06, 0.062, 0.018), wood, bevel=0.006, turn=turn_x(-0.06))
-    shapes += [box_part((0, seat - 0.0, 0.01), (w, 0.06, d - 0.02)), box_part((0, 0.69, -d / 2 + 0.03), (w, 0.46, 0.06))]
+        mesh.box(
+            (0, y, -d / 2 + 0.03 - (y - 0.67) * 0.06), (w - 0.06, 0.062, 0.018), wood, bevel=0.006, turn=turn_x(-0.06)
+        )
+    shapes += [
+        box_part((0, seat - 0.0, 0.01), (w, 0.06, d - 0.02)),
+        box_part((0, 0.69, -d / 2 + 0.03), (w, 0.46, 0.06)),
+    ]
     return finish("chair", mesh, (w, high, d), shapes=shapes)

@@ -24,7 +24,11 @@ def _seat(width: float, depth: float, seats: int, rng: np.random.Generator, styl
         tint = vary(rng, fabric, 0.03)
         mesh.cushion((x, 0.39, back / 2 + 0.01), (each - 0.008, 0.17, depth - back - 0.01), tint, radius=0.05)
         mesh.cushion(
-            (x, 0.62, -depth / 2 + back + 0.06), (each - 0.02, 0.36, 0.15), shade(tint, 1.05), radius=0.065, turn=turn_x(-0.14)
+            (x, 0.62, -depth / 2 + back + 0.06),
+            (each - 0.02, 0.36, 0.15),
+            shade(tint, 1.05),
+            radius=0.065,
+            turn=turn_x(-0.14),
         )
     for s in (-1, 1) if seats > 1 else (0,):
         mesh.pillow(
@@ -76,7 +80,10 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
         a, b = -w / 2 + i * w / 3, -w / 2 + (i + 1) * w / 3
         cabinet_front(mesh, (a, b), (0.07, h - 0.03), d / 2 - 0.02, vary(rng, style.wood, 0.03), style.metal)
     side = 0.5 * (w - 0.5)
-    ends = [surface(f"top_{n}", (s * (w / 2 - side / 2 - 0.03), h, 0), (side - 0.06, d - 0.08), 0.5) for n, s in (("left", -1), ("right", 1))]
+    ends = [
+        surface(f"top_{n}", (s * (w / 2 - side / 2 - 0.03), h, 0), (side - 0.06, d - 0.08), 0.5)
+        for n, s in (("left", -1), ("right", 1))
+    ]
     shape = box_part((0, h / 2, 0), (w, h, d))
     return finish("tv_stand", mesh, (w, h, d), shapes=[shape], receptacles=ends, front=0.5)
 
@@ -111,7 +118,14 @@ def shelf(rng: np.random.Generator, style: Style) -> Furniture:
         room = float(levels[1] - levels[0]) - t
         split = rng.uniform(-0.1, 0.6) if i != 2 else -0.4
         filled = inner * max(0.0, split + 0.4)
-        books(mesh, rng, (-inner / 2 + 0.01, -inner / 2 + 0.01 + filled), y + t, (-d / 2 + 0.02, d / 2 - 0.07), min(0.27, room - 0.03))
+        books(
+            mesh,
+            rng,
+            (-inner / 2 + 0.01, -inner / 2 + 0.01 + filled),
+            y + t,
+            (-d / 2 + 0.02, d / 2 - 0.07),
+            min(0.27, room - 0.03),
+        )
         if inner - filled > 0.25:
             middle = (-inner / 2 + filled + inner / 2) / 2
             receptacles.append(surface(f"level_{i}", (middle, y + t, 0.01), (inner - filled - 0.06, d - 0.08), room))
@@ -170,7 +184,11 @@ def plant(rng: np.random.Generator, style: Style) -> Furniture:
     mesh = MeshBuilder()
     pot, radius, tall = rng.uniform(0.28, 0.36), rng.uniform(0.15, 0.18), rng.uniform(0.9, 1.35)
     clay = vary(rng, (196, 112, 76) if rng.random() < 0.5 else (225, 222, 214))
-    mesh.lathe([(0, 0), (radius * 0.72, 0), (radius, pot), (radius * 0.9, pot), (radius * 0.86, pot - 0.03), (0, pot - 0.03)], clay, segments=18)
+    mesh.lathe(
+        [(0, 0), (radius * 0.72, 0), (radius, pot), (radius * 0.9, pot), (radius * 0.86, pot - 0.03), (0, pot - 0.03)],
+        clay,
+        segments=18,
+    )
     mesh.cylinder((0, pot - 0.02, 0), radius * 0.87, 0.012, (66, 48, 36), segments=18)
     green = vary(rng, (70, 122, 62), 0.12)
     n = int(rng.integers(11, 16))
@@ -183,7 +201,9 @@ def plant(rng: np.random.Generator, style: Style) -> Furniture:
     return finish("plant", mesh, (reach, tall, reach), shapes=shapes, wall_gap=0.06)
 
 
-def _leaf(mesh: MeshBuilder, base: tuple, around: float, lean: float, length: float, reach: float, color: tuple) -> None:
+def _leaf(
+    mesh: MeshBuilder, base: tuple, around: float, lean: float, length: float, reach: float, color: tuple
+) -> None:
     """A long leaf that rises and bends outwards by at most ``reach``; both sides are drawn."""
     s = np.linspace(0, 1, 5)
     out = np.minimum(length * np.sin(lean), reach) * s**1.6
@@ -203,7 +223,12 @@ def picture(rng: np.random.Generator, style: Style) -> Furniture:
     """Hangs on a wall: origin at its middle, back at z = 0."""
     mesh = MeshBuilder()
     w, h = (rng.uniform(0.5, 0.8), rng.uniform(0.4, 0.6))[:: int(rng.choice([1, -1]))]
-    mesh.span((-w / 2, -h / 2, 0.002), (w / 2, h / 2, 0.022), style.wood_dark if rng.random() < 0.5 else style.black, bevel=0.004)
+    mesh.span(
+        (-w / 2, -h / 2, 0.002),
+        (w / 2, h / 2, 0.022),
+        style.wood_dark if rng.random() < 0.5 else style.black,
+        bevel=0.004,
+    )
     mesh.span((-w / 2 + 0.025, -h / 2 + 0.025, 0.022), (w / 2 - 0.025, h / 2 - 0.025, 0.0235), (240, 236, 226))
     a, b = w / 2 - 0.08, h / 2 - 0.08
     horizon = rng.uniform(-0.3, 0.2) * b
@@ -240,5 +265,3 @@ def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cylinder((0, -0.05, 0), 0.01, 0.06, style.metal, segments=6)
     mesh.lathe([(0, -0.16), (r * 0.6, -0.15), (r, -0.1), (r * 0.96, -0.08), (0, -0.075)], (250, 244, 226), segments=20)
     return finish("ceiling_lamp", mesh, (2 * r, 0.16, 2 * r))
-
-

@@ -164,7 +164,9 @@ def _penalty(tiles: Sequence[_Tile]) -> float:
     for kind, rect in tiles:
         side, least, most, aspect = _LIMITS[kind]
         a, b = sorted((rect[2] - rect[0], rect[3] - rect[1]))
-        total += 4 * max(0, side - a) + 0.5 * max(0, least - a * b) + 0.5 * max(0, a * b - most) + max(0, b / a - aspect)
+        total += (
+            4 * max(0, side - a) + 0.5 * max(0, least - a * b) + 0.5 * max(0, a * b - most) + max(0, b / a - aspect)
+        )
     for (kind, other), needed in _MUST_TOUCH.items():
         hosts = [r for k, r in tiles if k == kind]
         for rect in (r for k, r in tiles if k == other):
@@ -310,8 +312,8 @@ def outer_sides(room: RoomPlan, width: float, depth: float) -> list[tuple[Litera
     """(axis, line) of the room's sides that lie on the footprint's edge."""
     x0, z0, x1, z1 = room.rect
     sides: list[tuple[Literal[0, 1], float]] = []
-    sides += [(1, x) for x in (x0, x1) if x in (0.0, width)]
-    sides += [(0, z) for z in (z0, z1) if z in (0.0, depth)]
+    sides.extend((1, x) for x in (x0, x1) if x in (0.0, width))
+    sides.extend((0, z) for z in (z0, z1) if z in (0.0, depth))
     return sides
 
 

@@ -33,14 +33,20 @@ def can(rng: np.random.Generator, style: Style) -> Asset:
     r, h, mesh, label = 0.033, 0.102, MeshBuilder(), _bright(rng)
     mesh.lathe([(0, 0), (r - 0.003, 0), (r, 0.004), (r, 0.012)], style.metal, segments=16)
     mesh.lathe([(r, 0.012), (r, h - 0.012)], label, segments=16)
-    mesh.lathe([(r, h - 0.012), (r, h - 0.004), (r - 0.003, h), (r - 0.005, h - 0.004), (0, h - 0.004)], style.metal, segments=16)
+    mesh.lathe(
+        [(r, h - 0.012), (r, h - 0.004), (r - 0.003, h), (r - 0.005, h - 0.004), (0, h - 0.004)],
+        style.metal,
+        segments=16,
+    )
     mesh.lathe([(r + 0.0004, 0.04), (r + 0.0004, 0.062)], (240, 236, 222), segments=16)
     return _centered("can", mesh, (cylinder_part((0, 0, 0), r, h),), h)
 
 
 def mug(rng: np.random.Generator, style: Style) -> Asset:
     r, h, mesh, color = 0.041, 0.092, MeshBuilder(), _bright(rng)
-    mesh.lathe([(0, 0), (r - 0.004, 0), (r, 0.006), (r, h), (r - 0.005, h), (r - 0.006, 0.01), (0, 0.01)], color, segments=16)
+    mesh.lathe(
+        [(0, 0), (r - 0.004, 0), (r, 0.006), (r, h), (r - 0.005, h), (r - 0.006, 0.01), (0, 0.01)], color, segments=16
+    )
     mesh.cylinder((0, h * 0.72, 0), r - 0.0055, 0.001, (70, 42, 26), segments=16)
     bend = np.linspace(-np.pi / 2, np.pi / 2, 7)
     path = np.stack([r - 0.004 + 0.028 * np.cos(bend), h / 2 + 0.027 * np.sin(bend)], 1)
@@ -50,7 +56,9 @@ def mug(rng: np.random.Generator, style: Style) -> Asset:
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         length = float(np.hypot(x1 - x0, y1 - y0)) + 0.004
         mesh.box(((x0 + x1) / 2, (y0 + y1) / 2, 0), (0.008, length, 0.012), color, bevel=0.003, turn=turn)
-    return _centered("mug", mesh, (cylinder_part((0, 0, 0), r, h), box_part((r + 0.014, 0, 0), (0.028, 0.06, 0.014))), h)
+    return _centered(
+        "mug", mesh, (cylinder_part((0, 0, 0), r, h), box_part((r + 0.014, 0, 0), (0.028, 0.06, 0.014))), h
+    )
 
 
 def bowl(rng: np.random.Generator, style: Style) -> Asset:
@@ -61,7 +69,9 @@ def bowl(rng: np.random.Generator, style: Style) -> Asset:
     mesh.lathe([(r, h), (r - 0.004, h)], shade(color, 1.1), segments=20)
     mesh.lathe(inner, shade(color, 1.15), segments=20)
     angle = np.arange(10) * (2 * np.pi / 10)
-    ring = [np.stack([q * np.sin(angle), np.full(10, y - h / 2), q * np.cos(angle)], 1) for q, y in ((0.038, 0.0), (r, h))]
+    ring = [
+        np.stack([q * np.sin(angle), np.full(10, y - h / 2), q * np.cos(angle)], 1) for q, y in ((0.038, 0.0), (r, h))
+    ]
     return _centered("bowl", mesh, (Hull(points=np.concatenate(ring)),), h)
 
 
@@ -85,7 +95,10 @@ def bottle(rng: np.random.Generator, style: Style) -> Asset:
     mesh.lathe(body, color, segments=16)
     mesh.cylinder((0, h - 0.01, 0), 0.0155, 0.02, _bright(rng), segments=12)
     mesh.lathe([(r + 0.0005, h * 0.2), (r + 0.0005, h * 0.48)], (240, 235, 220), segments=16)
-    shapes = (cylinder_part((0, h * 0.35 - h / 2, 0), r, h * 0.7), cylinder_part((0, h * 0.85 - h / 2, 0), 0.016, h * 0.3))
+    shapes = (
+        cylinder_part((0, h * 0.35 - h / 2, 0), r, h * 0.7),
+        cylinder_part((0, h * 0.85 - h / 2, 0), 0.016, h * 0.3),
+    )
     return _centered("bottle", mesh, shapes, h)
 
 

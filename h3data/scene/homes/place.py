@@ -80,7 +80,7 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
     for o in layout.openings:
         if room.name not in o.rooms:
             continue
-        x0, z0, x1, z1 = room.rect
+        x0, z0 = room.rect[:2]
         side = (0 if abs(o.line - z0) < 1e-9 else 2) if o.axis == 0 else (1 if abs(o.line - x0) < 1e-9 else 3)
         if o.kind == "window":
             windows.append((side, o))
@@ -181,9 +181,13 @@ def _fits(state: RoomState, group: Sequence[Placed]) -> bool:
     """The cheap tests: inside, apart from everything, doors and windows free, no gap that is neither open nor shut."""
     interior = state.interior
     for p in group:
-        if not p.piece.solid or p.y > 0:
+        if not p.piece.solid:
             continue
         rect = footprint(p)
+        if p.y + p.piece.size[1] > _TALL and any(overlap(rect, w) for w in _window_strips(state)):
+            return False
+        if p.y > 0:
+            continue
         if not _inside(rect, interior):
             return False
         if any(overlap(rect, other) for other in (*state.solids, *state.fronts, *state.keep)):
@@ -196,8 +200,6 @@ def _fits(state: RoomState, group: Sequence[Placed]) -> bool:
             front = front_strip(p, p.piece.front_m)
             if not _inside(front, interior) or any(overlap(front, other) for other in state.solids):
                 return False
-        if p.piece.size[1] > _TALL and any(overlap(rect, w) for w in _window_strips(state)):
-            return False
     return True
 
 
@@ -269,7 +271,15 @@ def _extent(members: Sequence[Member]) -> tuple[float, float]:
 
 
 def _positions(
-    rng: np.random.Generator, state: RoomState, side: int, low: float, high: float, *, corner: bool, middle: bool
+    rng: np.random.Generator,
+    state: RoomState,
+    side: int,
+    low: float,
+    high: float,
+    *,
+    corner: bool,
+    middle: bool,
+    only_corner: bool,
 ) -> list[tuple[float, float]]:
     """(cost, u) of promising places of a group's origin along a wall; ``low`` and ``high`` are its ends about u."""
     a, b = side_span(state.interior, side)
@@ -277,8 +287,10 @@ def _positions(
     if last < first:
         return []
     found = [(0.0 if corner else 0.5, first), (0.0 if corner else 0.5, last)]
+    if only_corner:
+        return found
     found.append((0.0 if middle else 0.8, (first + last) / 2))
-    found += [(0.6, float(u)) for u in rng.uniform(first, last, 4)]
+    found += [(0.6, float(u)) for u in rng.uniform(first, last, 6)]
     axis = side % 2
     strip = _strip(state.interior, side, a, b, 0.5)
     for rect in (*state.solids, *(k for k in state.keep)):
@@ -299,19 +311,21 @@ def place_at_wall(
     *,
     corner: bool = False,
     middle: bool = False,
+    only_corner: bool = False,
     left_corner: bool = False,
     sides: Sequence[int] = (0, 1, 2, 3),
     tries: int = 6,
 ) -> list[Placed] | None:
     """Puts a group against some wall and gives it back, or None if no place is good.
 
-    ``corner`` or ``middle`` of a wall is preferred; ``left_corner`` insists on a wall at the group's left.
+    ``corner`` or ``middle`` of a wall is preferred; ``only_corner`` refuses the rest of the wall; ``left_corner`` insists
+    on a wall at the group's left.
     """
     x0, x1 = _extent(members)
     options = []
     for side in sides:
         low, high = (-x1, -x0) if mirrored(side) else (x0, x1)
-        places = _positions(rng, state, side, low, high, corner=corner, middle=middle)
+        places = _positions(rng, state, side, low, high, corner=corner, middle=middle, only_corner=only_corner)
         if left_corner:
             a, b = side_span(state.interior, side)
             end = b - high - 0.015 if mirrored(side) else a - low + 0.015

@@ -37,8 +37,20 @@ def _backed(piece: Furniture, x: float = 0.0) -> Member:
     return Member(piece=piece, x=x, z=piece.wall_gap_m + piece.size[2] / 2)
 
 
-def _single(rng: np.random.Generator, state: RoomState, piece: Furniture, **options: bool) -> list[Placed] | None:
-    return place_at_wall(rng, state, [_backed(piece)], **options)
+def _single(
+    rng: np.random.Generator,
+    state: RoomState,
+    piece: Furniture,
+    *,
+    corner: bool = False,
+    middle: bool = False,
+    only_corner: bool = False,
+    left_corner: bool = False,
+) -> list[Placed] | None:
+    members = [_backed(piece)]
+    return place_at_wall(
+        rng, state, members, corner=corner, middle=middle, only_corner=only_corner, left_corner=left_corner
+    )
 
 
 def _need(found: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
@@ -76,7 +88,9 @@ def _media_group(rng: np.random.Generator, style: Style, depth: float, small: bo
         Member(piece=sofa, z=sofa_z, quarter=2),
     ]
     beside = table.size[0] / 2 + knee + chair.size[2] / 2
-    variants = [[*base, Member(piece=chair, x=s * beside, z=table_z - 0.05, quarter=3 if s > 0 else 1)] for s in (1, -1)]
+    variants = [
+        [*base, Member(piece=chair, x=s * beside, z=table_z - 0.05, quarter=3 if s > 0 else 1)] for s in (1, -1)
+    ]
     return [base] if small else [*variants, base]
 
 
@@ -95,9 +109,11 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
     size = (state.interior[2] - state.interior[0]) * (state.interior[3] - state.interior[1])
     for _ in range(2 if size > 26 else 1):
         _single(rng, state, living.shelf(rng, style))
-    _single(rng, state, living.floor_lamp(rng, style), corner=True)
+    _single(rng, state, living.floor_lamp(rng, style), only_corner=True)
     for _ in range(2 if size > 24 else 1):
-        _single(rng, state, living.plant(rng, style), corner=True)
+        _single(rng, state, living.plant(rng, style), only_corner=True)
+    if size > 24:
+        _desk(rng, style, state)
     if size > 28:
         _single(rng, state, living.console(rng, style))
         _single(rng, state, living.armchair(rng, style), corner=True)
@@ -120,7 +136,9 @@ def _dining(rng: np.random.Generator, style: Style, state: RoomState, seats: Seq
                 members.append(Member(piece=chair, x=x, z=z, quarter=2 if s > 0 else 0, yaw=yaw))
         found = place_free(rng, state, members)
         if found is None:
-            shifted = [Member(piece=m.piece, x=m.z, z=m.x + 0.02 + w / 2, quarter=m.quarter + 1, yaw=m.yaw) for m in members]
+            shifted = [
+                Member(piece=m.piece, x=m.z, z=m.x + 0.02 + w / 2, quarter=m.quarter + 1, yaw=m.yaw) for m in members
+            ]
             found = place_at_wall(rng, state, shifted, middle=True)
         if found:
             return found
@@ -156,7 +174,7 @@ def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, di
             break
     _upper_cabinets(rng, style, state, row)
     if not dining:
-        _single(rng, state, living.plant(rng, style), corner=True)
+        _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 1)
 
 
@@ -181,9 +199,7 @@ def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, ro
         width = p.piece.size[0]
         cabinets.setdefault(width, kitchen.upper_cabinet(rng, style, width))
         dx, dz = turned(p.quarter, 0.0, -(p.piece.size[2] - cabinets[width].size[2]) / 2)
-        state.placed.append(
-            Placed(piece=cabinets[width], room=p.room, x=p.x + dx, z=p.z + dz, quarter=p.quarter)
-        )
+        state.placed.append(Placed(piece=cabinets[width], room=p.room, x=p.x + dx, z=p.z + dz, quarter=p.quarter))
 
 
 # --- bedrooms ---------------------------------------------------------------------------------------------------------
@@ -191,9 +207,8 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
     bed, table = sleeping.bed(rng, style, width), sleeping.nightstand(rng, style)
     members = [_backed(bed)]
     aside = bed.size[0] / 2 + table.size[0] / 2 + 0.03
-    for s in ((-1, 1) if tables == 2 else (int(rng.choice([-1, 1])),))[:tables]:
-        members.append(_backed(table, s * aside))
-    return members
+    signs = (-1, 1) if tables == 2 else (int(rng.choice([-1, 1])),)[:tables]
+    return [*members, *(_backed(table, s * aside) for s in signs)]
 
 
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
@@ -203,7 +218,9 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
     wide = 1.6 if main else float(rng.choice([1.0, 1.2, 1.4]))
     group = None
     for width, tables in ((wide, 2), (wide, 1), (1.2, 1), (1.0, 1), (1.0, 0)):
-        group = group or place_at_wall(rng, state, _bed_group(rng, style, width, tables), middle=tables == 2, corner=tables < 2)
+        group = group or place_at_wall(
+            rng, state, _bed_group(rng, style, width, tables), middle=tables == 2, corner=tables < 2
+        )
     bed = _need(group, "bed", state)[0]
     dx, dz = turned(bed.quarter, 0.0, 0.55)
     carpet = living.rug(rng, style, (min(bed.piece.size[0] + 0.9, 2.4), 1.5))
@@ -211,7 +228,7 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
     _need(_single(rng, state, sleeping.wardrobe(rng, style), corner=True), "wardrobe", state)
     _desk(rng, style, state)
     _single(rng, state, living.shelf(rng, style), corner=True)
-    _single(rng, state, living.plant(rng, style), corner=True)
+    _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 2)
 
 
@@ -220,7 +237,7 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> None:
     edge = desk.wall_gap_m + desk.size[2]
     seat = Member(
         piece=chair,
-        x=-0.15,
+        x=desk.size[0] / 2 - sleeping.DESK_DRAWERS - chair.size[0] / 2 - 0.02,
         z=edge + sleeping.chair_reach(rng) - chair.size[2] / 2,
         quarter=2,
         yaw=float(rng.uniform(-0.2, 0.2)),
@@ -236,14 +253,14 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
     done = _single(rng, state, bath.bathtub(rng, style), corner=True) if first else None
     if done is None:
         done = _single(rng, state, bath.shower(rng, style), left_corner=True)
-    _need(done, "bath or shower", state)
+    done = _need(done, "bath or shower", state)
     basin = _need(_single(rng, state, bath.bathroom_sink(rng, style), middle=True), "basin", state)[0]
     _need(_single(rng, state, bath.toilet(rng, style)), "toilet", state)
     if first and done[0].piece.asset.category == "bathtub":
         _single(rng, state, bath.shower(rng, style), left_corner=True)
     glass = bath.mirror(rng, style, min(0.7, basin.piece.size[0]))
     _hang(state, glass, basin.quarter, basin.x if basin.quarter % 2 == 0 else basin.z, 1.52)
-    _single(rng, state, living.plant(rng, style), corner=True)
+    _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 1)
 
 
@@ -251,7 +268,7 @@ def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dinin
     """Narrow: a shoe cabinet, a plant, pictures."""
     del dining
     _single(rng, state, living.console(rng, style))
-    _single(rng, state, living.plant(rng, style), corner=True)
+    _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 3)
 
 
@@ -262,7 +279,9 @@ def _hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> 
     low, high = side_span(state.interior, side)
     if u - half < low or u + half > high:
         return False
-    if any(k == side and o.span[0] - half - 0.05 < u < o.span[1] + half + 0.05 for k, o in (*state.windows, *state.doors)):
+    if any(
+        k == side and o.span[0] - half - 0.05 < u < o.span[1] + half + 0.05 for k, o in (*state.windows, *state.doors)
+    ):
         return False
     x, z = wall_point(state.interior, side, u)
     dx, dz = turned(side, 0.0, 0.05)
@@ -284,7 +303,9 @@ def pictures(rng: np.random.Generator, style: Style, state: RoomState, most: int
             return
         side = int(rng.integers(4))
         low, high = side_span(state.interior, side)
-        hung += _hang(state, living.picture(rng, style), side, float(rng.uniform(low, high)), float(rng.uniform(1.5, 1.6)))
+        hung += _hang(
+            state, living.picture(rng, style), side, float(rng.uniform(low, high)), float(rng.uniform(1.5, 1.6))
+        )
 
 
 FURNISH: Mapping[str, Callable[[np.random.Generator, Style, RoomState, bool], None]] = {

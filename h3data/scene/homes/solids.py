@@ -51,15 +51,18 @@ def turn_z(angle_rad: float) -> NDArray[np.float64]:
 @cache
 def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 of the sides, then 32 of the bevels."""
-    corners = list(product((-1, 1), repeat=3))
-    index = {(c, a): 3 * i + a for i, c in enumerate(corners) for a in range(3)}
+    corners: list[tuple[int, int, int]] = [(x, y, z) for x, y, z in product((-1, 1), repeat=3)]
+    index: dict[tuple[tuple[int, int, int], int], int] = {
+        (c, a): 3 * i + a for i, c in enumerate(corners) for a in range(3)
+    }
     signs = np.repeat(np.array(corners, float), 3, axis=0)
     normals = signs * np.tile(np.eye(3), (8, 1))
 
     def at(values: dict[int, int]) -> tuple[int, int, int]:
         return values[0], values[1], values[2]
 
-    quads, bevels, tips = [], [], []
+    quads: list[list[int]] = []
+    bevels: list[list[int]] = []
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         for s in (-1, 1):
@@ -215,7 +218,9 @@ class MeshBuilder:
         for (r0, y0), (r1, y1), n0, n1 in zip(p[:-1], p[1:], start, end, strict=True):
             for r, y, n in ((r0, y0, n0), (r1, y1, n1)):
                 vertices.append(np.column_stack([circle[:, 0] * r * sx, np.full(segments, y), circle[:, 1] * r * sz]))
-                normals.append(np.column_stack([circle[:, 0] * n[0] / sx, np.full(segments, n[1]), circle[:, 1] * n[0] / sz]))
+                normals.append(
+                    np.column_stack([circle[:, 0] * n[0] / sx, np.full(segments, n[1]), circle[:, 1] * n[0] / sz])
+                )
         k = np.arange(segments)
         ring = np.stack([k, (k + 1) % segments], 1)
         faces = []
@@ -227,7 +232,9 @@ class MeshBuilder:
                 faces.append(np.stack([low[:, 0], high[:, 1], high[:, 0]], 1))
         normal = np.concatenate(normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        self.add(np.concatenate(vertices), normal, np.concatenate(faces).astype(np.int32), color, center=center, turn=turn)
+        self.add(
+            np.concatenate(vertices), normal, np.concatenate(faces).astype(np.int32), color, center=center, turn=turn
+        )
 
     def cylinder(
         self,
@@ -254,7 +261,10 @@ class MeshBuilder:
     ) -> None:
         """A closed ellipsoid with half axes ``radii`` (x, y, z)."""
         angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
-        profile = [(max(float(np.cos(a)), 0.0) if 0 < i < rings else 0.0, float(np.sin(a)) * radii[1]) for i, a in enumerate(angle)]
+        profile = [
+            (max(float(np.cos(a)), 0.0) if 0 < i < rings else 0.0, float(np.sin(a)) * radii[1])
+            for i, a in enumerate(angle)
+        ]
         self.lathe(profile, color, center=center, segments=segments, stretch=(radii[0], radii[2]))
 
     def quads(self, corners: ArrayLike, colors: ArrayLike) -> None:

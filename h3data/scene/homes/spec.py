@@ -50,13 +50,13 @@ class HomeSpec:
 
 _STRUCTURE = ("wall", "floor", "ceiling", "door", "window", "trim")
 _FURNITURE = (
-    "sofa armchair coffee_table tv_stand tv shelf dining_table chair kitchen_counter stove fridge kitchen_cabinet bed "
-    "nightstand wardrobe desk toilet bathroom_sink bathtub shower rug floor_lamp plant picture mirror ceiling_lamp "
-    "console"
-).split()
-_OBJECTS = "can mug bowl box bottle book apple orange".split()
+    "sofa", "armchair", "coffee_table", "tv_stand", "tv", "shelf", "dining_table", "chair", "kitchen_counter",
+    "stove", "fridge", "kitchen_cabinet", "bed", "nightstand", "wardrobe", "desk", "toilet", "bathroom_sink",
+    "bathtub", "shower", "rug", "floor_lamp", "plant", "picture", "mirror", "ceiling_lamp", "console"
+)  # fmt: skip
+_OBJECTS = ("can", "mug", "bowl", "box", "bottle", "book", "apple", "orange")
 
-OBJECT_CATEGORIES: tuple[str, ...] = tuple(_OBJECTS)
+OBJECT_CATEGORIES: tuple[str, ...] = _OBJECTS
 """Small things that stand on receptacles and may be carried away (``motion="kinematic"``)."""
 
 CATEGORIES: Mapping[str, int] = MappingProxyType(

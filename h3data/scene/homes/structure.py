@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -147,7 +148,7 @@ def _tiled(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Pie
             rest.append((u0, height, u1, y1))
         us = np.linspace(u0, u1, max(1, round((u1 - u0) / _TILE)) + 1).tolist()
         ys = np.linspace(y0, top, max(1, round((top - y0) / _TILE)) + 1).tolist()
-        tiles += [(a, b, c, d) for a, c in zip(us[:-1], us[1:], strict=True) for b, d in zip(ys[:-1], ys[1:], strict=True)]
+        tiles += [(a, b, c, d) for a, c in pairwise(us) for b, d in pairwise(ys)]
     return tiles, rest
 
 
@@ -160,7 +161,7 @@ def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset
             pieces = _pieces(low, high, openings)
             if room.category == "bathroom":
                 tiles, pieces = _tiled(pieces, 1.5)
-                colors = [vary(rng, style.wall_tile, 0.05) for _ in tiles]
+                colors = [vary(rng, style.wall_tile, 0.022) for _ in tiles]
                 mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors)
             mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
     t, w, d = WALL_THICKNESS, layout.width, layout.depth
@@ -207,10 +208,10 @@ def _planks(rect: Rect, rng: np.random.Generator) -> np.ndarray:
     a0, b0, a1, b1 = (z0, x0, z1, x1) if swap else rect
     boards = []
     rows = np.append(np.arange(b0, b1 - 0.03, _PLANK_WIDTH), b1)
-    for low, high in zip(rows[:-1], rows[1:], strict=True):
+    for low, high in pairwise(rows.tolist()):
         cuts = np.arange(a0 - rng.uniform(0, _PLANK_LENGTH), a1, _PLANK_LENGTH)
         ends = np.concatenate([[a0], cuts[(cuts > a0 + 0.08) & (cuts < a1 - 0.08)], [a1]])
-        boards += [(s, low, e, high) for s, e in zip(ends[:-1], ends[1:], strict=True)]
+        boards += [(s, low, e, high) for s, e in pairwise(ends.tolist())]
     out = np.array(boards)
     return out[:, [1, 0, 3, 2]] if swap else out
 
@@ -308,7 +309,14 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
     (u0, u1), (_, y1) = opening.span, opening.height
     _bar(mesh, opening.axis, (u0, u1), (middle - 0.025, middle + 0.025), (0.0, y1), style.front_door)
     for low, high in ((0.18, 0.95), (1.1, y1 - 0.18)):
-        _bar(mesh, opening.axis, (u0 + 0.15, u1 - 0.15), (middle - 0.034, middle + 0.034), (low, high), shade(style.front_door, 1.12))
+        _bar(
+            mesh,
+            opening.axis,
+            (u0 + 0.15, u1 - 0.15),
+            (middle - 0.034, middle + 0.034),
+            (low, high),
+            shade(style.front_door, 1.12),
+        )
     _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
     return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
