@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -381,3 +382,11 @@ def test_an_empty_table_and_a_single_episode():
     assert math.isnan(one.summary()["TD"].low), "one episode has no bootstrap interval"
     assert not math.isnan(one.summary()["S"].low)
     assert isinstance(one.episodes[0], EpisodeMetrics)
+
+
+def test_the_documentation_says_the_same():
+    text = (Path(__file__).resolve().parents[1] / "docs" / "metrics.md").read_text()
+    for metric in metrics_of("paper"):
+        row = next(line for line in text.splitlines() if metric.id in line)
+        assert f"| {metric.formula} |" in row
+        assert row.startswith(f"| {metric.name}, {metric.title.lower()} |")
