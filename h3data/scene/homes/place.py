@@ -194,13 +194,21 @@ def _fits(state: RoomState, group: Sequence[Placed]) -> bool:
             return False
         if any(_gap_refused(gap(rect, other)) for other in state.solids):
             return False
-        if any(_gap_refused(abs(rect[i] - interior[i])) for i in range(4)):
+        if any(_gap_refused(abs(rect[i] - interior[i])) and not _filled(rect, interior, i, group) for i in range(4)):
             return False
         if p.piece.front_m > 0:
             front = front_strip(p, p.piece.front_m)
             if not _inside(front, interior) or any(overlap(front, other) for other in state.solids):
                 return False
     return True
+
+
+def _filled(rect: Rect, interior: Rect, end: int, group: Sequence[Placed]) -> bool:
+    """Whether another piece of the group stands between a rectangle and one wall: a chair's desk, a table's chair."""
+    between = list(rect)
+    between[(end + 2) % 4], between[end] = rect[end], interior[end]
+    strip = (between[0], between[1], between[2], between[3])
+    return any(p.piece.solid and p.y == 0 and overlap(footprint(p), strip) for p in group)
 
 
 def _window_strips(state: RoomState) -> list[Rect]:

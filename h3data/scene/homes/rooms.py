@@ -215,9 +215,9 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
     """Bed with nightstands, wardrobe, desk with chair, and what else fits."""
     del dining
     main = not state.room.name.endswith(("_2", "_3"))
-    wide = 1.6 if main else float(rng.choice([1.0, 1.2, 1.4]))
+    wide = 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
     group = None
-    for width, tables in ((wide, 2), (wide, 1), (1.2, 1), (1.0, 1), (1.0, 0)):
+    for width, tables in ((wide, 2 if main else 1), (wide, 1), (1.2, 1), (1.0, 1), (1.0, 0)):
         group = group or place_at_wall(
             rng, state, _bed_group(rng, style, width, tables), middle=tables == 2, corner=tables < 2
         )
