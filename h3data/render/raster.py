@@ -69,8 +69,10 @@ class Geometry(NamedTuple):
     """And half size, shape [C, 3] [m]."""
     mesh_first: NDArray[np.int32]
     """First cluster of each mesh and, at the end, the number of clusters, shape [M + 1]."""
-    mesh_box: NDArray[np.float64]
-    """Centre and half size of each mesh's box, shape [M, 2, 3] [m]."""
+    mesh_center: NDArray[np.float64]
+    """Boxes of the meshes: centre, shape [M, 3] [m]."""
+    mesh_half: NDArray[np.float64]
+    """And half size, shape [M, 3] [m]."""
 
 
 class Placement(NamedTuple):
@@ -156,12 +158,12 @@ def _clear(target, width, height):
 
 # --- frustum --------------------------------------------------------------------------------------------------------
 @njit(nogil=True, forceinline=True)
-def _outside(planes, center, half):
+def _outside(planes, center, half, box):
     """Whether a box lies wholly behind one of the 5 planes [5, 4]. NaN counts as outside."""
     for k in range(5):
         distance = planes[k, 3]
         for a in range(3):
-            distance += planes[k, a] * center[a] + abs(planes[k, a]) * half[a]
+            distance += planes[k, a] * center[box, a] + abs(planes[k, a]) * half[box, a]
         if not distance >= 0:
             return True
     return False
@@ -201,7 +203,7 @@ def _collect(geometry, placement, view, target):
     """List the clusters inside the frustum with their tiles and nearest z; returns how many."""
     fx, fy, cx, cy = view.intrinsics
     width, height = float(view.width), float(view.height)
-    draws, near = target.draws, target.near
+    draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
     planes = np.empty((5, 4))
     box = np.empty((3, 2))  # camera-space middle and extent, per axis
     count = 0
@@ -210,18 +212,17 @@ def _collect(geometry, placement, view, target):
             continue
         mesh = placement.mesh[i]
         _place(i, placement.matrix[i], view, target, planes)
-        if _outside(planes, geometry.mesh_box[mesh, 0], geometry.mesh_box[mesh, 1]):
+        if _outside(planes, geometry.mesh_center, geometry.mesh_half, mesh):
             continue
         to_camera = target.camera_from_mesh[i]
         for cluster in range(geometry.mesh_first[mesh], geometry.mesh_first[mesh + 1]):
-            center, half = geometry.center[cluster], geometry.half[cluster]
-            if _outside(planes, center, half):
+            if _outside(planes, center, half, cluster):
                 continue
             for r in range(3):
                 box[r, 0], box[r, 1] = to_camera[r, 3], 0.0
                 for a in range(3):
-                    box[r, 0] += to_camera[r, a] * center[a]
-                    box[r, 1] += abs(to_camera[r, a]) * half[a]
+                    box[r, 0] += to_camera[r, a] * center[cluster, a]
+                    box[r, 1] += abs(to_camera[r, a]) * half[cluster, a]
             z0, z1 = box[2, 0] - box[2, 1], box[2, 0] + box[2, 1]
             left, right, top, bottom = 0.0, width - 0.5, 0.0, height - 0.5
             if z0 < NEAR_M:
@@ -261,9 +262,8 @@ def _front_to_back(near, count):
 
 # --- drawing --------------------------------------------------------------------------------------------------------
 @njit(nogil=True)
-def _hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, target, inv_z_at, row_bytes):
+def _hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
     """Whether everything in these tiles is nearer than ``inv_z``; refreshes stale tiles on the way."""
-    bounds, stale = target.tile_inv_z, target.tile_stale
     for ty in range(tile_y0, tile_y1 + 1):
         for tx in range(tile_x0, tile_x1 + 1):
             if bounds[ty, tx] >= inv_z:
@@ -294,6 +294,7 @@ def _draw(geometry, view, target, order):
     boxes = table.view(np.int32)
     screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
     corners = np.empty(9)
+    bounds, stale = target.tile_inv_z, target.tile_stale
     for draw in order:
         instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
         tile_x0, tile_x1 = target.draws[draw, TILE_X0], target.draws[draw, TILE_X1]
@@ -301,7 +302,7 @@ def _draw(geometry, view, target, order):
         near = target.near[draw]
         if near > 0:
             nearest = OCCLUSION_MARGIN / near
-            if _hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, target, inv_z_at, row_bytes):
+            if _hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, bounds, stale, inv_z_at, row_bytes):
                 continue
         first, end = geometry.cluster_packets[cluster]
         packet_at = shared_at + np.uintp(first * PACKET_BYTES)
@@ -319,7 +320,7 @@ def _draw(geometry, view, target, order):
             while medium:
                 lane = count_trailing_zeros(medium)
                 medium &= medium - 1
-                if not _lane_hidden(table, boxes, lane, target, inv_z_at, row_bytes):
+                if not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
                     _fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
             while large:
                 lane = count_trailing_zeros(large)
@@ -329,18 +330,20 @@ def _draw(geometry, view, target, order):
                 if first >= shared_count:
                     soup, p = geometry.own_packets, p - shared_count
                 is_near = _camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
-                if is_near or not _lane_hidden(table, boxes, lane, target, inv_z_at, row_bytes):
+                if is_near or not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
                     _fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
             packet_at += np.uintp(PACKET_BYTES)
             word += np.int32(8)
-        target.tile_stale[tile_y0 : tile_y1 + 1, tile_x0 : tile_x1 + 1] = 1
+        for ty in range(tile_y0, tile_y1 + 1):
+            for tx in range(tile_x0, tile_x1 + 1):
+                stale[ty, tx] = 1
 
 
 @njit(nogil=True, forceinline=True)
-def _lane_hidden(table, boxes, lane, target, inv_z_at, row_bytes):
+def _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
-    return _hidden(x0, x1, y0, y1, nearest, target, inv_z_at, row_bytes)
+    return _hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)
 
 
 @njit(nogil=True, forceinline=True)

@@ -61,7 +61,8 @@ class Renderer:
                 own_packets=shared.own_packets.copy(),
                 center=shared.center.copy(),
                 half=shared.half.copy(),
-                mesh_box=shared.mesh_box.copy(),
+                mesh_center=shared.mesh_center.copy(),
+                mesh_half=shared.mesh_half.copy(),
             )
             self._normals = scene.surface.normals.copy()
         self._ids = np.arange(len(scene.instances), dtype=np.int32)
@@ -104,7 +105,7 @@ class Renderer:
         packets = geometry.own_packets[scene.own_packet_range(mesh)]
         center, half = geometry.center[clusters], geometry.half[clusters]
         fill_packets(v, scene.meshes[mesh].faces, part.triangles, part.first, packets, center, half)
-        geometry.mesh_box[mesh] = enclosing_box(center, half)
+        geometry.mesh_center[mesh], geometry.mesh_half[mesh] = enclosing_box(center, half)
         if mesh in scene.groups:
             self._stale_normals[mesh] = v.copy()
 

@@ -135,7 +135,7 @@ def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry,
     storage = [m for m in range(len(parts)) if m not in deformable] + list(deformable)
     start = dict(zip(storage, _starts(len(parts[m].packets) for m in storage), strict=False))
     ranges = [np.stack([p.first[:-1], p.first[1:]], axis=1) + start[m] for m, p in enumerate(parts)]
-    boxes = [enclosing_box(p.center, p.half) for p in parts]
+    boxes = np.array([enclosing_box(p.center, p.half) for p in parts]).reshape(len(parts), 2, 3)
     no_packets = np.zeros((0, 9, 8), np.float32)
     shared = [parts[m].packets for m in storage if m not in deformable]
     geometry = Geometry(
@@ -145,7 +145,8 @@ def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry,
         center=np.concatenate([np.zeros((0, 3)), *(p.center for p in parts)]),
         half=np.concatenate([np.zeros((0, 3)), *(p.half for p in parts)]),
         mesh_first=_starts(len(p.center) for p in parts).astype(np.int32),
-        mesh_box=np.stack(boxes) if boxes else np.zeros((0, 2, 3)),
+        mesh_center=boxes[:, 0],
+        mesh_half=boxes[:, 1],
     )
     lanes = [parts[m].triangles for m in storage]
     return geometry, np.concatenate([np.zeros((0, 8), np.int32), *lanes])

@@ -1,7 +1,7 @@
 """RGB and normals from the visibility buffer, once per pixel (or once per quarter pixel at edges).
 
-Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun and a weak light at the camera; there
-are no shadows. Surfaces are lit on both sides.
+Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun, a weak fill light and one at the camera;
+there are no shadows. Surfaces are lit on both sides.
 """
 
 from __future__ import annotations
@@ -38,15 +38,18 @@ Color = tuple[float, float, float]
 class Light:
     """Light of a scene; colours are linear RGB."""
 
-    sky: Color = (0.62, 0.64, 0.68)
+    sky: Color = (0.56, 0.58, 0.61)
     """What a surface that faces up gets from all around."""
-    ground: Color = (0.30, 0.27, 0.24)
+    ground: Color = (0.44, 0.42, 0.39)
     """What a surface that faces down gets."""
     sun: Color = (0.42, 0.40, 0.36)
-    sun_direction: Color = (0.45, 0.80, 0.40)
-    """Towards the sun, world frame."""
-    headlight: Color = (0.10, 0.10, 0.10)
-    """From the camera; keeps shapes readable that the sun does not reach."""
+    sun_direction: Color = (0.28, 0.75, 0.60)
+    """Towards the sun, world frame; not halfway between x and z, so that walls at a corner differ."""
+    fill: Color = (0.10, 0.12, 0.15)
+    fill_direction: Color = (-0.90, 0.15, -0.35)
+    """A weak second light from the other side, for the same reason."""
+    headlight: Color = (0.08, 0.08, 0.08)
+    """From the camera; keeps shapes readable that no other light reaches."""
     horizon: Color = (0.80, 0.85, 0.90)
     """Background at eye level and below."""
     zenith: Color = (0.45, 0.60, 0.80)
@@ -86,9 +89,9 @@ _BYTE_OF_LINEAR = np.round(
 
 def _light_table(light: Light) -> NDArray[np.float32]:
     sky, ground = np.array(light.sky), np.array(light.ground)
-    sun_direction = normalized(np.array(light.sun_direction))
-    rows = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.headlight, sun_direction]
-    return np.concatenate([*rows, light.horizon, light.zenith]).astype(np.float32)
+    colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
+    directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
+    return np.concatenate([*colors, *directions, light.horizon, light.zenith]).astype(np.float32)
 
 
 def shade(

@@ -18,9 +18,9 @@ TONE_LIMIT = 2.0
 # Float32 words of a triangle's attributes: colour and normal at vertex 0, and the differences of vertices 1 and 2.
 COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
 ATTRIBUTES = 18
-# Float32 words of the light: mean of sky and ground, half their difference, sun, headlight, direction of the sun.
-MEAN, UP, SUN, HEADLIGHT, SUN_DIRECTION = 0, 3, 6, 9, 12
-LIGHT_WORDS = 15
+# Float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, and two directions.
+MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION = 0, 3, 6, 9, 12, 15, 18
+LIGHT_WORDS = 21
 # Float32 words of a block's rays and planes: value at its first pixel, then the step to the next pixel.
 NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
 BLOCK_WORDS = 12
@@ -57,11 +57,12 @@ def _emit_light(b: Any, block_at: Any, attributes_at: Any, light_at: Any, strip_
     ray = [linear(RAY + 2 * a) for a in range(3)]
     facing = (-_dot(normal, ray)).maximum(0.0).divided_by(_dot(ray, ray).unary("sqrt"))
     sunny = _dot(normal, words(light_at, SUN_DIRECTION)).maximum(0.0)
+    filled = _dot(normal, words(light_at, FILL_DIRECTION)).maximum(0.0)
 
     color = mix(COLOR)
-    mean, up, sun, head = (words(light_at, k) for k in (MEAN, UP, SUN, HEADLIGHT))
+    mean, up, sun, fill, head = (words(light_at, k) for k in (MEAN, UP, SUN, FILL, HEADLIGHT))
     for a in range(3):
-        light = fma(up[a], normal[1], fma(sun[a], sunny, fma(head[a], facing, mean[a])))
+        light = fma(up[a], normal[1], fma(sun[a], sunny, fma(fill[a], filled, fma(head[a], facing, mean[a]))))
         level = (color[a] * light * (TONE_SIZE / TONE_LIMIT)).maximum(0.0).minimum(TONE_SIZE - 1.0)
         store(b, b.fptosi(level.value, INT8), strip_at)
         strip_at = b.add(strip_at, row_bytes)
