@@ -46,7 +46,7 @@ class Dataset:
                 f"A LeRobot dataset, but not written by h3data: it lacks h3/schema.json and with it bodies and agents. "
                 f"Hint: open it with lerobot or Rerun: {self.root}"
             )
-        self._check_info()
+        self._promised = self._check_info()
         self.schema = DatasetSchema.load(self.root)
         self._declared = {c.name: c for c in self.schema.columns}
         self._files: dict[int, pq.ParquetFile] = {}
@@ -62,6 +62,8 @@ class Dataset:
             faults = _chain_faults(table) if tables else []
         except _DAMAGE as error:
             raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
+        if len(table) < self._promised:
+            faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
         if faults:
             raise FormatError(f"The episode table is not consistent: {'; '.join(faults)}: {self.root}")
         return table
@@ -115,18 +117,20 @@ class Dataset:
         return "\n".join(lines)
 
     # --- inside ---
-    def _check_info(self) -> None:
+    def _check_info(self) -> int:
+        """Episodes that info.json counts; it is written after the episode tables, so there are at least as many."""
         path = self.root / "meta" / "info.json"
         if not path.exists():
-            return  # before the first commit
+            return 0  # before the first commit
         try:
             info = json.loads(path.read_bytes())
-            version = info["h3data"]["schema_version"]
+            version, episodes = info["h3data"]["schema_version"], int(info["total_episodes"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise FormatError(
                 f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
             ) from error
         check_version(version, path=path)
+        return episodes
 
     def _row(self, index: int) -> dict[str, Any]:
         if not 0 <= index < len(self):

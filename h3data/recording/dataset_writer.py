@@ -336,7 +336,7 @@ class _Shard:
     def _open(self, kind: str) -> IO[bytes]:
         final = shard_path(self.root, kind, self.number)
         final.parent.mkdir(parents=True, exist_ok=True)
-        part = final.with_name(final.name + ".part")
+        part = final.with_name(f"_{final.name}.part")  # readers of whole folders skip names with an underscore
         stream = open_shard_file(part)
         self.parts.append((part, final))
         return stream

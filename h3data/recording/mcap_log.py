@@ -141,7 +141,7 @@ class RecordingWriter:
             if header.columns:
                 self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
         except BaseException:
-            self._stream.close()
+            self._shut()
             self.part.unlink(missing_ok=True)  # nothing worth recovering yet
             raise
 

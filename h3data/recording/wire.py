@@ -173,7 +173,9 @@ def decode_messages(
         block = np.frombuffer(b"".join(messages), np.uint8).reshape(rows, len(template))
         if np.all(block[:, fixed] == template[fixed]):
             return {
-                f.column.name: _narrow(block[:, s : s + f.size].copy().view(f.wire_dtype).reshape(rows, -1), f)
+                f.column.name: _narrow(
+                    block[:, s : s + f.size].copy().view(f.wire_dtype).reshape(rows, f.column.width), f
+                )
                 if f.size
                 else f.column.empty(rows)
                 for f, s in chosen
