@@ -1,0 +1,289 @@
+"""A scene as one GLB (glTF 2.0 binary) that any viewer opens and that gives the same scene back exactly.
+
+Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear) and one node per instance. What glTF has no place for
+(categories, collision shapes, receptacles, rooms, float64 poses, ...) lies as JSON below ``extras.h3data`` of the file.
+sRGB colours survive exactly: 16-bit linear values are at least 19 steps apart for neighbouring 8-bit sRGB ones.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError, SceneError
+from h3data.geometry import normalized
+from h3data.scene.records import Asset, Instance, Mesh, Scene
+from h3data.scene.scene_json import (
+    asset_record,
+    floats,
+    instance_record,
+    read_asset,
+    read_instance,
+    read_room,
+    room_record,
+)
+
+FORMAT_NAME = "h3data.scene"
+FORMAT_VERSION = (1, 0)
+"""Major, minor. A reader refuses a newer major version and ignores fields that it does not know."""
+
+_MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
+_FLOAT32, _UINT16, _UINT32 = 5126, 5123, 5125
+_VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
+
+
+@cache
+def _linear_of_srgb() -> NDArray[np.uint16]:
+    """16-bit linear light of each 8-bit sRGB value, shape [256] (IEC 61966-2-1)."""
+    s = np.arange(256) / 255
+    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    return np.round(linear * 65535).astype(np.uint16)
+
+
+def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """The nearest 8-bit sRGB values; exact for values written by `save_scene`."""
+    table = _linear_of_srgb().astype(np.int32)
+    middles = (table[1:] + table[:-1]) // 2
+    return np.searchsorted(middles, linear, side="left").astype(np.uint8)
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+class _Buffer:
+    """The binary chunk that is being filled, with its buffer views and accessors."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.size = 0
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, array: NDArray[Any], kind: str, component: int, target: int, **more: Any) -> int:
+        """Appends one accessor and gives its index."""
+        data = array.tobytes()
+        padding = -len(data) % 4
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), "target": target})
+        self.accessors.append(
+            {"bufferView": len(self.views) - 1, "componentType": component, "count": len(array), "type": kind, **more}
+        )
+        self.parts.append(data + bytes(padding))
+        self.size += len(data) + padding
+        return len(self.accessors) - 1
+
+    def add_mesh(self, asset: Asset) -> dict[str, int] | None:
+        """Accessors of a mesh; None if it has no triangles and no vertices."""
+        mesh = asset.mesh
+        if not len(mesh.vertices):
+            return None
+        for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
+            if values is not None and not np.isfinite(values).all():
+                raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot hold them.")
+        low, high = mesh.bounds.tolist()
+        vertices = mesh.vertices.astype("<f4")
+        out = {"POSITION": self.add(vertices, "VEC3", _FLOAT32, _VERTEX_BUFFER, min=low, max=high)}
+        if mesh.normals is not None:
+            out["NORMAL"] = self.add(mesh.normals.astype("<f4"), "VEC3", _FLOAT32, _VERTEX_BUFFER)
+        rgba = np.full((len(vertices), 4), 65535, "<u2")  # four components keep every vertex on a 4-byte border
+        rgba[:, :3] = _linear_of_srgb()[mesh.colors]
+        out["COLOR_0"] = self.add(rgba, "VEC4", _UINT16, _VERTEX_BUFFER, normalized=True)
+        if len(mesh.faces):
+            out["indices"] = self.add(mesh.faces.astype("<u4").ravel(), "SCALAR", _UINT32, _INDEX_BUFFER)
+        return out
+
+
+def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
+    rotation = normalized(instance.pose[3:])
+    node: dict[str, Any] = {
+        "name": instance.name,
+        "translation": floats(instance.pose[:3]),
+        "rotation": [float(np.clip(v, -1, 1)) for v in rotation],
+        "scale": floats(instance.scale),
+    }
+    return node if mesh is None else {**node, "mesh": mesh}
+
+
+def scene_bytes(scene: Scene) -> bytes:
+    """The scene as the bytes of one GLB; the same scene gives the same bytes."""
+    buffer = _Buffer()
+    records, meshes, mesh_of = [], [], {}
+    for key, asset in scene.assets.items():
+        accessors = buffer.add_mesh(asset)
+        records.append({"key": key, **asset_record(asset, accessors)})
+        if accessors is not None and "indices" in accessors:
+            attributes = {name: index for name, index in accessors.items() if name != "indices"}
+            primitive = {"attributes": attributes, "indices": accessors["indices"], "material": 0, "mode": 4}
+            mesh_of[key] = len(meshes)
+            meshes.append({"name": asset.name, "primitives": [primitive]})
+    nodes = [_node(i, mesh_of.get(i.asset)) for i in scene.instances]
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "h3data"},
+        "scene": 0,
+        "scenes": [{"name": scene.name, "nodes": list(range(len(nodes)))} if nodes else {"name": scene.name}],
+        "extras": {
+            "h3data": {
+                "format": FORMAT_NAME,
+                "version": list(FORMAT_VERSION),
+                "name": scene.name,
+                "source": dict(scene.source),
+                "rooms": [room_record(r) for r in scene.rooms],
+                "assets": records,
+                "instances": [instance_record(i) for i in scene.instances],
+            }
+        },
+    }
+    material = {"name": "vertex colours", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+    more = {
+        "nodes": nodes,
+        "meshes": meshes,
+        "materials": [material] if meshes else [],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": buffer.size}] if buffer.size else [],
+    }
+    document |= {name: value for name, value in more.items() if value}
+    try:
+        text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+    except (TypeError, ValueError) as error:
+        raise SceneError(
+            f"Scene {scene.name!r} cannot be written: {error}. Poses, shapes and `source` must be finite and plain JSON."
+        ) from error
+    chunks = [(_JSON, text + b" " * (-len(text) % 4))]
+    if buffer.size:
+        chunks.append((_BIN, b"".join(buffer.parts)))
+    body = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
+    return _MAGIC + struct.pack("<II", 2, 12 + len(body)) + body
+
+
+def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) -> None:
+    """Writes a scene as GLB to a path (first to ``.part``, then renamed) or into an open binary file."""
+    data = scene_bytes(scene)
+    if not isinstance(path_or_buffer, str | os.PathLike):
+        path_or_buffer.write(data)
+        return
+    path = Path(path_or_buffer)
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise InputError(f"Cannot write the scene: {error.strerror or error}. Path: {path}") from error
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scene:
+    """The scene of a GLB written by `save_scene`, equal to the one saved (`scene_digest` tells)."""
+    if isinstance(path_or_bytes, bytes | bytearray | memoryview):
+        data, where = bytes(path_or_bytes), "the given bytes"
+    elif isinstance(path_or_bytes, str | os.PathLike):
+        where = str(path_or_bytes)
+        try:
+            data = Path(path_or_bytes).read_bytes()
+        except OSError as error:
+            raise InputError(f"Cannot read a scene: {error.strerror or error}. Path: {where}") from error
+    else:
+        data, where = path_or_bytes.read(), getattr(path_or_bytes, "name", "the given file")
+    document, binary = _chunks(data, where)
+    extras = document.get("extras")
+    record = extras.get("h3data") if isinstance(extras, dict) else None
+    if not isinstance(record, dict) or record.get("format") != FORMAT_NAME:
+        raise FormatError(
+            "A GLB, but not one written by h3data.scene.save_scene. "
+            f"Hint: h3data.interop reads GLBs and scenes of other makers. File: {where}"
+        )
+    try:
+        major = int(record["version"][0])
+        if major > FORMAT_VERSION[0]:
+            raise FormatError(
+                f"The scene has format version {major}, this h3data reads up to {FORMAT_VERSION[0]}. "
+                f"Hint: upgrade h3data. File: {where}"
+            )
+        return _scene(record, document, binary)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, SceneError) as error:
+        raise FormatError(f"Damaged scene file ({type(error).__name__}: {error}). File: {where}") from error
+
+
+def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
+    """JSON document and binary chunk of a GLB."""
+    if data[:4] != _MAGIC:
+        raise FormatError(f"Expected a scene as GLB (first bytes 'glTF'), got {data[:4]!r}. File: {where}")
+    if len(data) < 20:
+        raise FormatError(f"Truncated GLB: a header needs 20 bytes, there are {len(data)}. File: {where}")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise FormatError(f"Expected glTF version 2, got {version}. File: {where}")
+    if length > len(data):
+        raise FormatError(f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}")
+    chunks: dict[bytes, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        (size,), kind = struct.unpack_from("<I", data, at), data[at + 4 : at + 8]
+        if at + 8 + size > length:
+            raise FormatError(f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}")
+        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+        at += 8 + size
+    try:
+        document = json.loads(chunks[_JSON])
+    except (KeyError, ValueError, RecursionError) as error:
+        raise FormatError(f"Damaged GLB: it has no readable JSON chunk. File: {where}") from error
+    if not isinstance(document, dict):
+        raise FormatError(f"Damaged GLB: its JSON is not an object. File: {where}")
+    return document, chunks.get(_BIN, b"")
+
+
+_WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_DTYPE = {_FLOAT32: "<f4", _UINT16: "<u2", _UINT32: "<u4"}
+
+
+def _accessor(document: dict[str, Any], binary: bytes, index: int, kind: str, component: int) -> NDArray[Any]:
+    """One accessor of our own writer: tightly packed, of the kind that we write."""
+    accessor = document["accessors"][index]
+    if (accessor["type"], accessor["componentType"]) != (kind, component):
+        raise ValueError(f"accessor {index} is {accessor['type']}/{accessor['componentType']}, not {kind}/{component}")
+    view = document["bufferViews"][accessor["bufferView"]]
+    dtype, width = np.dtype(_DTYPE[component]), _WIDTH[kind]
+    start, size = int(view["byteOffset"]), int(accessor["count"]) * width * dtype.itemsize
+    if start < 0 or size < 0 or start + size > len(binary):
+        raise ValueError(f"accessor {index} needs bytes {start}..{start + size}, the file has {len(binary)}")
+    array = np.frombuffer(binary, dtype, count=size // dtype.itemsize, offset=start)
+    return array.reshape(-1, width) if width > 1 else array
+
+
+def _mesh(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> Mesh:
+    accessors = record["mesh"]
+    if accessors is None:
+        none = np.zeros((0, 3), np.float32)
+        normals = none.copy() if record["has_normals"] else None
+        return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8), normals=normals)
+    normals = None
+    if "NORMAL" in accessors:
+        normals = _accessor(document, binary, accessors["NORMAL"], "VEC3", _FLOAT32).astype(np.float32)
+    faces = np.zeros((0, 3), np.int32)
+    if "indices" in accessors:
+        faces = _accessor(document, binary, accessors["indices"], "SCALAR", _UINT32).reshape(-1, 3).astype(np.int32)
+    color = _accessor(document, binary, accessors["COLOR_0"], "VEC4", _UINT16)
+    return Mesh(
+        vertices=_accessor(document, binary, accessors["POSITION"], "VEC3", _FLOAT32).astype(np.float32),
+        faces=faces,
+        colors=_srgb_of_linear(color[:, :3]),
+        normals=normals,
+    )
+
+
+def _scene(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> Scene:
+    return Scene(
+        name=str(record["name"]),
+        assets={str(a["key"]): read_asset(a, _mesh(a, document, binary)) for a in record["assets"]},
+        instances=tuple(read_instance(i) for i in record["instances"]),
+        rooms=tuple(read_room(r) for r in record["rooms"]),
+        source=dict(cast("Mapping[str, Any]", record["source"])),
+    )

@@ -1,0 +1,179 @@
+"""What a scene holds beside its meshes as plain JSON records, and the digest of all of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene.records import (
+    Asset,
+    Box,
+    Capsule,
+    Cylinder,
+    Hull,
+    Instance,
+    Mesh,
+    Receptacle,
+    Room,
+    Scene,
+    Shape,
+)
+
+
+def floats(values: NDArray[np.float64]) -> list[Any]:
+    return np.asarray(values, np.float64).tolist()
+
+
+_SHAPE_WRITERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+    Box: lambda s: {"type": "box", "pose": floats(s.pose), "half_extents": floats(s.half_extents)},
+    Cylinder: lambda s: {
+        "type": "cylinder", "pose": floats(s.pose), "radius": float(s.radius), "half_height": float(s.half_height)
+    },
+    Capsule: lambda s: {
+        "type": "capsule", "start": floats(s.start), "end": floats(s.end), "radius": float(s.radius)
+    },
+    Hull: lambda s: {"type": "hull", "points": floats(s.points)},
+}  # fmt: skip
+
+
+def _array(value: Any, *shape: int | None) -> NDArray[np.float64]:
+    array = np.array(value, np.float64)
+    if array.size == 0 and len(shape) == 2:
+        array = array.reshape(0, shape[1] or 0)
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"an array of shape {list(array.shape)} where {list(shape)} is needed")
+    return array
+
+
+_SHAPE_READERS: Mapping[str, Callable[[dict[str, Any]], Shape]] = {
+    "box": lambda d: Box(pose=_array(d["pose"], 7), half_extents=_array(d["half_extents"], 3)),
+    "cylinder": lambda d: Cylinder(
+        pose=_array(d["pose"], 7), radius=float(d["radius"]), half_height=float(d["half_height"])
+    ),
+    "capsule": lambda d: Capsule(start=_array(d["start"], 3), end=_array(d["end"], 3), radius=float(d["radius"])),
+    "hull": lambda d: Hull(points=_array(d["points"], None, 3)),
+}
+
+
+def asset_record(asset: Asset, mesh: dict[str, int] | None) -> dict[str, Any]:
+    """All of an asset but its arrays; ``mesh`` names the accessors that hold those."""
+    return {
+        "name": asset.name,
+        "category": asset.category,
+        "mesh": mesh,
+        "has_normals": asset.mesh.normals is not None,
+        "shapes": [_SHAPE_WRITERS[type(s)](s) for s in asset.shapes],
+        "receptacles": [
+            {
+                "name": r.name,
+                "center": floats(r.center),
+                "half_size": floats(r.half_size),
+                "clearance_m": float(r.clearance_m),
+            }
+            for r in asset.receptacles
+        ],
+    }
+
+
+def instance_record(i: Instance) -> dict[str, Any]:
+    """An instance as plain JSON."""
+    return {
+        "name": i.name,
+        "asset": i.asset,
+        "pose": floats(i.pose),
+        "scale": floats(i.scale),
+        "semantic_id": int(i.semantic_id),
+        "motion": i.motion,
+        "layer": i.layer,
+    }
+
+
+def read_instance(record: dict[str, Any]) -> Instance:
+    """The instance of `instance_record`."""
+    if record["motion"] not in ("static", "kinematic"):
+        raise ValueError(f"unknown motion {record['motion']!r}")
+    return Instance(
+        name=str(record["name"]),
+        asset=str(record["asset"]),
+        pose=_array(record["pose"], 7),
+        scale=_array(record["scale"], 3),
+        semantic_id=int(record["semantic_id"]),
+        motion=record["motion"],
+        layer=str(record["layer"]),
+    )
+
+
+def room_record(r: Room) -> dict[str, Any]:
+    """A room as plain JSON."""
+    return {
+        "name": r.name,
+        "category": r.category,
+        "rectangles": floats(r.rectangles),
+        "floor_y": float(r.floor_y),
+    }
+
+
+def read_room(record: dict[str, Any]) -> Room:
+    """The room of `room_record`."""
+    return Room(
+        name=str(record["name"]),
+        category=str(record["category"]),
+        rectangles=_array(record["rectangles"], None, 4),
+        floor_y=float(record["floor_y"]),
+    )
+
+
+def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
+    """The asset of `asset_record` with its mesh."""
+    return Asset(
+        name=str(record["name"]),
+        mesh=mesh,
+        category=str(record["category"]),
+        shapes=tuple(_SHAPE_READERS[s["type"]](s) for s in record["shapes"]),
+        receptacles=tuple(
+            Receptacle(
+                name=str(r["name"]),
+                center=_array(r["center"], 3),
+                half_size=_array(r["half_size"], 2),
+                clearance_m=float(r["clearance_m"]),
+            )
+            for r in record["receptacles"]
+        ),
+    )
+
+
+# --- digest -----------------------------------------------------------------------------------------------------------
+def scene_digest(scene: Scene) -> str:
+    """SHA-256 (hex) of what the scene holds: assets by name, instances in order, rooms.
+
+    Independent of files and of the order of assets; the scene's name and source are not content and do not count.
+    """
+    h = hashlib.sha256(b"h3data.scene.digest/1")
+
+    def feed(text: str) -> None:
+        data = text.encode()
+        h.update(struct.pack("<Q", len(data)) + data)
+
+    def feed_array(array: NDArray[Any] | None, dtype: str) -> None:
+        if array is None:
+            h.update(b"-")
+            return
+        h.update(struct.pack(f"<{array.ndim + 1}Q", array.ndim, *array.shape))
+        h.update(np.ascontiguousarray(array, dtype).tobytes())
+
+    for key in sorted(scene.assets):
+        asset = scene.assets[key]
+        feed(key)
+        mesh = asset.mesh
+        for array, dtype in ((mesh.vertices, "<f4"), (mesh.faces, "<i4"), (mesh.colors, "u1"), (mesh.normals, "<f4")):
+            feed_array(array, dtype)
+        feed(json.dumps(asset_record(asset, None)))
+    feed(json.dumps([instance_record(i) for i in scene.instances]))
+    feed(json.dumps([room_record(r) for r in scene.rooms]))
+    return h.hexdigest()
