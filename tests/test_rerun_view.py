@@ -318,6 +318,12 @@ def test_a_bad_video_is_refused_and_leaves_nothing(tmp_path, pictures):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.mp4"]
 
 
+def test_videos_by_name_need_a_replay_that_knows_cameras(tmp_path):
+    with pytest.raises(InputError, match="CameraFeed"):
+        write_rrd(example(), tmp_path / "e.rrd", replay=Stage(example()), videos={"top_down": tmp_path / "a.mp4"})
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_file_is_replaced_only_on_request_and_only_by_a_whole_one(tmp_path, capfd):
     target = tmp_path / "e.rrd"
     target.write_bytes(b"precious")

@@ -22,9 +22,9 @@ _LOG = logging.getLogger(__name__)
 
 MESH_BYTES = 12_000_000
 """Above this, all rigid meshes are thinned alike: the file stays below 30 MB."""
-SKIN_BYTES = 12_000_000
+SKIN_BYTES = 16_000_000
 """Above this, skinned bodies are sampled less often."""
-SKIN_VERTICES = 2_000
+SKIN_VERTICES = 3_500
 HIDDEN = 1e-6
 """Scale of a thing that is not in the world at a step: Rerun takes 0 and NaN for a fault and says so in its log."""
 AGENT_COLORS = {"robot": (255, 202, 40), "human": (66, 165, 245)}

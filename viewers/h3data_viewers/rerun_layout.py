@@ -59,4 +59,4 @@ def bird_view(focus: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArra
     lo, hi = focus
     target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
     reach = max(hi[0] - lo[0], hi[2] - lo[2], 3.0)
-    return target + reach * np.array([0.0, 0.9, 0.6]), target
+    return target + reach * np.array([0.0, 1.0, 0.42]), target

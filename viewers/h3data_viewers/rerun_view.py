@@ -8,7 +8,7 @@ Entities: ``world/scene/<name>`` what stands still (below its layer, if it has o
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +35,7 @@ def write_rrd(
     *,
     replay: Posed | None = None,
     cameras: Sequence[CameraFeed] = (),
+    videos: Mapping[str, Path] | None = None,
     pictures: Pictures = "stills",
     skin_every: int = 3,
     overwrite: bool = False,
@@ -43,6 +44,7 @@ def write_rrd(
 
     ``replay`` gives meshes and poses; without it agents are drawn as plain solids. Skinned bodies are sampled every
     ``skin_every`` steps (less often if that would make the file too large) and ride on the agent's root in between.
+    ``videos`` adds cameras of the replay by name (`h3data.replay.camera_names`) with an MP4 of what each saw.
     ``pictures`` says how camera videos are stored, see `h3data_viewers.rerun_cameras.log_camera`.
 
     Raises:
@@ -58,6 +60,7 @@ def write_rrd(
         import rerun as rr
     except ImportError as error:
         raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
+    cameras = [*cameras, *_named_cameras(replay, videos or {})]
     faults = [f"{c.camera.name}: {c.video}" for c in cameras if c.video is not None and not c.video.is_file()]
     if faults:
         raise InputError(f"Camera videos that do not exist: {'; '.join(faults)}.")
@@ -108,6 +111,18 @@ def _write(
     stream.send_blueprint(
         layout(focus=focus, hidden=hidden, cameras=seen, plotted=plotted, lanes=lanes, has_log=has_log)
     )
+
+
+def _named_cameras(replay: Posed | None, videos: Mapping[str, Path]) -> list[CameraFeed]:
+    """Feeds of the replay's own cameras; only a `Replay` knows them by name."""
+    if not videos:
+        return []
+    from h3data.replay import Replay, camera_track
+
+    if not isinstance(replay, Replay):
+        raise InputError("Videos by camera name need an h3data.replay.Replay. Hint: give cameras=[CameraFeed(...)].")
+    tracks = {name: camera_track(replay, name) for name in videos}
+    return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(videos[name])) for name, t in tracks.items()]
 
 
 def _log_properties(stream: rr.RecordingStream, recording: Recording) -> None:
