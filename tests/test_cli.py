@@ -1,0 +1,244 @@
+"""The command line as its users meet it: results, JSON for machines, refusals in one line, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import h3data
+from h3data.errors import InputError
+from h3data_pipelines.cli import COMMANDS, jsonable, main
+from h3data_pipelines.rerender import parse_outputs, parse_steps
+
+DEMO_FILES = ("episode.mcap", "metrics.json", "third_person.mp4", "arm_depth.mp4", "top_down.mp4", "episode.rrd", "summary.json")
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> Any:
+    """The JSON object that a command prints; fails unless it exits with 0."""
+    capsys.readouterr()
+    code = main([*map(str, arguments), "--json"])
+    out = capsys.readouterr().out
+    assert code == 0, out
+    return json.loads(out)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short demo, run once."""
+    out = tmp_path_factory.mktemp("demo") / "out"
+    assert main(["demo", "-o", str(out), "--steps", "40"]) == 0
+    return out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    assert "Examples:" in out
+    assert f"h3data {command}" in out
+    assert "--json" in out
+
+
+def test_unknown_command_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["fly"])
+    assert stop.value.code == 2
+
+
+def test_demo_makes_everything(demo: Path) -> None:
+    for name in DEMO_FILES:
+        assert (demo / name).stat().st_size > 0, name
+    assert not list(demo.rglob("*.part"))
+    summary = json.loads((demo / "summary.json").read_text())
+    assert summary["steps"] == 40
+    assert set(summary["files"]) == {*DEMO_FILES[:-1], "dataset"}
+    recording = h3data.open(demo / "episode.mcap")
+    dataset = h3data.open(demo / "dataset")
+    assert len(dataset) == 1
+    from h3data.recording import recordings_equal
+
+    assert recordings_equal(recording, dataset.recording(0)) == []
+
+
+def test_demo_videos_play(demo: Path) -> None:
+    import av
+
+    for name, size in (("third_person", (640, 480)), ("arm_depth", (224, 171))):
+        with av.open(str(demo / f"{name}.mp4")) as container:
+            stream = container.streams.video[0]
+            assert stream.codec_context.name == "h264"
+            assert (stream.width + stream.width % 2, stream.height // 2 * 2) == (size[0], (size[1] + 1) // 2 * 2)
+            frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert len(frames) == 40
+        assert np.std(frames[0]) > 10  # a picture, not a plain colour
+
+
+def test_python_api_on_the_demo(demo: Path) -> None:
+    recording = h3data.open(demo / "episode.mcap")
+    assert "40 steps" in repr(recording)
+    state = h3data.Replay(recording).at(step=-1)
+    assert state.step == 39
+    assert {"robot", "human"} == set(state.agents)
+    image = h3data.render_frame(recording, camera="third_person", step=20, outputs=("rgb", "depth"))
+    assert image["rgb"].shape == (480, 640, 3)
+    assert (image["depth"] > 0).mean() > 0.5
+    assert h3data.measure(recording).values["TD"] > 0
+
+
+def test_existing_output_is_kept_without_force(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {p: p.stat().st_mtime_ns for p in demo.rglob("*")}
+    assert main(["demo", "-o", str(demo), "--steps", "5"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert {p: p.stat().st_mtime_ns for p in demo.rglob("*")} == before
+
+
+def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    episode = demo / "episode.mcap"
+    data = run_json(
+        capsys, "rerender", episode, "--camera", "top_down", "--camera", "robot_arm", "--outputs", "rgb,depth,instance",
+        "--steps", "0:10:2", "-o", tmp_path / "v",
+    )  # fmt: skip
+    files = [Path(f) for f in data["recordings"][0]["files"]]
+    assert len(files) == 6
+    assert all(f.stat().st_size > 0 for f in files)
+    data = run_json(
+        capsys, "rerender", episode, "--camera", "robot_arm", "--outputs", "depth", "--steps", "3", "--format", "png",
+        "-o", tmp_path / "p",
+    )  # fmt: skip
+    import cv2
+
+    png = cv2.imread(str(Path(data["recordings"][0]["files"][0]) / "000003.png"), cv2.IMREAD_UNCHANGED)
+    recording = h3data.open(episode)
+    depth = h3data.render_frame(recording, camera="robot_arm", step=3, outputs=("depth",))["depth"]
+    np.testing.assert_allclose(png / 1000.0, np.minimum(depth, 65.535), atol=6e-4)
+    data = run_json(capsys, "metrics", episode)
+    assert data["episodes"][0]["values"]["TD"] > 0
+    data = run_json(capsys, "view", episode, "-o", tmp_path / "e.rrd")
+    assert data["bytes"] > 10_000
+
+
+def test_a_camera_from_a_file(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    camera = tmp_path / "shoulder.toml"
+    camera.write_text('eye = [-1.0, 1.6, 0.0]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwidth = 160\nheight = 120\n')
+    data = run_json(
+        capsys, "rerender", demo / "episode.mcap", "--camera", camera, "--steps", "0:4", "-o", tmp_path / "v"
+    )
+    assert data["recordings"][0]["files"][0].endswith("episode.shoulder.rgb.mp4")
+    camera.write_text("eye = [1, 2]\n")
+    assert main(["rerender", str(demo / "episode.mcap"), "--camera", str(camera), "-o", str(tmp_path / "w")]) == 2
+
+
+def test_same_seed_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (
+        run_json(
+            capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "7", "--max-steps", "60",
+            "-o", tmp_path / name,
+        )
+        for name in ("a", "b")
+    )  # fmt: skip
+    assert first["state_hashes"] == second["state_hashes"]
+    assert len(set(first["state_hashes"])) == 3
+    assert set(first["metrics"]["summary"]) >= {"S", "SPS", "F", "CR", "BYR", "TD", "FD"}
+    from h3data.recording import recordings_equal
+
+    for i in range(3):
+        a, b = (h3data.open(tmp_path / name).recording(i) for name in ("a", "b"))
+        assert recordings_equal(a, b) == []
+    other = run_json(
+        capsys, "generate", "social_nav", "--episodes", "3", "--homes", "2", "--seed", "8", "--max-steps", "60",
+        "-o", tmp_path / "c",
+    )  # fmt: skip
+    assert not set(other["state_hashes"]) & set(first["state_hashes"])
+
+
+def test_an_interrupted_dataset_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "30", "-o"]
+    whole = run_json(capsys, *options, tmp_path / "whole", "--episodes", "3")
+    run_json(capsys, *options, tmp_path / "parts", "--episodes", "1")
+    rest = run_json(capsys, *options, tmp_path / "parts", "--episodes", "3", "--resume")
+    assert rest["new"] == 2
+    assert rest["state_hashes"] == whole["state_hashes"]
+
+
+BAD = {
+    "missing file": (["metrics", "nowhere.mcap"], "no such file"),
+    "missing replay": (["import", "nowhere.json", "-o", "rec"], "no such file"),
+    "not json": (["import", "text.json", "-o", "rec"], "JSON"),
+    "json of another kind": (["import", "other.json", "-o", "rec"], "keyframes"),
+    "truncated replay": (["import", "cut.gfx_replay.json", "-o", "rec"], "JSON"),
+    "empty folder": (["import", "empty", "-o", "rec"], "No .json"),
+    "unknown task": (["generate", "dishes", "-o", "ds"], "social_nav"),
+    "unknown policy": (["generate", "social_nav", "--policy", "magic", "-o", "ds"], "heuristic_expert"),
+    "unknown scenes": (["generate", "social_nav", "--scenes", "castle", "-o", "ds"], "small"),
+    "no episodes": (["generate", "social_nav", "--episodes", "0", "-o", "ds"], "--episodes"),
+    "unknown body": (["generate", "social_nav", "--human", "yeti", "-o", "ds"], "female_0"),
+    "unknown camera": (["rerender", "EPISODE", "--camera", "sky", "-o", "v"], "top_down"),
+    "unknown output": (["rerender", "EPISODE", "--outputs", "smell", "-o", "v"], "rgb, depth, instance"),
+    "no such steps": (["rerender", "EPISODE", "--steps", "900:", "-o", "v"], "40 steps"),
+    "unreadable steps": (["rerender", "EPISODE", "--steps", "a:b", "-o", "v"], "start:stop:stride"),
+    "a text file as recording": (["rerender", "text.json", "-o", "v"], "text.json"),
+    "missing asset root": (["rerender", "EPISODE", "--assets", "nowhere", "-o", "v"], "nowhere"),
+    "out is a file": (["demo", "-o", "text.json"], "text.json"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_refusals(
+    case: str, demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One clear line, exit code 2, nothing written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.json").write_text("hello")
+    (tmp_path / "other.json").write_text('{"episodes": []}')
+    (tmp_path / "cut.gfx_replay.json").write_text('{"keyframes": [{"loads": [')
+    before = sorted(p for p in tmp_path.rglob("*"))
+    arguments, hint = BAD[case]
+    code = main([str(demo / "episode.mcap") if a == "EPISODE" else a for a in arguments])
+    error = capsys.readouterr().err
+    assert code == 2, error
+    lines = [line for line in error.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1
+    assert hint in lines[0]
+    assert "Traceback" not in error
+    files = [p for p in tmp_path.rglob("*") if p not in before and p.is_file()]
+    assert files == []
+
+
+def test_errors_are_json_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["metrics", str(tmp_path / "none.mcap"), "--json"]) == 2
+    assert "no such file" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
+    data = run_json(capsys, "doctor")
+    assert data["checks"]["CPU renderer (numba)"]["ok"]
+    assert data["versions"]["h3data"]
+
+
+def test_json_has_no_nan() -> None:
+    assert json.dumps(jsonable({"a": np.float32("nan"), "b": [np.int64(3), float("inf")]})) == '{"a": null, "b": [3, null]}'
+
+
+def test_step_ranges() -> None:
+    assert parse_steps("", 5) == range(5)
+    assert parse_steps("1:4:2", 5) == range(1, 4, 2)
+    assert parse_steps("-2:", 5) == range(3, 5)
+    assert parse_steps("3", 5) == range(3, 4)
+    assert parse_steps("-1", 5) == range(4, 5)
+    for bad in ("x", "1:2:0", "9:", "1:2:3:4"):
+        with pytest.raises(InputError):
+            parse_steps(bad, 5)
+
+
+def test_output_lists() -> None:
+    assert parse_outputs("rgb, depth,rgb") == ("rgb", "depth")
+    for bad in ("", "smell", "rgb,smell"):
+        with pytest.raises(InputError):
+            parse_outputs(bad)
