@@ -11,7 +11,7 @@ import pytest
 from h3data_viewers import CameraFeed, write_rrd
 from h3data_viewers.mesh_detail import thin_mesh, view_mesh
 from h3data_viewers.rerun_cameras import frame_steps
-from h3data_viewers.rerun_tracks import lanes_of
+from h3data_viewers.rerun_tracks import Timeline, lanes_of, log_scalars
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import (
@@ -245,6 +245,20 @@ def test_identity_and_layout(written):
     assert [(s.application_id, s.recording_id) for s in file.recordings] == [("h3data", "7a1e")]
     assert len(file.blueprints) == 1
     assert file.at("/__properties/episode", "task", 0) == ["social_nav"]
+
+
+def test_only_distances_share_a_plot():
+    import rerun as rr
+
+    columns = example().columns
+    recording = example(columns={**columns, "metrics.facing": np.zeros(STEPS, np.float32)})
+    stream = rr.RecordingStream("h3data", recording_id="test")
+    assert log_scalars(stream, recording, Timeline(recording.columns["time_ns"])) == (
+        "/metrics/geodesic_agents",
+        "/metrics/distance_l2",
+        "/metrics/follow_from_1m",
+        "/metrics/follow_to_2m",
+    )
 
 
 def test_encounter_lane():

@@ -63,7 +63,7 @@ def log_scalars(stream: rr.RecordingStream, recording: Recording, timeline: Time
         for name, column in recording.columns.items()
         if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
     }
-    plotted = [name for name, column in curves.items() if column.dtype.kind == "f"]
+    plotted = [name for name in curves if name.startswith(("dist", "geodesic"))]  # metres; other units stay apart
     pair = agent_pair(recording)
     if pair is not None and "dist_agents" not in curves:
         curves["distance_l2"] = l2_distance(recording, *pair)
