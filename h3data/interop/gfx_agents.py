@@ -153,4 +153,5 @@ def _base_pose(track: NDArray[np.float64], *, forward: Literal[0, 2], height: fl
     heading = np.arctan2(-direction[:, 2], direction[:, 0])
     pose = ground_pose(track[:, [0, 2]], heading, track[:, 1] - height)
     pose[:, 3:] = quat_sign_continuous(pose[:, 3:])
+    pose[np.isnan(track).any(1)] = np.nan
     return pose.astype(np.float32)

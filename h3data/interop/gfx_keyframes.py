@@ -6,6 +6,7 @@ are left out, unknown members are ignored, the enumeration ``type`` changed over
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -233,7 +234,7 @@ def _other_kind(path: Path, content: Any) -> FormatError:
 
 def _explain(path: Path, data: bytes, message: str) -> FormatError:
     """An error that names keyframe and instance instead of an index path."""
-    content = msgspec.json.decode(data)
+    content = json.loads(data)  # msgspec refuses numbers that are too large, which may be the very fault
     if not isinstance(content, dict) or not content.keys() & {"keyframes", "keyframe"}:
         return _other_kind(path, content)
     reason, _, where = message.partition(" - at `")

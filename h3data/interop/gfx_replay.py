@@ -248,7 +248,7 @@ def _tidy(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _invalid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which poses [N, ..., 7] hold something that is not finite, shape [N]."""
-    return np.logical_not(np.isfinite(poses).reshape(len(poses), -1).all(-1))
+    return np.logical_not(np.isfinite(poses).all(tuple(range(1, poses.ndim))))
 
 
 def _filled(

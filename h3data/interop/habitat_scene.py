@@ -22,7 +22,7 @@ from h3data.interop.habitat_dataset import (
     numbers,
 )
 from h3data.interop.habitat_receptacles import read_receptacles
-from h3data.interop.meshes import MESH_SUFFIXES, frame_rotation, load_mesh
+from h3data.interop.meshes import MESH_SUFFIXES, frame_rotation, load_mesh, node_box
 from h3data.interop.primitives import is_primitive, primitive_mesh
 from h3data.scene.records import Asset, Box, Hull, Instance, Mesh, Motion, Scene, Shape
 
@@ -131,6 +131,7 @@ class _Builder:
     warnings: list[str] = field(default_factory=list)
     missing: list[Path] = field(default_factory=list)
     _by_template: dict[int, tuple[str, Mapping[str, Any]] | None] = field(default_factory=dict)
+    _middle: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     _counts: dict[str, int] = field(default_factory=dict)
     _alive: list[Template] = field(default_factory=list)
 
@@ -165,9 +166,7 @@ class _Builder:
         position = np.array(numbers(entry, "translation", (0, 0, 0), where=where))
         given = str(entry.get("translation_origin") or origin or "COM").lower()
         if given != "asset_local":
-            position = position - quat_rotate(
-                rotation, _center_of_mass(attributes, self.assets[name].mesh, scale, template)
-            )
+            position = position - quat_rotate(rotation, self._center_of_mass(name, attributes, scale, template))
         count = self._counts.get(template.handle, 0)
         self._counts[template.handle] = count + 1
         motion: Motion = "static" if str(entry.get("motion_type", "")).upper() == "STATIC" else "kinematic"
@@ -181,6 +180,27 @@ class _Builder:
                 motion=motion,
             )
         )
+
+    def _center_of_mass(
+        self, name: str, attributes: Mapping[str, Any], scale: NDArray[np.float64], template: Template
+    ) -> NDArray[np.float64]:
+        """Habitat's object origin in the asset's frame [3]: the config's COM, else the middle of the scaled node box."""
+        if attributes.get("COM") is not None and not attributes.get("compute_COM_from_shape"):
+            return np.array(numbers(attributes, "COM", (0, 0, 0), where=template.path))
+        if name not in self._middle:
+            asset = str(attributes.get("render_asset") or attributes.get("collision_asset"))
+            axes = {
+                "up": numbers(attributes, "up", _Y_UP[0], where=template.path),
+                "front": numbers(attributes, "front", _Y_UP[1], where=template.path),
+            }
+            units = number(attributes, "units_to_meters", 1.0, where=template.path)
+            box = (
+                np.zeros((2, 3))
+                if is_primitive(asset)
+                else node_box(template.path.parent / asset, **axes, units_m=units)
+            )
+            self._middle[name] = box.mean(0)
+        return self._middle[name] * scale
 
     def scene(self, name: str, *, config: Path, scene: str) -> Scene:
         if self.missing and not self.allow_missing:
@@ -267,15 +287,6 @@ class _Builder:
         if attributes.get("use_bounding_box_for_collision"):
             return _box(mesh)
         return _hull(mesh)
-
-
-def _center_of_mass(
-    attributes: Mapping[str, Any], mesh: Mesh, scale: NDArray[np.float64], template: Template
-) -> NDArray[np.float64]:
-    """Habitat's object origin in the asset's frame [3]: the config's COM, else the middle of the scaled mesh's box."""
-    if attributes.get("COM") is not None and not attributes.get("compute_COM_from_shape"):
-        return np.array(numbers(attributes, "COM", (0, 0, 0), where=template.path))
-    return mesh.bounds.astype(np.float64).mean(0) * scale
 
 
 def _box(mesh: Mesh) -> Box:

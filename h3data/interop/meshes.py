@@ -47,11 +47,53 @@ def load_mesh(
     return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
 
 
+def node_box(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> NDArray[np.float64]:
+    """Smallest and largest corner [2, 3] [m] of a file's contents as habitat-sim computes them, in our frame.
+
+    Each node's box encloses its mesh's box and the *boxes* of its children, turned into its frame; so the result is
+    larger than the mesh where nodes are turned. Its middle is where Habitat puts the origin of an object
+    (habitat-findings, "what habitat-sim itself does" 2).
+    """
+    path = Path(path)
+    rotation = frame_rotation(_vector3(up), _vector3(front))
+    scene = _load_scene(str(path))
+    children, edges = scene.graph.transforms.children, scene.graph.transforms.edge_data
+
+    def box(node: str) -> NDArray[np.float64]:
+        _, geometry = scene.graph[node]
+        boxes = [np.zeros((0, 3))] if geometry is None else [np.asarray(scene.geometry[geometry].bounds)]
+        for child in children.get(node, ()):
+            inner = box(child)
+            if len(inner):
+                matrix = np.asarray(edges[(node, child)].get("matrix", np.eye(4)), np.float64)
+                boxes.append(_corners(inner) @ matrix[:3, :3].T + matrix[:3, 3])
+        points = np.concatenate(boxes)
+        return np.stack([points.min(0), points.max(0)]) if len(points) else points
+
+    found = box(scene.graph.base_frame)
+    if not len(found):
+        raise SceneError(f"A mesh file without triangles: {path}")
+    turned = _corners(found) @ rotation.T * units_m
+    return np.stack([turned.min(0), turned.max(0)])
+
+
+def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 8 corners [8, 3] of a box [2, 3]."""
+    return np.stack(np.meshgrid(*box.T, indexing="ij"), -1).reshape(8, 3)
+
+
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
     """3x3 rotation from a file's frame to ours: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
-    if u.shape != (3,) or f.shape != (3,) or min(lengths) == 0 or abs(u @ f) > 1e-3 * lengths[0] * lengths[1]:
+    perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
+    if not perpendicular:
         raise SceneError(f"An asset frame needs two perpendicular axes. Got up {list(u)}, front {list(f)}.")
     u, f = u / lengths[0], f / lengths[1]
     return np.array([np.cross(f, u), u, -f], np.float64)
@@ -115,16 +157,23 @@ def _open(path: str) -> list[tuple[Any, NDArray[np.float64]]]:
     """Pairs of trimesh geometry and its 4x4 to the file's root."""
     import trimesh
 
+    scene = _load_scene(path)
+    nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
+    pairs = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in nodes]
+    return [(geometry, matrix) for geometry, matrix in pairs if isinstance(geometry, trimesh.Trimesh)]
+
+
+def _load_scene(path: str) -> Any:
+    """The file as trimesh's scene; `SceneError` names the reason if it cannot be read."""
+    import trimesh
+
     try:
-        loaded = trimesh.load_scene(path, process=False)
-        nodes = [(loaded.graph[node][1], loaded.graph[node][0]) for node in loaded.graph.nodes_geometry]
-        pairs = [(loaded.geometry[name], np.asarray(matrix, np.float64)) for name, matrix in nodes]
+        return trimesh.load_scene(path, process=False)
     except Exception as fault:  # trimesh raises whatever its loaders meet
         reason = f"{type(fault).__name__}: {fault}".splitlines()[0][:200]
         raise SceneError(
             f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}"
         ) from None
-    return [(geometry, matrix) for geometry, matrix in pairs if isinstance(geometry, trimesh.Trimesh)]
 
 
 def _part(geometry: Any, matrix: NDArray[np.float64], *, glb: bool) -> Mesh:
