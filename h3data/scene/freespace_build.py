@@ -41,6 +41,8 @@ VOXELS_MAX = 300_000_000
 """Larger buildings get larger voxels (one byte each)."""
 SLOPE_MAX_DEG = 45.0
 """Steeper surfaces cannot be stood on, as habitat-sim's default."""
+LARGE_SHARE = 0.25
+"""The floor is the lowest surface with this share of the largest one, which may be the roof."""
 STOREY_M = 1.0
 """Surfaces farther than this above or below the floor belong to another storey."""
 
@@ -177,7 +179,8 @@ def walkable_from_triangles(
 ) -> tuple[MultiPolygon, float]:
     """Floor polygons (x, z), not yet inflated, and the height of the floor [m], of world triangles [F, 3, 3].
 
-    The floor is the largest connected surface (or the one nearest to ``floor_y``), with every other surface at its height.
+    The floor is the lowest large connected surface (or the one nearest to ``floor_y``), with every other surface at its
+    height.
     """
     low, high = triangles.min((0, 1)), triangles.max((0, 1))
     size = high - low
@@ -213,11 +216,13 @@ def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_
 
 
 def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: float | None) -> float:
-    """Height of the largest component, or of the component with a surface nearest to the wanted height."""
+    """Height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
     if floor_y is None:
-        chosen = int(np.argmax(sizes))
-    else:
-        chosen = int(component[np.argmin(np.abs(heights - floor_y))])
+        order = np.argsort(component, kind="stable")
+        middle = np.array([np.median(h) for h in np.split(heights[order], np.cumsum(sizes)[:-1])])
+        large = np.flatnonzero(sizes >= LARGE_SHARE * sizes.max())
+        return float(middle[large].min())
+    chosen = int(component[np.argmin(np.abs(heights - floor_y))])
     return float(np.median(heights[component == chosen]))
 
 

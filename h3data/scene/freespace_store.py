@@ -59,7 +59,7 @@ def load(path: Path) -> FreeSpace:
     if not path.is_file():
         raise InputError(f"No such free-space file: {path}")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         if int(arrays["format"]) != FORMAT:
             raise FormatError(f"Free-space file of format {int(arrays['format'])}, this version reads {FORMAT}: {path}")
