@@ -438,12 +438,18 @@ def _data_schema(schema: DatasetSchema) -> pa.Schema:
 
 
 def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:
-    """zstd-3, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults."""
+    """zstd-3, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
+
+    Poses stay PLAIN: long runs of equal rows (13.5 instead of 15.2 B/step a base pose, 7.3 instead of 9.8 for 20 objects;
+    joint rotations 703 split, 790 plain).
+    """
     encodings = {}
     standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
     for c in (*standard, *schema.columns):
         path = c.name if c.width == 1 else f"{c.name}.list.element"
-        if c.dtype in ("float32", "float64"):
+        if c.name.endswith("_pose"):
+            encodings[path] = "PLAIN"
+        elif c.dtype in ("float32", "float64"):
             encodings[path] = "BYTE_STREAM_SPLIT"
         elif c.dtype in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
             encodings[path] = "DELTA_BINARY_PACKED"

@@ -1,0 +1,146 @@
+"""Size and speed of the stores, on synthetic 1500-step episodes: a robot, a free-form human, 20 objects of which 3 move.
+
+As in ``research/formats.md`` 2, half of the episodes loop a 60-frame clip in ``joint_quat`` and half move every joint
+freely all the time, which is the worst case (85 % of the bytes are joint rotations). ``*.clip_coded_bytes_per_step`` is
+what our own episodes have: a clip and a phase instead of rotations. Speeds are steps per CPU second, files closed and
+synced, from and to numpy arrays.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import ground_pose
+from h3data.recording import (
+    STEP_NS,
+    Agent,
+    AssetRef,
+    Body,
+    Dataset,
+    DatasetWriter,
+    Episode,
+    Recording,
+    SkillSpan,
+    read_mcap,
+    write_mcap,
+)
+
+STEPS, OBJECTS, EPISODES = 1500, 20, 8
+
+
+def synthetic_episode(seed: int, *, human: str) -> Recording:
+    """An episode with ``human`` = ``clip`` (60 looping frames), ``free`` (every joint moves) or ``coded`` (clip phase)."""
+    rng = np.random.default_rng(seed)
+    robot, person = _stroll(rng), _stroll(rng)
+    objects = np.tile(_unit_poses(rng, OBJECTS)[None], (STEPS, 1, 1))
+    for k in range(3):
+        start = rng.integers(0, STEPS - 400)
+        objects[start : start + 300, k] = robot[start : start + 300]
+        objects[start + 300 :, k] = robot[start + 300]
+    columns: dict[str, NDArray] = {
+        "time_ns": np.arange(STEPS, dtype=np.int64) * STEP_NS,
+        "object_pose": objects,
+        "agent_0.base_pose": robot,
+        "agent_0.joint_pos": np.cumsum(rng.normal(0, 0.01, (STEPS, 7)), 0).astype(np.float32),
+        "agent_0.grasp_body": np.where(np.arange(STEPS) % 500 < 300, 0, -1).astype(np.int32),
+        "agent_0.action": np.repeat(rng.normal(0, 1, (STEPS // 5, 10)), 5, axis=0).astype(np.float32),
+        "agent_0.skill": (np.arange(STEPS) // 300).astype(np.int32),
+        "agent_1.base_pose": person,
+        "agent_1.action": np.repeat(rng.normal(0, 1, (STEPS // 30, 10)), 30, axis=0).astype(np.float32),
+        "agent_1.skill": (np.arange(STEPS) // 200).astype(np.int32),
+        "metrics.dist_agents": np.linalg.norm(robot[:, :3] - person[:, :3], axis=1),
+        "metrics.collision": np.zeros(STEPS, bool),
+    }
+    if human == "coded":
+        columns["agent_1.motion_id"] = np.zeros(STEPS, np.int32)
+        columns["agent_1.motion_phase"] = (np.arange(STEPS) / 60 % 1).astype(np.float32)
+        columns["agent_1.motion_blend"] = np.ones(STEPS, np.float32)
+    else:
+        columns["agent_1.root_pose"] = person + np.float32([0, 0.9, 0, 0, 0, 0, 0])
+        columns["agent_1.joint_quat"] = _joints(rng, free=human == "free")
+    return Recording(
+        episode=Episode(uid=f"bench-{human}-{seed}", episode_id=str(seed), task="bench", scene="none", seed=seed),
+        assets=(AssetRef(name="box", uri="primitive:box"),),
+        bodies=tuple(Body(name=f"box_{k}", asset="box", pose=objects[0, k], moving=k) for k in range(OBJECTS)),
+        agents=(Agent(name="robot", kind="robot"), Agent(name="human", kind="human", motion_names=("walk",))),
+        columns=columns,
+        skills=tuple(SkillSpan(agent=0, name=f"s{k}", start_step=k * 300, end_step=k * 300 + 299) for k in range(5)),
+    )
+
+
+def run(emit: Callable[[str, float, str], None]) -> None:
+    """Measure both stores and say what they found."""
+    mixed = [synthetic_episode(k, human="free" if k % 2 else "clip") for k in range(EPISODES)]
+    coded = [synthetic_episode(k, human="coded") for k in range(EPISODES)]
+    for store in (_parquet, _mcap):
+        name = store.__name__.strip("_")
+        with tempfile.TemporaryDirectory() as folder:
+            store(coded, Path(folder) / "warm")  # imports, page cache
+            bytes_coded, *_ = store(coded, Path(folder) / "coded")
+            size, write_s, read_s = store(mixed, Path(folder) / "mixed")
+        steps = STEPS * EPISODES
+        emit(f"recording.{name}.bytes_per_step", size / steps, "B")
+        emit(f"recording.{name}.clip_coded_bytes_per_step", bytes_coded / steps, "B")
+        emit(f"recording.{name}.write_steps_per_cpu_s", steps / write_s, "steps/s")
+        emit(f"recording.{name}.read_steps_per_cpu_s", steps / read_s, "steps/s")
+
+
+def _parquet(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
+    """Bytes on disk, CPU seconds to write and to read."""
+
+    def write() -> None:
+        with DatasetWriter(root) as writer:
+            for episode in episodes:
+                writer.add(episode)
+
+    def read() -> None:
+        dataset = Dataset(root)
+        for index in range(len(dataset)):
+            dataset.recording(index)
+
+    write_s, read_s = _cpu_s(write), _cpu_s(read)
+    return sum(p.stat().st_size for p in root.rglob("*") if p.is_file()), write_s, read_s
+
+
+def _mcap(episodes: list[Recording], root: Path) -> tuple[int, float, float]:
+    """Bytes on disk, CPU seconds to write and to read."""
+    paths = [root / f"{k}.mcap" for k in range(len(episodes))]
+    write_s = _cpu_s(lambda: [write_mcap(e, p) for e, p in zip(episodes, paths, strict=True)])
+    read_s = _cpu_s(lambda: [read_mcap(p) for p in paths])
+    return sum(p.stat().st_size for p in paths), write_s, read_s
+
+
+def _cpu_s(work: Callable[[], object]) -> float:
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def _stroll(rng: np.random.Generator) -> NDArray[np.float32]:
+    """A walk at about 1 m/s with slowly changing heading, pose7 [T, 7]."""
+    heading = np.cumsum(np.cumsum(rng.normal(0, 0.002, STEPS)) * 0.2)
+    xz = np.cumsum(np.stack([np.cos(heading), -np.sin(heading)], -1) / 30, axis=0)
+    return ground_pose(xz, heading).astype(np.float32)
+
+
+def _unit_poses(rng: np.random.Generator, count: int) -> NDArray[np.float32]:
+    poses = rng.normal(0, 2, (count, 7))
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return poses.astype(np.float32)
+
+
+def _joints(rng: np.random.Generator, *, free: bool) -> NDArray[np.float32]:
+    """Local joint rotations, quaternions [T, 54, 4]."""
+    t = np.arange(STEPS)[:, None, None] / 30
+    t = t if free else t % 2.0
+    quats = 0.3 * np.sin(2 * np.pi * (rng.uniform(0.2, 2, (54, 4)) if free else 0.5) * t + rng.uniform(0, 6, (54, 4)))
+    if free:
+        quats += np.cumsum(rng.normal(0, 0.001, (STEPS, 54, 4)), 0)
+    quats[..., 3] = 1.0
+    return (quats / np.linalg.norm(quats, axis=-1, keepdims=True)).astype(np.float32)
