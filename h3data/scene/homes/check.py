@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _BAND = (0.05, 1.8)
 """Heights that stand in a walker's way [m]."""
+_CRUMB = 0.01
+"""Cut-off floor below this is rounding [m2]."""
 _CIRCLE = np.linspace(0, 2 * np.pi, 17)[:-1]
 
 
@@ -67,8 +69,8 @@ def faults(scene: Scene) -> list[str]:
     main = max(parts, key=lambda part: part.area)
     found = []
     total = sum(part.area for part in parts)
-    if main.area < 0.97 * total:
-        found.append(f"the largest island has only {main.area / total:.0%} of the walkable area")
+    if total - main.area > _CRUMB:
+        found.append(f"{total - main.area:.3f} m2 of walkable floor are cut off")
     for room in scene.rooms:
         floor = shapely.union_all([shapely.box(*r) for r in room.rectangles])
         if main.intersection(floor).area < 0.1 * floor.area:

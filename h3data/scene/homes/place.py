@@ -218,7 +218,9 @@ def _window_strips(state: RoomState) -> list[Rect]:
 def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
     goals = []
     for p in group:
-        if p.y > 0 or not p.piece.solid or not (p.piece.front_m > 0 or p.piece.asset.receptacles):
+        if p.y > 0 or not p.piece.solid:
+            continue
+        if p.piece.asset.category != "chair" and not (p.piece.front_m > 0 or p.piece.asset.receptacles):
             continue
         near = _REACH.get(p.piece.asset.category, WALK_RADIUS + 0.06)
         faced = p.piece.front_m > 0 or p.piece.asset.category in ("nightstand", "desk")
@@ -248,7 +250,7 @@ def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
     if not len(parts):
         return False
     main = max(parts, key=lambda part: part.area)
-    if sum(part.area for part in parts) - main.area > 0.02 or any(not main.intersects(a) for a in anchors):
+    if sum(part.area for part in parts) - main.area > 1e-3 or any(not main.intersects(a) for a in anchors):
         return False
     goals = [*state.goals, *_goals(extra)]
     return not goals or bool(

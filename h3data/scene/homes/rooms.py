@@ -79,7 +79,7 @@ def _media_group(rng: np.random.Generator, style: Style, depth: float, small: bo
         aisle = float(rng.uniform(1.0, min(1.7, slack - 0.8)))
     table_z = front + aisle + table.size[2] / 2
     sofa_z = table_z + table.size[2] / 2 + knee + sofa.size[2] / 2
-    carpet = living.rug(rng, style, (sofa.size[0] + 0.3, table.size[2] + 1.0))
+    carpet = living.rug(rng, style, (sofa.size[0] - 0.04, table.size[2] + 1.0))
     base = [
         _backed(stand),
         Member(piece=screen, z=front - stand.size[2] / 2 - 0.06, y=stand.size[1]),

@@ -1,0 +1,32 @@
+"""How long a procedural home takes: CPU seconds of this process, the median of some seeds, everything warm."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import get_args
+
+import numpy as np
+
+from h3data.scene import HomeSpec, build_home
+from h3data.scene.homes.spec import Preset
+
+SEEDS = range(1, 8)
+
+Emit = Callable[[str, float, str], None]
+
+
+def run(emit: Emit) -> None:
+    """Emits ``homes.<preset>.generate_s``."""
+    for preset in get_args(Preset):
+        build_home(HomeSpec(seed=0, preset=preset))
+        seconds = []
+        for seed in SEEDS:
+            start = time.process_time()
+            build_home(HomeSpec(seed=seed, preset=preset))
+            seconds.append(time.process_time() - start)
+        emit(f"homes.{preset}.generate_s", float(np.median(seconds)), "s")
+
+
+if __name__ == "__main__":
+    run(lambda name, value, unit: print(name, f"{value:.4g}", unit))
