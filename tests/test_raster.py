@@ -158,7 +158,9 @@ def test_slivers_are_drawn_exactly():
 
 def test_strong_perspective_is_drawn_exactly():
     # pitfall: a triangle from 3 cm to 50 m (ratio of w above 4) needs the double path
-    triangles = np.float64([[[-0.02, 0.02, 0.03], [0.02, 0.02, 0.03], [0.3, 4, 50]], [[-9, 1, 0.5], [9, 1, 0.5], [0, 1, 90]]])
+    triangles = np.float64(
+        [[[-0.02, 0.02, 0.03], [0.02, 0.02, 0.03], [0.3, 4, 50]], [[-9, 1, 0.5], [9, 1, 0.5], [0, 1, 90]]]
+    )
     camera = pinhole(160, 120, hfov_deg=90)
     assert_same(draw(triangles, camera), triangles, camera)
 

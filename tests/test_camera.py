@@ -1,0 +1,101 @@
+"""Cameras, projection, and what is drawn over pictures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from h3data.errors import InputError
+from h3data.render import OPENGL_TO_OPENCV, look_at, overlay, pinhole
+
+RED = (255, 0, 0)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000))
+def test_projection_inverts_the_ray_through_a_pixel(seed):
+    rng = np.random.default_rng(seed)
+    camera = pinhole(64, 48, hfov_deg=float(rng.uniform(20, 140)), pose=look_at(*rng.normal(size=(2, 3)) * 3))
+    pixels, z = rng.uniform([0, 0], [64, 48], (10, 2)), rng.uniform(0.1, 9, 10)
+    rays = np.stack([(pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy, np.ones(10)], 1)
+    world = (rays * z[:, None]) @ camera.pose[:3, :3].T + camera.pose[:3, 3]
+    found, depth = camera.project(world)
+    np.testing.assert_allclose(found, pixels, atol=1e-8)
+    np.testing.assert_allclose(depth, z)
+
+
+def test_points_behind_have_no_pixel():
+    pixels, z = pinhole(8, 8, hfov_deg=90).project([[0, 0, 1], [0, 0, -1], [1, 1, 0]])
+    np.testing.assert_array_equal(np.isnan(pixels).all(1), [False, True, True])
+    np.testing.assert_array_equal(z, [1, -1, 0])
+
+
+def test_look_at_is_a_right_handed_opencv_frame():
+    for eye, target in (([1, 2, 3], [0, 0, 0]), ([0, 5, 0], [0, 0, 0]), ([0, -5, 0], [0, 0, 0])):
+        pose = look_at(eye, target)
+        r = pose[:3, :3]
+        np.testing.assert_allclose(r.T @ r, np.eye(3), atol=1e-12)
+        assert np.linalg.det(r) == pytest.approx(1)
+        assert np.linalg.norm(np.cross(r[:, 2], np.subtract(target, eye))) < 1e-9
+        assert r[1, 1] <= 1e-12  # the camera's y axis points down
+    assert look_at([0, 5, 0], [0, 0, 0])[2, 1] == pytest.approx(1), "from above, the upper edge shows -Z"
+
+
+def test_pinhole_matches_habitat():
+    # spec: habitat-sim reference README: fx = fy = W / 2 / tan(hfov / 2), cx = W / 2, cy = H / 2
+    camera = pinhole(171, 224, hfov_deg=55)
+    assert camera.fx == camera.fy == pytest.approx(164.2439718560347)
+    assert (camera.cx, camera.cy) == (85.5, 112.0)
+    assert camera.hfov_deg == pytest.approx(55)
+    np.testing.assert_array_equal(OPENGL_TO_OPENCV @ OPENGL_TO_OPENCV, np.eye(4))
+
+
+def test_a_line_runs_through_the_projected_points():
+    camera = pinhole(80, 60, hfov_deg=70)
+    image = np.zeros((60, 80, 3), np.uint8)
+    points = np.array([[-1.0, -0.5, 3], [1, 0.6, 3], [1.2, -0.4, 4]])
+    overlay.draw_polyline(image, camera, points, RED, 2)
+    for s in np.linspace(0, 1, 20):
+        for a, b in ((0, 1), (1, 2)):
+            (x, y), _ = (v[0] for v in camera.project(points[a] + s * (points[b] - points[a])))
+            assert image[int(y), int(x), 0] > 100
+    assert (image[..., 0] > 0).mean() < 0.1
+
+
+def test_lines_behind_the_camera_are_cut():
+    camera = pinhole(80, 60, hfov_deg=70)
+    image = np.zeros((60, 80, 3), np.uint8)
+    overlay.draw_polyline(image, camera, [[0, 0, -5], [0, 1, -1], [3, 0, -0.1]], RED)
+    overlay.draw_polyline(image, camera, [[0, 0, 2], [np.nan, 0, 2], [0, 0, 2]], RED)
+    assert not image.any()
+    # from straight ahead to behind, passing on the right: must leave through the right edge, not come back on the left
+    overlay.draw_polyline(image, camera, [[0, 0, 4], [1, 0, -4]], RED)
+    columns = np.flatnonzero(image.any((0, 2)))
+    assert columns.min() >= 38
+    assert columns.max() == 79
+
+
+def test_labels_and_dots_sit_at_their_point():
+    camera = pinhole(160, 120, hfov_deg=70)
+    image = np.zeros((120, 160, 3), np.uint8)
+    overlay.draw_circle(image, camera, [0, 0, 2], (0, 255, 0), radius_px=3)
+    assert image[60, 80, 1] == 255
+    overlay.draw_label(image, camera, [0, 0, 2], "robot", RED)
+    rows = np.flatnonzero((image[..., 0] > 150).any(1))
+    assert 40 < rows.min() < rows.max() < 60
+    before = image.copy()
+    overlay.draw_label(image, camera, [0, 0, -2], "behind", RED)
+    overlay.draw_circle(image, camera, [1e9, 0, 1e-3], RED)
+    np.testing.assert_array_equal(image, before)
+    with pytest.raises(InputError, match=r"\[120, 160, 3\]"):
+        overlay.draw_label(image[:50], camera, [0, 0, 2], "x", RED)
+
+
+def test_importing_cameras_is_light():
+    code = "import sys, h3data.render as r; r.pinhole; print(sorted({'numba', 'cv2', 'av'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -1,0 +1,98 @@
+"""Videos and PNG files: what is read back equals what was written, and nothing half-written keeps its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from h3data.errors import InputError
+from h3data.render import VideoWriter, write_depth_png, write_png
+
+
+def frame(k: int, width: int, height: int) -> np.ndarray:
+    """A smooth picture that changes with k."""
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([x * 200 // width, y * 200 // height, np.full_like(x, 20 + 8 * k)], -1).astype(np.uint8)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (171, 93), (33, 64)])
+def test_a_video_reads_back(tmp_path: Path, size):
+    width, height = size
+    path = tmp_path / "a.mp4"
+    with VideoWriter(path, width, height, 24) as video:
+        for k in range(12):
+            video.write(frame(k, width, height))
+        assert not path.exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert stream.average_rate == 24
+        assert (stream.width, stream.height) == (width + width % 2, height + height % 2)
+        decoded = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+    assert len(decoded) == 12
+    for k, picture in enumerate(decoded):
+        assert np.abs(picture[:height, :width].astype(int) - frame(k, width, height)).mean() < 6
+
+
+def test_the_index_comes_first(tmp_path: Path):
+    with VideoWriter(tmp_path / "a.mp4", 32, 32) as video:
+        video.write(frame(0, 32, 32))
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert 0 < data.find(b"moov") < data.find(b"mdat"), "browsers could not start to play before the end"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_interrupted_video_leaves_nothing(tmp_path: Path, error):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"the old one")
+    with pytest.raises(error), VideoWriter(path, 64, 48) as video:
+        video.write(frame(0, 64, 48))
+        raise error
+    assert path.read_bytes() == b"the old one"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_wrong_frames_and_no_frames_are_refused(tmp_path: Path):
+    with (
+        pytest.raises(InputError, match=r"Frame 0 must be uint8 \[48, 64, 3\]"),
+        VideoWriter(tmp_path / "a.mp4", 64, 48) as v,
+    ):
+        v.write(frame(0, 48, 64))
+    with pytest.raises(InputError, match="No frame"), VideoWriter(tmp_path / "a.mp4", 64, 48):
+        pass
+    with pytest.raises(InputError, match="above 0"):
+        VideoWriter(tmp_path / "a.mp4", 0, 48)
+    with pytest.raises(InputError, match="folder"), VideoWriter(tmp_path / "no" / "a.mp4", 64, 48):
+        pass
+    with pytest.raises(InputError, match="not open"):
+        VideoWriter(tmp_path / "a.mp4", 64, 48).write(frame(0, 64, 48))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_png_round_trips(tmp_path: Path):
+    rgb = frame(3, 31, 17)
+    write_png(tmp_path / "rgb.png", rgb)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "rgb.png"))[..., ::-1], rgb)
+    depth = np.float32([[0, 0.0001, 1.2344], [70, np.nan, 3.0006]])
+    write_depth_png(tmp_path / "depth.png", depth)
+    stored = cv2.imread(str(tmp_path / "depth.png"), cv2.IMREAD_UNCHANGED)
+    assert stored.dtype == np.uint16
+    np.testing.assert_array_equal(stored, [[0, 1, 1234], [65535, 0, 3001]])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["depth.png", "rgb.png"]
+
+
+def test_bad_pictures_are_refused(tmp_path: Path):
+    for bad in (np.zeros((4, 4, 4), np.uint8), np.zeros((4, 4)), np.zeros((0, 4, 3), np.uint8)):
+        with pytest.raises(InputError, match="PNG"):
+            write_png(tmp_path / "a.png", bad)
+    with pytest.raises(InputError, match="metres"):
+        write_depth_png(tmp_path / "a.png", np.zeros((4, 4), np.int32))
+    with pytest.raises(InputError, match="folder"):
+        write_png(tmp_path / "no" / "a.png", np.zeros((4, 4), np.uint8))
+    assert list(tmp_path.iterdir()) == []
