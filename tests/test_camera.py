@@ -76,7 +76,7 @@ def test_lines_behind_the_camera_are_cut():
     # from straight ahead to behind, passing on the right: must leave through the right edge, not come back on the left
     overlay.draw_polyline(image, camera, [[0, 0, 4], [1, 0, -4]], RED)
     columns = np.flatnonzero(image.any((0, 2)))
-    assert columns.min() >= 38
+    assert columns.min() >= 36  # 40 less the line's thickness
     assert columns.max() == 79
 
 

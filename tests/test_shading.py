@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -121,7 +123,7 @@ def test_the_sun_lights_what_faces_it():
 
 def test_four_samples_average_edges_only():
     # a vertical edge through the middle of a pixel column: half sky, half wall
-    black = Light(horizon=(0, 0, 0), zenith=(0, 0, 0), sky=(1, 1, 1), ground=(1, 1, 1), sun=(0, 0, 0), fill=(0, 0, 0), headlight=(0, 0, 0))  # fmt: skip
+    black = dataclasses.replace(WHITE_ROOM, horizon=(0, 0, 0), zenith=(0, 0, 0), sky=(1, 1, 1), ground=(1, 1, 1))
     camera = Camera(width=8, height=6, fx=8, fy=8, cx=4.5, cy=3, pose=np.eye(4))
     wall = triangle([[0, -50, 1], [0, 50, 1], [60, 0, 1]], [[128, 128, 128]] * 3)
     one, four = (draw(wall, camera, light=black, samples=s)["rgb"][2, :, 0] for s in (1, 4))

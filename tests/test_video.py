@@ -47,13 +47,18 @@ def test_the_index_comes_first(tmp_path: Path):
     assert 0 < data.find(b"moov") < data.find(b"mdat"), "browsers could not start to play before the end"
 
 
+def _interrupted(path: Path, error: type[BaseException]) -> None:
+    with VideoWriter(path, 64, 48) as video:
+        video.write(frame(0, 64, 48))
+        raise error
+
+
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_an_interrupted_video_leaves_nothing(tmp_path: Path, error):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"the old one")
-    with pytest.raises(error), VideoWriter(path, 64, 48) as video:
-        video.write(frame(0, 64, 48))
-        raise error
+    with pytest.raises(error):
+        _interrupted(path, error)
     assert path.read_bytes() == b"the old one"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
 
