@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.recording import Dataset, Recording, open_recording
+from h3data.render import Output
 from h3data.replay import Replay, camera_track
 
 
@@ -29,7 +30,7 @@ def render_frame(
     *,
     camera: str = "third_person",
     step: int = 0,
-    outputs: Sequence[str] = ("rgb",),
+    outputs: Sequence[Output] = ("rgb",),
     assets: Sequence[str | Path] = (),
 ) -> dict[str, NDArray[Any]]:
     """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...

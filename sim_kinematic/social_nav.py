@@ -113,7 +113,9 @@ def draw_starts(free: FreeSpace, seed: int, spec: SocialNavSpec) -> Starts:
         farthest = max(farthest, apart)
         if apart < spec.spawn_distance_m:
             continue
-        clearance = least_clearance(free.sdf, free.origin, free.cell_m, *robot_xz, robot_heading, offsets)
+        clearance = least_clearance(
+            free.sdf, free.origin, free.cell_m, robot_xz[0], robot_xz[1], robot_heading, offsets
+        )
         if clearance >= spec.robot.disc_radius_m and np.isfinite(free.geodesic(robot_xz, human_xz)):
             return Starts(
                 robot_xz=robot_xz, robot_heading=float(robot_heading), human_xz=human_xz,
@@ -268,7 +270,7 @@ def _row(world: SocialNavWorld, state: WorldState, clip: int, step: int) -> dict
     return {
         "time_ns": np.int64((step + 1) * STEP_NS),
         "agent_0.base_pose": ground_pose(state.robot_xz[0], state.robot_heading[0], floor).astype(np.float32),
-        "agent_0.joint_pos": world.robot.rest_joint_pos.astype(np.float32),
+        "agent_0.joint_pos": world.robot.rest.astype(np.float32),
         "agent_0.grasp_body": np.int32(-1),
         "agent_1.base_pose": ground_pose(state.human_xz[0], state.human_heading[0], floor).astype(np.float32),
         "agent_1.motion_id": np.int32(clip),

@@ -72,9 +72,8 @@ def _mounted(replay: Replay, name: str) -> CameraTrack:
             continue
         for mounted in model.cameras:
             if mounted.name == name:
-                link = [link.name for link in model.links].index(mounted.link)
                 camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)
-                poses = replay._link_matrices(index)[:, link].astype(np.float64) @ mounted.pose
+                poses = model.camera_poses(name, replay.link_matrices(index).astype(np.float64))
                 return CameraTrack(camera=camera, poses=poses)
     raise InputError(f"No robot of this recording has a camera {name!r}.")
 
@@ -111,6 +110,9 @@ def top_down(replay: Replay, *, width: int = 800, margin_m: float = 0.4) -> Came
     return CameraTrack(camera=camera, poses=pose[None])
 
 
+PLACEHOLDER_STAGE_M = 10.0
+
+
 def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Smallest and largest corner of what was there, over the whole recording [m]."""
     if replay.scene is not None and replay.scene.rooms:
@@ -123,6 +125,8 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     corners = []
     for index, drawable in enumerate(replay.drawables):
         lo, hi = drawable.mesh.bounds
+        if drawable.placeholder and np.max(hi - lo) > PLACEHOLDER_STAGE_M:
+            continue  # the slab that stands for a missing building says nothing about its size
         box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
         if drawable.deformable:
             corners.append(replay.recording.agent_column(drawable.agent, "base_pose")[:, :3].astype(np.float64))

@@ -8,17 +8,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import FormatError, InputError
-from h3data.geometry import pose_to_matrix
+from h3data.geometry import Array, pose_to_matrix
 from h3data.interop import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
-from h3data.render import Camera, Renderer, RenderInstance, RenderScene
+from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
 from h3data.scene import Mesh, Scene, load_scene
 
 
@@ -28,7 +28,7 @@ class Drawable:
 
     name: str
     mesh: Mesh
-    matrix: NDArray[np.float64]
+    matrix: Array
     """4x4 mesh frame to world, scale included; of a moving thing, at its first step."""
     layer: str = ""
     semantic_id: int = 0
@@ -148,7 +148,7 @@ class Replay:
         if isinstance(model, Robot):
             for number, link in enumerate(model.links):
                 if link.mesh is not None:
-                    matrix = self._link_matrices(index)[0, number] if len(self) else np.eye(4)
+                    matrix = self.link_matrices(index)[0, number] if len(self) else np.eye(4)
                     self._add(
                         Drawable(
                             name=f"{agent.name}/{link.name}", mesh=link.mesh, matrix=matrix.astype(np.float64),
@@ -181,10 +181,12 @@ class Replay:
         )
 
     # --- poses --------------------------------------------------------------------------------------------------------
-    def _link_matrices(self, agent: int) -> NDArray[np.float32]:
+    def link_matrices(self, agent: int) -> NDArray[np.float32]:
+        """World matrices of the links of a robot that is drawn by its model, at all steps, shape [T, L, 4, 4]."""
         if agent not in self._links:
             robot = self.model(agent)
-            assert isinstance(robot, Robot)
+            if not isinstance(robot, Robot):
+                raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a robot with links.")
             base = self.recording.agent_column(agent, "base_pose")
             joints = self.recording.agent_column(agent, "joint_pos")
             self._links[agent] = robot.link_matrices(base, joints).astype(np.float32)
@@ -204,7 +206,7 @@ class Replay:
             out[np.isnan(out[:, 0, 0])] = np.nan
             return out
         if isinstance(track, _LinkTrack):
-            return self._link_matrices(track.agent)[rows]
+            return self.link_matrices(track.agent)[rows]
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
@@ -272,18 +274,14 @@ class Replay:
         rows = np.array([step])
         rigid = [i for i, d in enumerate(self._drawables) if d.moving and not d.deformable]
         if rigid:
-            matrices = np.concatenate([self.matrices(i, rows) for i in rigid]).astype(np.float64)
-            there = np.isfinite(matrices[:, 0, 0])
-            indices = np.array(rigid)
-            renderer.set_visible(indices, there)
-            renderer.set_transforms(indices[there], matrices[there])
+            renderer.set_transforms(rigid, np.concatenate([self.matrices(i, rows) for i in rigid]))
         for index, drawable in enumerate(self._drawables):
             if drawable.deformable:
                 renderer.set_vertices(self._slot_of[index], self.vertices(index, rows)[0])
 
     def frames(
-        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[str] = ("rgb",),
-        samples: int = 1, threads: int = 1,
+        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output] = ("rgb",),
+        samples: Literal[1, 4] = 1, threads: int = 1,
     ) -> Iterator[tuple[int, list[dict[str, NDArray[Any]]]]]:  # fmt: skip
         """``(step, [outputs of each camera])`` in the order of ``steps``, drawn by ``threads`` threads.
 
@@ -296,7 +294,7 @@ class Replay:
             if not hasattr(local, "renderer"):
                 local.renderer = self.renderer()
             self.pose(local.renderer, step)
-            return [local.renderer.render(t.at(step), outputs=tuple(outputs), samples=samples) for t in tracks]
+            return [local.renderer.render(t.at(step), outputs=outputs, samples=samples) for t in tracks]
 
         if threads <= 1:
             for step in steps:
@@ -320,7 +318,7 @@ class CameraTrack:
     """A camera and where it is at every step."""
 
     camera: Camera
-    poses: NDArray[np.float64]
+    poses: Array
     """4x4 camera to world, shape [T, 4, 4]; [1, 4, 4] for one that stands still."""
 
     def at(self, step: int) -> Camera:

@@ -8,7 +8,7 @@ import logging
 import math
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 
@@ -50,12 +50,10 @@ def jsonable(value: Any) -> Any:
 
 def _parse(args: list[str]) -> Command:
     """The command that ``args`` ask for; the help of each shows its docstring with the examples, unabridged."""
-    union = None
-    for name, kind in COMMANDS.items():
-        part = Annotated[kind, tyro.conf.subcommand(name, description=inspect.getdoc(kind))]
-        union = part if union is None else union | part
+    parts = [Annotated[c, tyro.conf.subcommand(n, description=inspect.getdoc(c))] for n, c in COMMANDS.items()]
+    union: Any = Union[tuple(parts)]  # noqa: UP007 - made at run time
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
-    return tyro.cli(union, args=args, prog="h3data", description=_DESCRIPTION, config=config)  # type: ignore[arg-type]
+    return tyro.cli(union, args=args, prog="h3data", description=_DESCRIPTION, config=config)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,7 +28,8 @@ class Outcome:
 class Command(Protocol):
     """A command is a dataclass of its options that can run."""
 
-    json: JsonFlag
+    @property
+    def json(self) -> bool: ...
 
     def run(self) -> Outcome: ...
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import tyro
 from tqdm import tqdm
@@ -20,6 +20,7 @@ from h3data.interop import load_habitat_scene
 from h3data.metrics import measure_many
 from h3data.recording import Dataset, DatasetWriter, Recording, write_mcap
 from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene.homes.spec import Preset
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
 from sim_kinematic.policies import policy_by_name
 from sim_kinematic.randomness import episode_seed
@@ -154,8 +155,9 @@ def scene_names(text: str, homes: int) -> list[str]:
 def load_scene_by_name(name: str) -> Scene:
     """The built-in home ``preset:seed`` or the Habitat scene at a path."""
     preset, _, seed = name.partition(":")
-    if preset in HOME_PRESETS and seed.isdigit():
-        return build_home(HomeSpec(preset=preset, seed=int(seed)))
+    for known in get_args(Preset):
+        if preset == known and seed.isdigit():
+            return build_home(HomeSpec(preset=known, seed=int(seed)))
     return load_habitat_scene(Path(name))
 
 

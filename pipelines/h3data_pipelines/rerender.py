@@ -17,6 +17,7 @@ from tqdm import tqdm
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
 from h3data.render import (
+    Output,
     VideoWriter,
     depth_to_rgb,
     instance_to_rgb,
@@ -28,7 +29,6 @@ from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.importing import recording_stem
 
-Output = Literal["rgb", "depth", "instance"]
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 
 
@@ -174,15 +174,11 @@ def render_videos(
                 camera = tracks[n].camera
                 writer = stack.enter_context(VideoWriter(target, camera.width, camera.height, fps=round(fps)))
                 sinks[n, output] = lambda image, step, writer=writer: writer.write(image)
-        frames = replay.frames(tracks, steps, outputs=_needed(outputs), threads=threads)
+        frames = replay.frames(tracks, steps, outputs=outputs, threads=threads)
         for step, views in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
             for (n, output), sink in sinks.items():
                 sink(_picture(replay, tracks[n], views[n], output, step, raw=pictures, annotate=annotate), step)
     return list(targets.values())
-
-
-def _needed(outputs: Sequence[Output]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(outputs))
 
 
 def _picture(
