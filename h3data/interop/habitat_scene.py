@@ -231,6 +231,10 @@ class _Builder:
         up, front = _Z_UP if stage and bare and not template.defaults else _Y_UP
         up = numbers(attributes, "up", up, where=template.path)
         front = numbers(attributes, "front", front, where=template.path)
+        try:
+            frame = frame_rotation(up, front)
+        except SceneError as fault:
+            raise SceneError(f"{fault} Hint: give both up and front. {template.path}") from None
         mesh = self._mesh(attributes, folder, up, front, template)
         if mesh is None:
             return None
@@ -238,7 +242,7 @@ class _Builder:
         receptacles, notes = read_receptacles(
             user if isinstance(user, dict) else {},
             folder=folder,
-            frame=frame_rotation(up, front),
+            frame=frame,
             stage=stage,
             where=template.path,
         )

@@ -94,7 +94,7 @@ def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
     if not perpendicular:
-        raise SceneError(f"An asset frame needs two perpendicular axes. Got up {list(u)}, front {list(f)}.")
+        raise SceneError(f"An asset frame needs two perpendicular axes. Got up {u.tolist()}, front {f.tolist()}.")
     u, f = u / lengths[0], f / lengths[1]
     return np.array([np.cross(f, u), u, -f], np.float64)
 
