@@ -244,6 +244,8 @@ def _each(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
 
 def _pairs(kernel: Callable[[NDArray, NDArray], NDArray], a: ArrayLike, b: ArrayLike) -> NDArray:
     """Applies a kernel on two [N, 2] to points that broadcast against each other."""
-    p, q = np.broadcast_arrays(_floor_points(a), _floor_points(b))
+    p, q = _floor_points(a), _floor_points(b)
+    if p.shape != q.shape:  # broadcast_arrays alone takes 4 us
+        p, q = np.broadcast_arrays(p, q)
     out = kernel(np.ascontiguousarray(p.reshape(-1, 2)), np.ascontiguousarray(q.reshape(-1, 2)))
     return out.reshape(p.shape[:-1])
