@@ -1,7 +1,23 @@
-"""Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision capsules."""
+"""Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
 
 from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh, load_humanoid
 from h3data.bodies.motion import Clip
+from h3data.bodies.robot import Robot, RobotCamera, RobotLink, load_robot
 from h3data.bodies.skeleton import JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.urdf import Urdf, read_urdf
 
-__all__ = ["JOINT_INDEX", "JOINT_NAMES", "BodyCapsule", "Clip", "Humanoid", "SkinnedMesh", "load_humanoid"]
+__all__ = [
+    "JOINT_INDEX",
+    "JOINT_NAMES",
+    "BodyCapsule",
+    "Clip",
+    "Humanoid",
+    "Robot",
+    "RobotCamera",
+    "RobotLink",
+    "SkinnedMesh",
+    "Urdf",
+    "load_humanoid",
+    "load_robot",
+    "read_urdf",
+]

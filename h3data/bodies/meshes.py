@@ -1,0 +1,260 @@
+"""Meshes for links: simple shapes made here, our own plain GLB files read here, anything else through trimesh."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, SceneError
+from h3data.geometry import Array, normalized
+from h3data.scene.records import Mesh
+
+DEFAULT_COLOR = (176, 178, 182)
+"""sRGB of things whose file gives no colour: light grey."""
+
+_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+_COMPONENT = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def load_mesh(path: Path, *, color: tuple[int, int, int] | None = None) -> Mesh:
+    """The triangles of a mesh file in its own frame; ``color`` (sRGB) replaces the file's colours."""
+    mesh = read_plain_glb(path) if path.suffix.lower() == ".glb" else None
+    if mesh is None:
+        mesh = _load_with_trimesh(path)
+    return mesh if color is None else _painted(mesh, color)
+
+
+def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
+    colors = np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1))
+    return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
+
+
+def _load_with_trimesh(path: Path) -> Mesh:
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # trimesh raises whatever its many parsers raise
+        raise SceneError(f"Expected a mesh file, could not read this one ({error}): {path}") from error
+    if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
+        raise SceneError(f"Expected a mesh file, this one has no triangles: {path}")
+    colors = np.tile(np.array(DEFAULT_COLOR, np.uint8), (len(loaded.vertices), 1))
+    if loaded.visual.defined:
+        visual = loaded.visual if loaded.visual.kind == "vertex" else loaded.visual.to_color()  # pyright: ignore
+        colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # pyright: ignore
+    return Mesh(
+        vertices=np.ascontiguousarray(loaded.vertices, np.float32),
+        faces=np.ascontiguousarray(loaded.faces, np.int32),
+        colors=np.ascontiguousarray(colors),
+        normals=np.ascontiguousarray(loaded.vertex_normals, np.float32),
+    )
+
+
+# --- plain GLB --------------------------------------------------------------------------------------------------------
+def read_plain_glb(path: Path) -> Mesh | None:
+    """The mesh of a GLB that holds only triangles with normals and untextured materials in one unmoved node, as
+    `write_plain_glb` makes it; None if there is anything more in it (then trimesh reads it)."""
+    data = path.read_bytes()
+    try:
+        magic, _, total = struct.unpack_from("<III", data)
+        length, kind = struct.unpack_from("<II", data, 12)
+        if magic != _GLB_MAGIC or kind != _JSON_CHUNK or total > len(data):
+            raise ValueError("it is cut off or of another kind")
+        tree = json.loads(data[20 : 20 + length])
+        binary = memoryview(data)[28 + length :]
+        return _plain_mesh(tree, binary)
+    except (struct.error, ValueError, KeyError, IndexError, TypeError) as error:
+        raise FormatError(f"Expected a GLB file, could not read this one ({error}): {path}") from error
+
+
+def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
+    nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
+    moved = any(key in node for node in nodes for key in ("matrix", "translation", "rotation", "scale", "children"))
+    if len(nodes) != 1 or len(meshes) != 1 or moved or tree.get("textures") or tree.get("extensionsUsed"):
+        return None
+    parts = []
+    for primitive in meshes[0]["primitives"]:
+        if set(primitive["attributes"]) != {"POSITION", "NORMAL"} or primitive.get("mode", 4) != 4:
+            return None
+        position, normal = (_accessor(tree, binary, primitive["attributes"][key]) for key in ("POSITION", "NORMAL"))
+        faces = _accessor(tree, binary, primitive["indices"]).reshape(-1, 3)
+        linear = tree["materials"][primitive["material"]]["pbrMetallicRoughness"]["baseColorFactor"][:3]
+        parts.append((position, normal, faces, linear_to_srgb(np.array(linear))))
+    starts = np.cumsum([0, *(len(p[0]) for p in parts)])
+    return Mesh(
+        vertices=np.concatenate([p[0] for p in parts]).astype(np.float32),
+        faces=np.concatenate([p[2].astype(np.int32) + s for p, s in zip(parts, starts[:-1], strict=True)]).astype(
+            np.int32
+        ),
+        colors=np.concatenate([np.tile(p[3], (len(p[0]), 1)) for p in parts]),
+        normals=np.concatenate([p[1] for p in parts]).astype(np.float32),
+    )
+
+
+def _accessor(tree: dict, binary: memoryview, index: int) -> NDArray:
+    accessor = tree["accessors"][index]
+    view = tree["bufferViews"][accessor["bufferView"]]
+    dtype, width = _COMPONENT[accessor["componentType"]], _WIDTH[accessor["type"]]
+    if "byteStride" in view or "sparse" in accessor:
+        raise ValueError("interleaved and sparse accessors are not plain")
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    flat = np.frombuffer(binary, dtype, accessor["count"] * width, start)
+    return flat.reshape(-1, width) if width > 1 else flat
+
+
+def linear_to_srgb(linear: Array) -> NDArray[np.uint8]:
+    """sRGB bytes of linear colours in [0, 1] (IEC 61966-2-1)."""
+    c = np.clip(linear, 0, 1)
+    return np.round(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)).astype(np.uint8)
+
+
+def srgb_to_linear(srgb: Sequence[int]) -> Array:
+    """Linear colours in [0, 1] of sRGB bytes."""
+    c = np.asarray(srgb, np.float64) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def write_plain_glb(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as GLB, one primitive per colour; the same mesh gives the same bytes."""
+    assert mesh.normals is not None
+    palette, index = np.unique(mesh.colors, axis=0, return_inverse=True)
+    face_color = index.ravel()[mesh.faces[:, 0]]
+    chunks: list[bytes] = []
+    tree: dict = {
+        "asset": {"version": "2.0", "generator": "h3data"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": []}],
+        "materials": [],
+        "accessors": [],
+        "bufferViews": [],
+    }
+
+    def add(array: NDArray, kind: str, component: int, target: int) -> int:
+        raw = array.tobytes()
+        tree["bufferViews"].append(
+            {"buffer": 0, "byteOffset": sum(map(len, chunks)), "byteLength": len(raw), "target": target}
+        )
+        chunks.append(raw + b"\0" * (-len(raw) % 4))
+        accessor = {
+            "bufferView": len(tree["bufferViews"]) - 1,
+            "componentType": component,
+            "count": len(array),
+            "type": kind,
+        }
+        if target == 34962 and kind == "VEC3":
+            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+        tree["accessors"].append(accessor)
+        return len(tree["accessors"]) - 1
+
+    for k, color in enumerate(palette):
+        used, faces = np.unique(mesh.faces[face_color == k], return_inverse=True)
+        if not len(used):
+            continue
+        linear = [round(float(v), 6) for v in srgb_to_linear(color)]
+        tree["materials"].append(
+            {"pbrMetallicRoughness": {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}}
+        )
+        tree["meshes"][0]["primitives"].append(
+            {
+                "attributes": {
+                    "POSITION": add(mesh.vertices[used], "VEC3", 5126, 34962),
+                    "NORMAL": add(mesh.normals[used], "VEC3", 5126, 34962),
+                },
+                "indices": add(faces.ravel().astype(np.uint16), "SCALAR", 5123, 34963),
+                "material": len(tree["materials"]) - 1,
+            }
+        )
+    binary = b"".join(chunks)
+    tree["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<III", _GLB_MAGIC, 2, size) + struct.pack("<II", len(text), _JSON_CHUNK)
+    path.write_bytes(head + text + struct.pack("<II", len(binary), _BIN_CHUNK) + binary)
+
+
+# --- simple shapes, flat-shaded where they have edges ------------------------------------------------------------------
+def box_mesh(size: Sequence[float], color: tuple[int, int, int]) -> Mesh:
+    """A box centred at the origin, four vertices per face."""
+    corners, faces, normals = [], [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = np.eye(3)[axis] * sign
+            side = np.roll(np.eye(3)[axis], 1)
+            other = np.cross(normal, side)
+            square = [normal + a * side + b * other for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            first = len(corners)
+            corners += square
+            normals += [normal] * 4
+            faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
+    return _mesh(np.array(corners) * np.asarray(size) / 2, np.array(faces), np.array(normals), color)
+
+
+def round_mesh(
+    radius: float, length: float, color: tuple[int, int, int], *, caps: bool, segments: int = 20, rings: int = 6
+) -> Mesh:
+    """A capsule (``caps``) or a cylinder along z, centred at the origin; a capsule of length 0 is a sphere."""
+    half = length / 2
+    if caps:
+        angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * rings)
+        profile = np.stack([radius * np.cos(angle), radius * np.sin(angle) + np.where(angle > 0, half, -half)], axis=1)
+        slope = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    else:  # rim vertices twice: once for the flat end, once for the side
+        profile = np.array([[0, -half], [radius, -half], [radius, -half], [radius, half], [radius, half], [0, half]])
+        slope = np.array([[0, -1], [0, -1], [1, 0], [1, 0], [0, 1], [0, 1.0]])
+    turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    def swept(rows: Array) -> Array:
+        flat = rows[:, None, :1] * ring
+        return np.concatenate([flat, np.broadcast_to(rows[:, None, 1:], (*flat.shape[:2], 1))], axis=2).reshape(-1, 3)
+
+    i, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(segments), indexing="ij")
+    a, b = i * segments + j, i * segments + (j + 1) % segments
+    quads = np.stack([np.stack([a, b, b + segments], -1), np.stack([a, b + segments, a + segments], -1)])
+    return _mesh(swept(profile), quads.reshape(-1, 3), normalized(swept(slope)), color)
+
+
+def _mesh(vertices: Array, faces: NDArray, normals: Array, color: tuple[int, int, int]) -> Mesh:
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.int32),
+        colors=np.tile(np.array(color, np.uint8), (len(vertices), 1)),
+        normals=normals.astype(np.float32),
+    )
+
+
+def moved(mesh: Mesh, matrix: Array, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Mesh:
+    """The mesh scaled along its own axes and then moved by a rigid matrix [4, 4]."""
+    stretch = np.asarray(scale, np.float64)
+    rotation = matrix[:3, :3]
+    normals = mesh.normals
+    if normals is not None:
+        normals = normalized((normals / stretch) @ rotation.T).astype(np.float32)
+    faces = mesh.faces if np.prod(stretch) > 0 else mesh.faces[:, ::-1]
+    vertices = (mesh.vertices * stretch) @ rotation.T + matrix[:3, 3]
+    return Mesh(
+        vertices=vertices.astype(np.float32), faces=np.ascontiguousarray(faces), colors=mesh.colors, normals=normals
+    )
+
+
+def joined(meshes: Sequence[Mesh]) -> Mesh | None:
+    """All meshes as one (None for none); those without normals get those of their faces' mean."""
+    if len(meshes) < 2:
+        return meshes[0] if meshes else None
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    keep_normals = all(m.normals is not None for m in meshes)
+    return Mesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + np.int32(s) for m, s in zip(meshes, starts[:-1], strict=True)]),
+        colors=np.concatenate([m.colors for m in meshes]),
+        normals=np.concatenate([m.normals for m in meshes if m.normals is not None]) if keep_normals else None,
+    )
