@@ -26,8 +26,13 @@ def put(path: Path, size: float = 1.0) -> Path:
 def test_exact_path_with_dots_and_material_suffix(tmp_path: Path) -> None:
     file = put(tmp_path / "data" / "robots" / "arm" / "meshes" / "link.glb")
     library = AssetLibrary([tmp_path])
-    for uri in ("data/robots/arm/meshes/link.glb", "data/robots/arm/urdf/../meshes/link.glb",
-                "data\\robots\\arm\\meshes\\link.glb", "./data/robots/arm/meshes/link.glb?phong_amb_1_dif_2_spec_3"):  # fmt: skip
+    uris = (
+        "data/robots/arm/meshes/link.glb",
+        "data/robots/arm/urdf/../meshes/link.glb",
+        "data\\robots\\arm\\meshes\\link.glb",
+        "./data/robots/arm/meshes/link.glb?phong_amb_1_dif_2_spec_3",
+    )
+    for uri in uris:
         assert library.resolve(uri) == file
 
 

@@ -77,7 +77,7 @@ def test_capsule_between_any_two_points() -> None:
 
 
 @pytest.mark.parametrize("uri", ["a/stages/x.glb", "data/humanoids/male_0/male_0.glb", "data/robots/spot/base.glb",
-                                 "data/objects/ycb/meshes/024_bowl/google_16k/textured.glb", "data/fpss/objects/9/9.glb"])  # fmt: skip
+                                 "data/objects/ycb/meshes/024_bowl/google_16k/textured.glb", "data/fpss/9/9.glb"])  # fmt: skip
 def test_placeholders_are_marked(uri: str) -> None:
     mesh = placeholder_mesh(uri)
     magenta = np.all(mesh.colors == (255, 0, 200), axis=1)
