@@ -484,6 +484,9 @@ def test_real_session_cut_anywhere_never_crashes(tmp_path: Path) -> None:
 
 
 # --- sniffing ---------------------------------------------------------------------------------------------------------
+DATASET_0 = "habitat-sim/data/test_assets/dataset_tests/dataset_0"
+
+
 @needs_real
 @pytest.mark.parametrize(
     ("path", "kind"),
@@ -492,11 +495,11 @@ def test_real_session_cut_anywhere_never_crashes(tmp_path: Path) -> None:
         ("habitat-lab/demo.json.gz", "rearrange_episodes"),
         ("habitat-lab/hitl_teleop_episodes.json.gz", "rearrange_episodes"),
         ("habitat-lab/reference/hitl/session_2users/gen2/session.json.gz", "hitl_session"),
-        ("habitat-lab/reference/hitl/session_2users/gen2/0.json.gz", "hitl_episode"),
+        ("habitat-lab/reference/hitl/session_2users/gen2/10.json.gz", "hitl_episode"),
         ("habitat-lab/reference/hitl/session_2users/gen1/session.0.json.gz", "hitl_log"),
         ("habitat-lab/reference/hitl/session_2users/gen1/session.0.pkl.gz", "pickle"),
-        ("habitat-sim/data/test_assets/dataset_tests/dataset_0/test_dataset_0.scene_dataset_config.json", "scene_dataset_config"),
-        ("habitat-sim/data/test_assets/dataset_tests/dataset_0/scenes/dataset_test_scene.scene_instance.json", "scene_instance"),
+        (f"{DATASET_0}/test_dataset_0.scene_dataset_config.json", "scene_dataset_config"),
+        (f"{DATASET_0}/scenes/dataset_test_scene.scene_instance.json", "scene_instance"),
         ("habitat-sim/data/test_assets/scenes/simple_room.stage_config.json", "stage_config"),
         ("habitat-sim/data/test_assets/objects/chair.object_config.json", "object_config"),
         ("habitat-sim/data/test_assets/urdf/skinned_prism.ao_config.json", "ao_config"),
