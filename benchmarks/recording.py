@@ -8,6 +8,8 @@ synced, from and to numpy arrays.
 
 from __future__ import annotations
 
+import gzip
+import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -89,6 +91,41 @@ def run(emit: Callable[[str, float, str], None]) -> None:
         emit(f"recording.{name}.clip_coded_bytes_per_step", bytes_coded / steps, "B")
         emit(f"recording.{name}.write_steps_per_cpu_s", steps / write_s, "steps/s")
         emit(f"recording.{name}.read_steps_per_cpu_s", steps / read_s, "steps/s")
+        if store is _parquet:
+            _against_gfx_replay(emit, mixed[:2], size / EPISODES, read_s / EPISODES)
+
+
+def _against_gfx_replay(
+    emit: Callable[[str, float, str], None], episodes: list[Recording], size: float, read_s: float
+) -> None:
+    """The same episodes as Habitat's replay files (compact JSON, 7 digits), against one Parquet episode."""
+    texts = [_gfx_replay(e) for e in episodes]
+    parse_s = _cpu_s(lambda: [json.loads(t) for t in texts]) / len(texts)
+    emit("recording.vs_gfx_replay.size_ratio", float(np.mean([len(t) for t in texts])) / size, "x")
+    emit("recording.vs_gfx_replay.gzip_ratio", float(np.mean([len(gzip.compress(t)) for t in texts])) / size, "x")
+    emit("recording.vs_gfx_replay.load_ratio", parse_s / read_s, "x")
+
+
+def _gfx_replay(episode: Recording) -> bytes:
+    """Keyframes with the instances that changed (objects, robot base) and the bones of the human's rig."""
+    columns = episode.columns
+    poses = np.concatenate([columns["object_pose"], columns["agent_0.base_pose"][:, None]], axis=1)
+    bones = columns["agent_1.joint_quat"]
+    changed = np.ones(poses.shape[:2], bool)
+    changed[1:] = np.any(poses[1:] != poses[:-1], axis=-1)
+
+    def transform(pose: list[float]) -> dict[str, list[float]]:
+        return {"translation": pose[:3], "rotation": [pose[6], *pose[3:6]]}
+
+    frames = []
+    for k, rows in enumerate(np.round(poses.astype(float), 7).tolist()):
+        updates = [
+            {"instanceKey": i, "state": {"absTransform": transform(rows[i])}}
+            for i in np.flatnonzero(changed[k]).tolist()
+        ]
+        rig = [{"t": [0.0, 0.0, 0.0], "r": q} for q in np.round(bones[k].astype(float), 7).tolist()]
+        frames.append({"stateUpdates": updates, "rigUpdates": [{"id": 0, "pose": rig}]})
+    return json.dumps({"keyframes": frames}, separators=(",", ":")).encode()
 
 
 def _parquet(episodes: list[Recording], root: Path) -> tuple[int, float, float]:

@@ -175,6 +175,16 @@ def test_it_is_a_lerobot_v3_dataset(tmp_path):
         assert "BYTE_STREAM_SPLIT" in column.encodings
 
 
+def test_rerun_reads_it_as_lerobot(tmp_path):
+    rerun = pytest.importorskip("rerun.experimental")
+    recs = [simple_recording(steps=20 + k, seed=k) for k in range(4)]
+    written(tmp_path / "ds", *recs, episodes_per_file=2)
+    reader = rerun.LeRobotReader(str(tmp_path / "ds"))
+    for k in (0, 3):
+        rows = {chunk.entity_path: chunk.num_rows for chunk in reader.stream(k)}
+        assert rows["/object_pose"] == rows["/metrics.dist_agents"] == rows["/task"] == 20 + k
+
+
 def test_stats_are_right(tmp_path):
     recs = [simple_recording(steps=n, seed=n, bodies=b) for n, b in ((10, 2), (20, 1), (5, 2))]
     written(tmp_path / "ds", *recs, episodes_per_file=2)

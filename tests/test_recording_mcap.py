@@ -243,6 +243,35 @@ def test_an_exception_leaves_a_part_that_can_be_recovered(tmp_path):
     assert np.array_equal(back.columns["object_pose"], rec.columns["object_pose"][:45])
 
 
+def test_recovering_to_the_name_it_should_have_had(tmp_path):
+    rec, path = simple_recording(steps=50), tmp_path / "a.mcap"
+    writer = RecordingWriter(path, rec)
+    writer.append(rec.columns)
+    writer.abort()
+    part = path.with_name("a.mcap.part")
+    before = part.read_bytes()
+    assert recover_mcap(part, path).steps == 50
+    assert len(read_mcap(path)) == 50
+    assert part.read_bytes() == before
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "a.mcap.part"}
+    with pytest.raises(InputError, match="The file exists"):
+        recover_mcap(part, path)
+
+
+def test_byte_order_does_not_matter(tmp_path):
+    rec = simple_recording(steps=4)
+    swapped = replace(
+        rec, columns={n: a if n == "time_ns" else a.astype(a.dtype.newbyteorder(">")) for n, a in rec.columns.items()}
+    )
+    assert recordings_equal(rec, read_mcap(write_mcap(swapped, tmp_path / "a.mcap"))) == []
+    with pytest.raises(InputError, match="t0_unix_ns"):
+        write_mcap(replace(rec, episode=replace(rec.episode, info={"t0_unix_ns": "now"})), tmp_path / "b.mcap")
+    late = replace(rec, episode=replace(rec.episode, info={"t0_unix_ns": 1_700_000_000 * 10**9}))
+    reader = make_reader(io.BytesIO(write_mcap(late, tmp_path / "c.mcap").read_bytes()))
+    times = [m.log_time for _, c, m in reader.iter_messages(topics=["/h3/state"])]
+    assert times == [1_700_000_000 * 10**9 + int(t) for t in rec.columns["time_ns"]]
+
+
 def test_what_was_flushed_survives_a_killed_process(tmp_path):
     rec = simple_recording(steps=70)
     writer = RecordingWriter(tmp_path / "a.mcap", rec, flush_s=1e9)

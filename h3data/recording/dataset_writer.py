@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
@@ -113,9 +113,8 @@ class DatasetWriter:
             raise InputError("Choose one: overwrite=True starts anew, resume=True goes on.")
         with self._writing():
             self._open_root(overwrite=overwrite, resume=resume)
-            examples = list(like)
-            if self._schema is None and examples:
-                self._declare(examples)
+            if self._schema is None:
+                self._declare(like)
 
     def __len__(self) -> int:
         """Episodes so far, with those not yet committed: the index of the next one."""
@@ -229,18 +228,20 @@ class DatasetWriter:
                     path.unlink()  # renamed before the crash, never committed
         self._totals = Totals.of(self.root)
 
-    def _declare(self, examples: Sequence[Recording]) -> None:
-        """Fix the columns of the dataset and write them down."""
-        layouts = [layout_of(r.columns) for r in examples]
+    def _declare(self, examples: Iterable[Recording]) -> None:
+        """Fix the columns of the dataset so that all of these fit, and write them down; without any, do nothing."""
+        layouts, robots = [], []
+        for recording in examples:  # may be a generator: one recording in memory at a time
+            layouts.append(layout_of(recording.columns))
+            robots += [a.model or a.name for a in recording.agents if a.kind == "robot"]
+        if not layouts:
+            return
         columns = union_layout(layouts, max_bodies=self._max_bodies)
         faults = [f"{c.name!r} contains '/'" for c in columns if "/" in c.name]
         faults += [f"{c.name!r} is reserved by LeRobot" for c in columns if c.name in STANDARD]
         if faults:
             raise InputError(f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.")
-        robots = [a.model or a.name for r in examples[:1] for a in r.agents if a.kind == "robot"]
         schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
-        for recording in examples:
-            _checked_layout(recording, schema)
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
         self._schema = schema
 

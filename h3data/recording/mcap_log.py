@@ -97,7 +97,8 @@ class RecordingWriter:
     ) -> None:
         """Create ``<path>.part`` and write all that is known before the first step.
 
-        ``header.columns`` fixes the columns if it is not empty, else the first `append` does. Log times are
+        ``header.columns`` fixes the columns if it is not empty, else the first `append` does; rows, skills and events of
+        a `Recording` given as header are not written. Log times are
         ``t0_unix_ns`` (by default ``episode.info["t0_unix_ns"]``, or 0: then equal episodes make equal files) plus
         ``time_ns``.
         """
@@ -108,7 +109,7 @@ class RecordingWriter:
         self.header = header
         self.steps = 0
         self.closed = False
-        self._t0 = int(header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns)
+        self._t0 = _start_time(header, t0_unix_ns)
         self._flush_rows, self._flush_s = flush_rows, flush_s
         self._layout: Layout | None = None
         self._kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
@@ -148,7 +149,7 @@ class RecordingWriter:
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
         """Write one or more steps: every column, time first, shape [n, ...]; n is the same for all."""
         self._require_open()
-        arrays = {name: np.asarray(values) for name, values in rows.items()}
+        arrays = {name: _native(np.asarray(values)) for name, values in rows.items()}
         if self._layout is None:
             self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
         count = self._check_rows(arrays)
@@ -359,6 +360,18 @@ class RecordingWriter:
 
     def _log_time(self, time_ns: int) -> int:
         return min(max(self._t0 + time_ns, 0), _LAST_LOG_TIME)
+
+
+def _native(values: NDArray[Any]) -> NDArray[Any]:
+    return values if values.dtype.isnative else values.astype(values.dtype.newbyteorder("="))
+
+
+def _start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
+    t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
+    try:
+        return int(t0)
+    except (TypeError, ValueError):
+        raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.") from None
 
 
 def write_mcap(recording: Recording, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:

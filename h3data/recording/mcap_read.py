@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.mcap_log import PROFILE, TOPIC_MESSAGES, write_mcap
+from h3data.recording.mcap_log import PROFILE, TOPIC_MESSAGES, publish, write_mcap
 from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
     Layout,
@@ -111,9 +111,12 @@ def read_mcap(path: str | os.PathLike[str], *, columns: Sequence[str] | None = N
 def recover_mcap(path: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False) -> Recovery:
     """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
 
-    The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed.
+    The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed. The original
+    stays as it is, also when ``out`` is the name that it should have got.
     """
-    path = Path(path)
+    path, out = Path(path), Path(out)
+    if out.exists() and not overwrite:
+        raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {out}")
     log = _scan(_load(path))
     _check_kind(log, path)
     finished = log.fault is None and "h3.end" in log.metadata
@@ -126,10 +129,8 @@ def recover_mcap(path: str | os.PathLike[str], out: str | os.PathLike[str], *, o
         note = {"from": path.name, "reason": reason, "steps": len(recording)}
         info = {**recording.episode.info, "recovered": note}
         recording = replace(recording, episode=replace(recording.episode, info=info))
-    saved = write_mcap(recording, out, overwrite=overwrite)
-    return Recovery(
-        path=saved, steps=len(recording), bytes_read=log.readable_bytes, bytes_total=log.size, reason=reason
-    )
+    publish(write_mcap(recording, out.with_name(f".{out.name}.recovering"), overwrite=True), out)
+    return Recovery(path=out, steps=len(recording), bytes_read=log.readable_bytes, bytes_total=log.size, reason=reason)
 
 
 # --- the container ----------------------------------------------------------------------------------------------------
