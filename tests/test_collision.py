@@ -91,6 +91,22 @@ def test_sphere_against_box(centre, axis, angle):
         assert distance(ball, block) == pytest.approx(expected, abs=2e-3 if expected < 0 else 1e-5)
 
 
+@given(vectors, vectors, vectors, angles)
+def test_capsule_depth_parts_the_two(a, b, axis, angle):
+    """The depth of a capsule in a box is an upper bound that works: moved by it along the normal, they are apart."""
+    rotation = quat_to_matrix(quat_from_axis_angle(axis + np.array([0, 0, 2.0]), angle))
+    block = MovingShapes([Box(pose=IDENTITY, half_extents=np.array([0.5, 0.3, 0.8]))])
+    block.set_transforms([at(np.zeros(3), rotation)])
+    bone = MovingShapes(shapes_from_capsules(a[None], b[None], 0.1))
+    bone.set_transforms(capsule_transforms(a[None], b[None]))
+    found = contacts(block, bone)
+    assert bool(found) == collide(block, bone)
+    if found:
+        way = found[0].normal * (found[0].depth_m + 2e-3)
+        bone.set_transforms(capsule_transforms(a[None] + way, b[None] + way))
+        assert not collide(block, bone)
+
+
 @given(vectors, vectors, vectors, vectors)
 def test_capsule_against_capsule(a, b, c, d):
     start, end = np.stack([a, c]), np.stack([b, d])

@@ -32,7 +32,8 @@ class Contact(NamedTuple):
     """Index of the shape in ``a`` (for a scene: into ``names``)."""
     index_b: int
     depth_m: float
-    """How far they overlap, positive [m]."""
+    """How far they overlap along ``normal``, positive [m]. Exact between boxes and balls; FCL's iterations for capsules,
+    cylinders and hulls never give less than the least depth, but up to a few centimetres more when it is deep."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
     normal: NDArray[np.float64]
@@ -133,7 +134,8 @@ def contacts(a: _Objects, b: _Objects) -> list[Contact]:
 
 
 def distance(a: _Objects, b: _Objects) -> float:
-    """Smallest distance between a and b [m]; when they overlap, minus the depth of the deepest contact; inf if one is empty."""
+    """Smallest distance between a and b [m]; when they overlap, minus `Contact.depth_m` of the deepest contact, with its
+    error; inf if one is empty."""
     import fcl
 
     if not len(a) or not len(b):

@@ -37,6 +37,8 @@ def fcl_geometry(shape: Shape, scale: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[fcl.
     if isinstance(shape, Capsule):  # uneven scale: the fattest radius, so that no contact is missed
         start, end = np.asarray(shape.start) * s, np.asarray(shape.end) * s
         length = float(np.linalg.norm(end - start))
+        if length == 0:  # FCL has exact formulas for balls, and only iterations for capsules
+            return fcl.Sphere(shape.radius * factor), capsule_transforms(start, end)
         return fcl.Capsule(shape.radius * factor, length), capsule_transforms(start, end) @ Y_TO_Z
     if isinstance(shape, Hull):
         return _convex(np.asarray(shape.points, np.float64) * s)
