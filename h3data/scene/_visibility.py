@@ -31,7 +31,8 @@ class Graph(NamedTuple):
     first: NDArray[np.int64]
     """Nodes of island k are ``first[k]:first[k + 1]``, shape [islands + 1]."""
     distance: NDArray[np.float32]
-    """Shortest path length between nodes, inf between islands, shape [n, n] [m]."""
+    """Length of the shortest taut way between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf where
+    there is none. A way that would kink at its first or last node is not in it: no shortest path has such a part."""
     previous: NDArray[np.int32]
     """Node before j on the shortest path from i to j, shape [n, n]; negative: none."""
     rings: NDArray[np.float64]
