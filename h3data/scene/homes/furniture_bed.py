@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, finish, legs, surface
+from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, cylinder_part, finish, legs, surface
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
+from h3data.scene.records import Shape
 
 DESK_DRAWERS = 0.4
 """Width of the drawers at a desk's right; a chair fits beside them [m]."""
@@ -55,7 +56,10 @@ def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
         [(0.1, h + 0.18), (0.065, h + 0.34), (0, h + 0.34)], (244, 232, 204), segments=16, center=(0, 0, -d / 2 + 0.1)
     )
     top = surface("top", (0, h, 0.07), (w - 0.06, d - 0.2), 1.0)
-    shapes = [box_part((0, h / 2, 0), (w, h, d)), box_part((0, h + 0.17, -d / 2 + 0.1), (0.2, 0.34, 0.18))]
+    shapes: list[Shape] = [box_part((0, h / 2, 0), (w, h, d))]
+    shapes += [
+        cylinder_part((0, h + y, -d / 2 + 0.1), r, tall) for y, r, tall in ((0.09, 0.055, 0.18), (0.26, 0.1, 0.16))
+    ]
     return finish("nightstand", mesh, (w, h + 0.34, d), shapes=shapes, receptacles=[top])
 
 

@@ -79,10 +79,10 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
     for i in range(3):
         a, b = -w / 2 + i * w / 3, -w / 2 + (i + 1) * w / 3
         cabinet_front(mesh, (a, b), (0.07, h - 0.03), d / 2 - 0.02, vary(rng, style.wood, 0.03), style.metal)
-    side = 0.5 * (w - 0.5)
+    side = 0.5 * w - 0.23  # beside the foot and in front of the screen of the tv
     ends = [
-        surface(f"top_{n}", (s * (w / 2 - side / 2 - 0.03), h, 0), (side - 0.06, d - 0.08), 0.5)
-        for n, s in (("left", -1), ("right", 1))
+        surface(f"top_{name}", (s * (0.2 + side / 2), h, 0.085), (side, 0.19), 0.5)
+        for name, s in (("left", -1), ("right", 1))
     ]
     shape = box_part((0, h / 2, 0), (w, h, d))
     return finish("tv_stand", mesh, (w, h, d), shapes=[shape], receptacles=ends, front=0.5)

@@ -237,10 +237,10 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> None:
     edge = desk.wall_gap_m + desk.size[2]
     seat = Member(
         piece=chair,
-        x=desk.size[0] / 2 - sleeping.DESK_DRAWERS - chair.size[0] / 2 - 0.02,
+        x=desk.size[0] / 2 - sleeping.DESK_DRAWERS - chair.size[0] / 2 - 0.025,
         z=edge + sleeping.chair_reach(rng) - chair.size[2] / 2,
         quarter=2,
-        yaw=float(rng.uniform(-0.2, 0.2)),
+        yaw=float(rng.uniform(-0.06, 0.06)),
     )
     place_at_wall(rng, state, [_backed(desk), seat], corner=True)
 

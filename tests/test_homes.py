@@ -1,0 +1,326 @@
+"""Procedural homes: repeatable, of the right size, walkable, and nothing stands inside anything else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from h3data.errors import InputError
+from h3data.geometry import pose_multiply, pose_to_matrix
+from h3data.scene import CATEGORIES, HOME_PRESETS, HomeSpec, Scene, build_home, instance_matrix, scene_digest
+from h3data.scene.homes import OBJECT_CATEGORIES
+from h3data.scene.homes.layout import plan_layout
+from h3data.scene.homes.objects import OBJECT_MAKERS
+from h3data.scene.homes.place import GAP_BAND, gap
+from h3data.scene.homes.solids import MeshBuilder
+from h3data.scene.homes.spec import stage_rng
+from h3data.scene.records import Box, Cylinder, Hull, Mesh, Shape
+
+SPECS = [HomeSpec(seed=s, preset=p) for p in ("small", "medium") for s in (0, 1, 2, 7)]
+
+
+@cache
+def home(spec: HomeSpec) -> Scene:
+    return build_home(spec)
+
+
+homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.seed}")
+
+
+# --- repeatable -------------------------------------------------------------------------------------------------------
+def test_same_spec_same_bytes_in_another_process_with_other_hash_seed():
+    code = (
+        "from h3data.scene import *;"
+        "print(*(scene_digest(build_home(HomeSpec(seed=7, preset=p))) for p in ('small', 'medium')))"
+    )
+    expected = [scene_digest(home(HomeSpec(seed=7, preset=p))) for p in ("small", "medium")]
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
+    out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert out.stdout.split() == expected
+
+
+def test_seeds_and_presets_give_different_homes():
+    assert len({scene_digest(home(spec)) for spec in SPECS}) == len(SPECS)
+
+
+def test_stages_are_keyed_independently():
+    spec = HomeSpec(seed=3)
+    draws = [stage_rng(spec, stage, attempt).random() for stage in ("a", "b") for attempt in (0, 1)]
+    assert len(set(draws)) == 4
+    assert stage_rng(spec, "a").random() == draws[0]
+
+
+@pytest.mark.parametrize("wrong", [{"seed": -1}, {"seed": 1.5}, {"seed": True}, {"preset": "huge"}])
+def test_wrong_specs_are_refused(wrong: dict[str, Any]):
+    with pytest.raises(InputError, match=r"preset|seed"):
+        HomeSpec(**wrong)
+
+
+# --- plan -------------------------------------------------------------------------------------------------------------
+@homes
+def test_area_and_rooms_are_those_of_the_preset(spec: HomeSpec):
+    preset, scene = HOME_PRESETS[spec.preset], home(spec)
+    boxes = [shapely.box(*r) for room in scene.rooms for r in room.rectangles]
+    assert sum(b.area for b in boxes) == pytest.approx(preset.area_m2, rel=0.005)
+    assert shapely.union_all(boxes).area == pytest.approx(sum(b.area for b in boxes), abs=1e-6), "rooms overlap"
+    kinds = [r.category for r in scene.rooms]
+    assert kinds.count("bedroom") == preset.bedrooms
+    assert kinds.count("bathroom") == preset.bathrooms
+    assert {"living", "kitchen", "hall"} <= set(kinds)
+
+
+@homes
+def test_doors_are_wide_and_follow_the_rules(spec: HomeSpec):
+    layout = plan_layout(spec)
+    kind = {r.name: r.category for r in layout.rooms}
+    inner = [o for o in layout.openings if o.kind in ("door", "wide")]
+    for o in inner:
+        assert o.span[1] - o.span[0] >= 0.95 - 1e-6
+        assert {kind[r] for r in o.rooms} not in (
+            {"bathroom"},
+            {"bedroom"},
+            {"bathroom", "kitchen"},
+            {"bedroom", "bathroom"},
+        )
+    wide = [o for o in inner if o.kind == "wide"]
+    assert [{kind[r] for r in o.rooms} for o in wide] == [{"living", "kitchen"}]
+    assert sum(o.kind == "entrance" for o in layout.openings) == 1
+    lit = {o.rooms[0] for o in layout.openings if o.kind == "window"}
+    assert {r.name for r in layout.rooms if r.category in ("living", "bedroom")} <= lit
+
+
+# --- walking: an independent check on a grid, from the collision shapes ------------------------------------------------
+def corners(shape: Shape) -> np.ndarray:
+    """Points whose hull is the shape; a circle becomes the square round it (on the safe side)."""
+    if isinstance(shape, Hull):
+        return shape.points
+    half = shape.half_extents if isinstance(shape, Box) else np.array([shape.radius, shape.half_height, shape.radius])
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    matrix = pose_to_matrix(shape.pose)
+    return signs * half @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def free_islands(scene: Scene, radius: float, cell: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Island label of each grid point (0 = blocked) [X, Z] and the points' coordinates [X, Z, 2]."""
+    from scipy.ndimage import label
+
+    obstacles = []
+    for i in scene.static_instances:
+        matrix = instance_matrix(i)
+        for shape in scene.assets[i.asset].shapes:
+            p = corners(shape) @ matrix[:3, :3].T + matrix[:3, 3]
+            if p[:, 1].max() > 0.02 and p[:, 1].min() < 1.9:
+                obstacles.append(shapely.MultiPoint(p[:, [0, 2]]).convex_hull)
+    size = scene.bounds[1]
+    grid = np.stack(np.meshgrid(np.arange(0, size[0], cell), np.arange(0, size[2], cell), indexing="ij"), -1)
+    tree = shapely.STRtree(obstacles)
+    points = shapely.points(grid.reshape(-1, 2))
+    blocked = np.zeros(len(points), bool)
+    blocked[tree.query(points, predicate="dwithin", distance=radius)[0]] = True
+    labels, _ = label(~blocked.reshape(grid.shape[:2]))
+    floor = shapely.union_all([shapely.box(*r) for room in scene.rooms for r in room.rectangles])
+    inside = shapely.contains(floor, points).reshape(grid.shape[:2])
+    return np.where(inside, labels, 0), grid
+
+
+@homes
+def test_everybody_can_walk_everywhere(spec: HomeSpec):
+    scene = home(spec)
+    islands, grid = free_islands(scene, 0.29)  # one centimetre of tolerance for the grid
+    sizes = np.bincount(islands.ravel())[1:]
+    main = islands == 1 + int(sizes.argmax())
+    assert sizes.max() >= 0.97 * sizes.sum()
+    for room in scene.rooms:
+        x0, z0, x1, z1 = room.rectangles[0]
+        here = (grid[..., 0] > x0) & (grid[..., 0] < x1) & (grid[..., 1] > z0) & (grid[..., 1] < z1)
+        assert (main & here).sum() * 0.05**2 > 0.1 * (x1 - x0) * (z1 - z0), room.name
+    places = grid[main]
+    for instance, receptacle in scene.receptacles():
+        matrix = instance_matrix(instance)
+        at = (matrix[:3, :3] @ receptacle.center + matrix[:3, 3])[[0, 2]]
+        assert np.linalg.norm(places - at, axis=1).min() < 1.2, (instance.name, receptacle.name)
+
+
+@homes
+def test_no_passage_is_open_for_one_radius_and_shut_for_the_other(spec: HomeSpec):
+    """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs see rooms joined in the same way."""
+    from h3data.scene.homes.check import walkable_area
+
+    def holes(radius: float) -> int:
+        return sum(len(part.interiors) for part in shapely.get_parts(walkable_area(home(spec), radius)))
+
+    assert holes(GAP_BAND[0] / 2) == holes(GAP_BAND[1] / 2)
+
+
+def test_gap_between_rectangles():
+    assert gap((0, 0, 1, 1), (2, 0, 3, 1)) == 1
+    assert gap((0, 0, 1, 1), (4, 5, 6, 6)) == 5
+    assert gap((0, 0, 2, 2), (1, 1, 3, 3)) == 0
+
+
+# --- things stand apart -----------------------------------------------------------------------------------------------
+def fcl_objects(scene: Scene, instance: Any, shrink: float) -> list[Any]:
+    """Collision objects of an instance, each a little smaller than it is."""
+    import fcl
+    from scipy.spatial import ConvexHull
+
+    upright = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # fcl's cylinders stand along z
+    out = []
+    for shape in scene.assets[instance.asset].shapes:
+        if isinstance(shape, Box):
+            geometry = fcl.Box(*(2 * np.maximum(shape.half_extents - shrink, 1e-4)))
+            pose = pose_multiply(instance.pose, shape.pose)
+        elif isinstance(shape, Cylinder):
+            geometry = fcl.Cylinder(shape.radius - shrink, 2 * (shape.half_height - shrink))
+            pose = pose_multiply(pose_multiply(instance.pose, shape.pose), np.concatenate([[0, 0, 0], upright]))
+        else:
+            assert isinstance(shape, Hull)
+            middle = shape.points.mean(0)
+            points = middle + (shape.points - middle) * (1 - shrink / 0.05)
+            hull = ConvexHull(points)
+            faces = np.column_stack([np.full(len(hull.simplices), 3), hull.simplices]).ravel()
+            geometry, pose = fcl.Convex(points, len(hull.simplices), faces), instance.pose
+        matrix = pose_to_matrix(pose)
+        out.append(fcl.CollisionObject(geometry, fcl.Transform(matrix[:3, :3], matrix[:3, 3])))
+    return out
+
+
+@homes
+def test_nothing_stands_inside_anything_else(spec: HomeSpec):
+    import fcl
+
+    scene = home(spec)
+    solid = [i for i in scene.instances if scene.assets[i.asset].shapes]
+    objects = [fcl_objects(scene, i, 0.0015 if i.motion == "kinematic" else 0.004) for i in solid]
+    owner = {id(o): i.name for i, group in zip(solid, objects, strict=True) for o in group}
+    boxes = np.array([scene_box(scene, i) for i in solid])
+    bad = set()
+    for a in range(len(solid)):
+        near = (boxes[a, 0] < boxes[a + 1 :, 1]).all(1) & (boxes[a + 1 :, 0] < boxes[a, 1]).all(1)
+        for b in (a + 1 + np.flatnonzero(near)).tolist():
+            for one in objects[a]:
+                for other in objects[b]:
+                    if fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()):
+                        bad.add((owner[id(one)], owner[id(other)]))
+    assert not bad
+
+
+def scene_box(scene: Scene, instance: Any) -> np.ndarray:
+    matrix = instance_matrix(instance)
+    points = np.concatenate([corners(s) for s in scene.assets[instance.asset].shapes])
+    points = points @ matrix[:3, :3].T + matrix[:3, 3]
+    return np.stack([points.min(0), points.max(0)])
+
+
+@homes
+def test_small_things_rest_on_receptacles(spec: HomeSpec):
+    scene = home(spec)
+    tops = []
+    for instance, receptacle in scene.receptacles():
+        matrix = instance_matrix(instance)
+        tops.append((np.linalg.inv(matrix), receptacle))
+    things = [i for i in scene.instances if i.motion == "kinematic"]
+    assert len(things) >= 12
+    for thing in things:
+        low, high = scene.assets[thing.asset].mesh.bounds
+        foot = thing.pose[:3] + np.array([0, low[1], 0])
+        for inverse, receptacle in tops:
+            local = inverse[:3, :3] @ foot + inverse[:3, 3] - receptacle.center
+            within = np.abs(local[[0, 2]]) <= receptacle.half_size
+            if within.all() and abs(local[1]) < 0.002 and high[1] - low[1] < receptacle.clearance_m:
+                break
+        else:
+            pytest.fail(f"{thing.name} floats")
+
+
+@homes
+def test_furniture_stands_on_the_floor_in_its_room(spec: HomeSpec):
+    scene = home(spec)
+    floor = shapely.union_all([shapely.box(*r) for room in scene.rooms for r in room.rectangles])
+    hanging = {"tv", "picture", "mirror", "ceiling_lamp"}
+    for i in scene.static_instances:
+        category = scene.assets[i.asset].category
+        assert floor.buffer(0.13).contains(shapely.Point(i.pose[0], i.pose[2]).buffer(0.01)), i.name
+        if category not in hanging:
+            assert i.pose[1] == 0
+
+
+@homes
+def test_ids_layers_and_motion(spec: HomeSpec):
+    scene = home(spec)
+    for i in scene.instances:
+        category = scene.assets[i.asset].category
+        assert i.semantic_id == CATEGORIES[category]
+        assert (i.motion == "kinematic") == (category in OBJECT_CATEGORIES)
+        assert (i.layer == "ceiling") == (category in ("ceiling", "ceiling_lamp"))
+    furniture = {scene.assets[i.asset].category for i in scene.static_instances}
+    needed = (
+        "sofa coffee_table tv_stand tv shelf dining_table chair kitchen_counter stove fridge bed nightstand wardrobe"
+    )
+    assert set(f"{needed} toilet bathroom_sink picture rug".split()) <= furniture
+    assert furniture & {"bathtub", "shower"}
+    assert scene.source == {"kind": "home", "preset": spec.preset, "seed": spec.seed}
+
+
+def test_category_ids_are_stable():
+    assert (CATEGORIES["wall"], CATEGORIES["sofa"], CATEGORIES["console"], CATEGORIES["can"]) == (1, 10, 36, 60)
+    assert len(set(CATEGORIES.values())) == len(CATEGORIES)
+    assert 0 not in CATEGORIES.values()
+    assert set(OBJECT_MAKERS) == set(OBJECT_CATEGORIES)
+
+
+# --- meshes -----------------------------------------------------------------------------------------------------------
+def face_normals(mesh: Mesh) -> np.ndarray:
+    p = mesh.vertices.astype(float)[mesh.faces]
+    return np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+
+
+@homes
+def test_meshes_are_sound(spec: HomeSpec):
+    scene = home(spec)
+    triangles = sum(len(scene.assets[i.asset].mesh.faces) for i in scene.instances)
+    assert 15_000 < triangles < {"small": 60_000, "medium": 90_000}[spec.preset]
+    for asset in scene.assets.values():
+        mesh = asset.mesh
+        assert mesh.normals is not None
+        assert np.isfinite(mesh.vertices).all()
+        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4, err_msg=asset.name)
+        area = face_normals(mesh)
+        assert (np.linalg.norm(area, axis=1) > 1e-9).mean() > 0.99, asset.name
+        shading = mesh.normals[mesh.faces].mean(1)
+        inverted = np.einsum("fi,fi->f", area, shading) < -1e-9
+        assert not inverted.any(), f"{asset.name}: {inverted.sum()} triangles turn their back to their normals"
+
+
+def closed_volume(build: Any) -> tuple[float, float]:
+    """Signed volume of a solid and how far its boundary is from closed (0 = closed)."""
+    builder = MeshBuilder()
+    build(builder)
+    mesh = builder.mesh()
+    p = mesh.vertices.astype(float)[mesh.faces]
+    return float(np.einsum("fi,fi->", np.cross(p[:, 0], p[:, 1]), p[:, 2]) / 6), float(
+        np.abs(face_normals(mesh).sum(0)).max()
+    )
+
+
+@pytest.mark.parametrize(
+    ("build", "volume"),
+    [
+        (lambda m: m.box((1, 2, 3), (0.2, 0.4, 0.6), (9, 9, 9)), 0.048),
+        (lambda m: m.box((0, 0, 0), (2, 2, 2), (9, 9, 9), bevel=0.01), 8 - 24 * 0.01**2 / 2),
+        (lambda m: m.cylinder((0, 1, 0), 0.5, 2.0, (9, 9, 9), segments=200), np.pi / 2),
+        (lambda m: m.ellipsoid((0, 1, 0), (1, 2, 0.5), (9, 9, 9), segments=80, rings=80), 4 / 3 * np.pi),
+        (lambda m: m.cushion((0, 0, 0), (1, 1, 1), (9, 9, 9), radius=0.001), 1.0),
+    ],
+)
+def test_solids_are_closed_and_face_outwards(build: Any, volume: float):
+    measured, leak = closed_volume(build)
+    assert measured == pytest.approx(volume, rel=4e-3)
+    assert leak < 1e-5
