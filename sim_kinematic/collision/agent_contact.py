@@ -35,13 +35,13 @@ class AgentContact:
             np.linalg.norm(end - start, axis=-1) / 2
         )
         self._robot_pose = np.tile(np.eye(4), (len(spheres), 1, 1))
-        self._human_pose = capsule_transforms(start, end)
+        self._human_ends = start, end
         self._stale = True
 
     def update(self, robot_transforms: ArrayLike, human_start: ArrayLike, human_end: ArrayLike) -> None:
         """New world poses: transforms of the robot's shapes [n, 4, 4], ends of the person's capsules [m, 3]."""
         self._robot_pose = np.asarray(robot_transforms, np.float64)
-        self._human_pose = capsule_transforms(human_start, human_end)
+        self._human_ends = np.asarray(human_start, np.float64), np.asarray(human_end, np.float64)
         self._stale = True
 
     def collides(self) -> bool:
@@ -60,13 +60,13 @@ class AgentContact:
         """Whether the circles around the two bodies, seen from above, touch."""
         robot = transform_points(self._robot_pose, self._robot_center[:, None])[:, 0]
         first, reach_a = _circle(robot, self._robot_radius)
-        second, reach_b = _circle(self._human_pose[:, :3, 3], self._human_radius)
+        second, reach_b = _circle((self._human_ends[0] + self._human_ends[1]) / 2, self._human_radius)
         return float(np.hypot(*(first - second))) <= reach_a + reach_b
 
     def _posed(self) -> tuple[MovingShapes, MovingShapes]:
         if self._stale:
             self._robot.set_transforms(self._robot_pose)
-            self._human.set_transforms(self._human_pose)
+            self._human.set_transforms(capsule_transforms(*self._human_ends))
             self._stale = False
         return self._robot, self._human
 
