@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -220,6 +221,19 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "f.txt").write_text("x")
     with pytest.raises(SceneError, match=r"\.glb, \.gltf"):
         load_mesh(tmp_path / "f.txt")
+
+
+def test_compressed_triangles_are_refused_not_drawn_as_nothing(brick: trimesh.Trimesh, tmp_path: Path) -> None:
+    for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(brick)).items():
+        (tmp_path / name).write_bytes(data)
+    path = tmp_path / "model.gltf"
+    assert len(load_mesh(path).faces) == 12
+    content = json.loads(path.read_text())
+    content["extensionsRequired"] = ["EXT_meshopt_compression"]
+    path.write_text(json.dumps(content))
+    os.utime(path, ns=(1, 1))
+    with pytest.raises(SceneError, match="EXT_meshopt_compression"):
+        load_mesh(path)
 
 
 @needs_real

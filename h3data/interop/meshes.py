@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from h3data.scene.records import Mesh
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 DEFAULT_COLOR = (204, 204, 204)
 """sRGB of a surface whose file says nothing about its colour."""
+
+_COMPRESSIONS = {"KHR_draco_mesh_compression": "DracoPy", "EXT_meshopt_compression": None}
+"""glTF extensions that pack triangles, and the module with which trimesh unpacks them."""
 
 Vector3 = tuple[float, float, float]
 
@@ -32,9 +36,9 @@ def load_mesh(
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
     (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Colours are sRGB per vertex, from the file's vertex
-    colours, the material's base colour, or its texture sampled at the vertices (texture detail inside a triangle is
-    lost). Normals are kept if the file has them; else None, which shades flat. The result is cached per file, time
-    stamp and frame: do not write to it.
+    colours, the material's base colour, or its texture sampled at the vertices (detail inside a triangle is lost;
+    KTX2/Basis textures are not read and give grey). Normals are kept if the file has them; else None, which shades
+    flat. The result is cached per file, time stamp and frame: do not write to it.
     """
     path = Path(path)
     if not path.is_file():
@@ -167,6 +171,7 @@ def _load_scene(path: str) -> Any:
     """The file as trimesh's scene; `SceneError` names the reason if it cannot be read."""
     import trimesh
 
+    _refuse_compressed(path)
     try:
         return trimesh.load_scene(path, process=False)
     except Exception as fault:  # trimesh raises whatever its loaders meet
@@ -174,6 +179,20 @@ def _load_scene(path: str) -> Any:
         raise SceneError(
             f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}"
         ) from None
+
+
+def _refuse_compressed(path: str) -> None:
+    """`SceneError` for glTF whose triangles are compressed: trimesh would return zeros in their place."""
+    if not path.lower().endswith((".glb", ".gltf")):
+        return
+    data = Path(path).read_bytes()
+    header = data[20 : 20 + int.from_bytes(data[12:16], "little")] if data.startswith(b"glTF") else data
+    for extension, module in _COMPRESSIONS.items():
+        if extension.encode() in header and (module is None or find_spec(module) is None):
+            hint = "" if module is None else f" Hint: pip install {module}."
+            raise SceneError(
+                f"The triangles of this file are compressed ({extension}), which is not read.{hint} {path}"
+            )
 
 
 def _part(geometry: Any, matrix: NDArray[np.float64], *, glb: bool) -> Mesh:
