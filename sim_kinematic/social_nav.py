@@ -25,6 +25,7 @@ from h3data.recording import (
     Episode,
     Event,
     Recording,
+    RecordingHeader,
     SkillSpan,
     state_hash,
 )
@@ -169,12 +170,12 @@ def simulate_social_nav(
     *,
     policy: str | Policy = "heuristic_expert",
     episode_id: str = "0",
-    sink: Callable[[Recording], Sink] | None = None,
+    sink: Callable[[RecordingHeader], Sink] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Recording:
     """Run one episode to its end and return its recording.
 
-    ``sink`` is called once, with a recording that has no rows yet, and returns what receives rows and events while they
+    ``sink`` is called once, with what is known before the first step, and returns what receives rows and events while they
     come, such as a `RecordingWriter`; it is closed at the end, aborted on an error. ``progress`` is called with 1 after
     every step.
     """
@@ -197,7 +198,9 @@ def simulate_social_nav(
     return recording
 
 
-def _run(world: SocialNavWorld, act: Policy, header: Recording, log: _Log, progress: Callable[[int], object]) -> str:
+def _run(
+    world: SocialNavWorld, act: Policy, header: RecordingHeader, log: _Log, progress: Callable[[int], object]
+) -> str:
     """Step to the end of the episode; returns what ended it."""
     spec, free = world.spec, world.free
     state = WorldState.zeros(1)
@@ -294,8 +297,8 @@ def _human_pose(world: SocialNavWorld, row: dict[str, Any]) -> tuple[NDArray[Any
 
 
 # --- the recording ------------------------------------------------------------------------------------------------------
-def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recording:
-    """A recording of the episode without rows: who and what is there, under which rules."""
+def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> RecordingHeader:
+    """What is known before the first step: who and what is there, under which rules."""
     scene, spec, starts = world.scene, world.spec, world.starts
     buffer = io.BytesIO()
     save_scene(scene, buffer)
@@ -332,19 +335,13 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
         episode_id=episode_id, task="social_nav", scene=scene.name, seed=world.seed,
         created_by=f"h3data {importlib.metadata.version('h3data')}", info=info,
     )  # fmt: skip
-    return Recording(
+    return RecordingHeader(
         episode=episode,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
         bodies=bodies,
         agents=agents,
-        columns=_empty_columns(world),
         attachments={"scene.glb": buffer.getvalue()},
     )
-
-
-def _empty_columns(world: SocialNavWorld) -> dict[str, NDArray[Any]]:
-    row = _row(world, WorldState.zeros(1), 0, 0)
-    return {name: np.zeros((0, *np.shape(value)), np.asarray(value).dtype) for name, value in row.items()}
 
 
 def skill_spans(columns: dict[str, NDArray[Any]], agents: tuple[Agent, ...]) -> tuple[SkillSpan, ...]:
@@ -365,7 +362,7 @@ def skill_spans(columns: dict[str, NDArray[Any]], agents: tuple[Agent, ...]) -> 
 
 
 def _finished(
-    header: Recording, columns: dict[str, NDArray[Any]], info: dict[str, Any], events: list[Event]
+    header: RecordingHeader, columns: dict[str, NDArray[Any]], info: dict[str, Any], events: list[Event]
 ) -> Recording:
     episode = replace(header.episode, info={**header.episode.info, **info})
     return Recording(

@@ -206,7 +206,7 @@ class Replay:
             out[np.isnan(out[:, 0, 0])] = np.nan
             return out
         if isinstance(track, _LinkTrack):
-            return self.link_matrices(track.agent)[rows]
+            return self.link_matrices(track.agent)[rows, track.link]
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
