@@ -13,7 +13,7 @@ from h3data.scene.homes.style import Style
 from h3data.scene.records import Asset, Instance
 
 _VARIANTS = 3
-_CHANCE = {"dining_table": 1.0, "kitchen_counter": 0.75, "coffee_table": 0.9, "bed": 0.3, "sofa": 0.3, "armchair": 0.25}
+_CHANCE = {"dining_table": 1.0, "kitchen_counter": 0.85, "coffee_table": 0.9, "bed": 0.3, "sofa": 0.35, "armchair": 0.3}
 _MOST = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3}
 _LIFT = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it [m]."""
@@ -41,7 +41,7 @@ def clutter(
         if fitting is None:
             continue
         for receptacle in asset.receptacles:
-            if rng.random() > _CHANCE.get(asset.category, 0.6):
+            if rng.random() > _CHANCE.get(asset.category, 0.8):
                 continue
             discs: list[tuple[float, float, float]] = []
             for _ in range(int(rng.integers(1, _MOST.get(asset.category, 1) + 1))):

@@ -16,13 +16,15 @@ from h3data.scene.homes.layout import Layout, Opening, Rect, RoomPlan
 
 WALK_RADIUS = 0.30
 """A person's disc (spec/habitat.md: humanoid radius 0.3): free space is judged with it [m]."""
+PLAN_RADIUS = 0.32
+"""The disc that furniture is placed by: a passage for `WALK_RADIUS` is then a little wider than it must be [m]."""
 GAP_BAND = (0.45, 0.60)
-"""Free gaps that are not left: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (navigation-and-stepping.md 2.4) [m]."""
+"""Gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (navigation-and-stepping.md 2.4) [m]."""
 _DOOR_DEPTH = 0.8
 _TALL = 0.88
 """Higher things do not stand before windows [m]."""
 _REACH = {"desk": 0.85, "dining_table": 0.65}
-"""How far off the walkable area may end, where a chair stands in between; 0.36 m otherwise."""
+"""How far off the walkable area may end, where a chair stands in between; 0.38 m otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +157,7 @@ def gap(a: Rect, b: Rect) -> float:
 
 
 def _gap_refused(value: float) -> bool:
-    return GAP_BAND[0] < value < GAP_BAND[1]
+    return GAP_BAND[0] < value < max(GAP_BAND[1], 2 * PLAN_RADIUS)
 
 
 def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
@@ -222,14 +224,14 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
             continue
         if p.piece.asset.category != "chair" and not (p.piece.front_m > 0 or p.piece.asset.receptacles):
             continue
-        near = _REACH.get(p.piece.asset.category, WALK_RADIUS + 0.06)
+        near = _REACH.get(p.piece.asset.category, PLAN_RADIUS + 0.06)
         faced = p.piece.front_m > 0 or p.piece.asset.category in ("nightstand", "desk")
         goals.append((front_strip(p, 0.002) if faced else footprint(p), near))
     return goals
 
 
 def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Whether one island of the free floor, for a disc of `WALK_RADIUS`, joins all doors and comes near all goals."""
+    """Whether one island of the free floor, for a disc of `PLAN_RADIUS`, joins all doors and comes near all goals."""
     import shapely
 
     solids = [*state.solids, *(footprint(p) for p in extra if p.piece.solid and p.y == 0)]
@@ -246,7 +248,7 @@ def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
     free = shapely.union_all(floor)
     if solids:
         free = free.difference(shapely.union_all([shapely.box(*r) for r in solids]))
-    parts = shapely.get_parts(free.buffer(-WALK_RADIUS, quad_segs=4))
+    parts = shapely.get_parts(free.buffer(-PLAN_RADIUS, quad_segs=4))
     if not len(parts):
         return False
     main = max(parts, key=lambda part: part.area)
