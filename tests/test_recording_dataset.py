@@ -27,7 +27,7 @@ from h3data.recording import (
     Dataset,
     DatasetWriter,
     Recording,
-    dataset_writer,
+    dataset_shard,
     open_recording,
     read_mcap,
     rebuild_meta,
@@ -317,7 +317,7 @@ class FullDisk(io.FileIO):
 def test_a_full_disk_keeps_what_was_committed(tmp_path, monkeypatch):
     root = tmp_path / "ds"
     written(root, simple_recording(seed=0))
-    monkeypatch.setattr(dataset_writer, "open_shard_file", lambda part: FullDisk(part, "xb"))
+    monkeypatch.setattr(dataset_shard, "open_shard_file", lambda part: FullDisk(part, "xb"))
 
     def fill() -> None:
         with DatasetWriter(root, resume=True) as writer:

@@ -31,7 +31,7 @@ from h3data.recording import (
     recover_mcap,
     write_mcap,
 )
-from h3data.recording.mcap_read import MAGIC
+from h3data.recording.mcap_scan import MAGIC
 from h3data.recording.schema import RECORD_TYPES, STRUCTS
 from h3data.recording.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 

@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.dataset_writer import SIDECARS, is_dataset
+from h3data.recording.dataset_shard import SIDECARS
+from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording
 from h3data.recording.schema import (

@@ -1,0 +1,218 @@
+"""One shard of a dataset: a data file, its sidecars and its episode table, invisible until all are complete."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from h3data.recording.lerobot_meta import (
+    FILES_PER_CHUNK,
+    STANDARD,
+    DatasetSchema,
+    Moments,
+    merge_into,
+    moments_of,
+    pack_moments,
+    shard_path,
+)
+from h3data.recording.records import SCHEMA_VERSION, Recording
+from h3data.recording.schema import STRUCTS, Column, layout_hash
+
+SIDECARS = {"bodies": "Body", "assets": "Asset", "agents": "Agent", "skills": "Skill", "events": "Event"}
+_ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
+_EPISODE_FIELDS: list[tuple[str, pa.DataType]] = [
+    ("episode_index", pa.int64()),
+    ("tasks", pa.list_(pa.string())),
+    ("length", pa.int64()),
+    ("data/chunk_index", pa.int64()),
+    ("data/file_index", pa.int64()),
+    ("dataset_from_index", pa.int64()),
+    ("dataset_to_index", pa.int64()),
+    ("meta/episodes/chunk_index", pa.int64()),
+    ("meta/episodes/file_index", pa.int64()),
+    ("uid", pa.string()),
+    ("episode_id", pa.string()),
+    ("task", pa.string()),
+    ("scene", pa.string()),
+    ("seed", pa.int64()),
+    ("dt_ns", pa.int64()),
+    ("task_index", pa.int64()),
+    ("created_by", pa.string()),
+    ("schema_version", pa.string()),
+    ("info", pa.string()),
+    ("row_group", pa.int64()),
+    ("columns", pa.string()),
+    ("attachments", pa.string()),
+]
+
+
+class Shard:
+    """The files of up to ``episodes_per_file`` episodes until they are committed."""
+
+    def __init__(self, root: Path, number: int, schema: DatasetSchema) -> None:
+        self.root, self.number, self.schema = root, number, schema
+        self.episodes = self.frames = self.row_groups = 0
+        self.rows: list[dict[str, Any]] = []
+        self.sidecars: dict[str, list[dict[str, Any]]] = {kind: [] for kind in SIDECARS}
+        self.moments: dict[str, Moments] = {}
+        self.parts: list[tuple[Path, Path]] = []
+        self._arrow = _data_schema(schema)
+        self._stream = self._open("data")
+        self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))
+
+    @property
+    def bytes(self) -> int:
+        return self._stream.tell()
+
+    def add(
+        self,
+        recording: Recording,
+        row: dict[str, Any],
+        sidecars: dict[str, list[dict[str, Any]]],
+        *,
+        index: int,
+        start: int,
+        task: int,
+    ) -> None:
+        steps = len(recording)
+        arrays = {c.name: padded(recording.columns.get(c.name), c, steps) for c in self.schema.columns if c.width}
+        frame = np.arange(steps, dtype=np.int64)
+        standard = {
+            "timestamp": (frame / self.schema.fps).astype(np.float32),
+            "frame_index": frame,
+            "episode_index": np.full(steps, index, np.int64),
+            "index": frame + start,
+            "task_index": np.full(steps, task, np.int64),
+        }
+        arrays |= {name: values[:, None] for name, values in standard.items()}
+        if steps:
+            table = pa.Table.from_arrays([_to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
+            self._writer.write_table(table, row_group_size=steps)
+        chunk, file = divmod(self.number, FILES_PER_CHUNK)
+        place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
+        place |= {"data/chunk_index": chunk, "data/file_index": file}
+        place |= {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
+        place |= {"dataset_from_index": start, "dataset_to_index": start + steps}
+        self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
+        for kind, records in sidecars.items():
+            self.sidecars[kind] += [{"episode_index": index, **record} for record in records]
+        if steps:
+            merge_into(self.moments, {name: moments_of(a) for name, a in arrays.items()})
+        self.row_groups += steps > 0
+        self.episodes += 1
+        self.frames += steps
+
+    def commit(self) -> None:
+        self._writer.close()
+        _sync(self._stream)
+        for kind, struct in SIDECARS.items():
+            fields = [("episode_index", pa.int64())]
+            fields += [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()]
+            self._write(f"h3/{kind}", pa.Table.from_pylist(self.sidecars[kind], schema=pa.schema(fields)))
+        metadata = {"h3data.schema_version": SCHEMA_VERSION, "h3data.moments": pack_moments(self.moments)}
+        self._write(
+            "meta/episodes", pa.Table.from_pylist(self.rows, schema=pa.schema(_EPISODE_FIELDS, metadata=metadata))
+        )
+        for part, final in self.parts:  # the episode table is the last: its name is the commit
+            os.replace(part, final)
+
+    def discard(self) -> None:
+        with contextlib.suppress(Exception):  # its disk may be full; nothing of this file is wanted
+            self._writer.close()
+        with contextlib.suppress(OSError):
+            self._stream.close()
+        for part, _ in self.parts:
+            part.unlink(missing_ok=True)
+
+    def _open(self, kind: str) -> IO[bytes]:
+        final = shard_path(self.root, kind, self.number)
+        final.parent.mkdir(parents=True, exist_ok=True)
+        part = final.with_name(f"_{final.name}.part")  # readers of whole folders skip names with an underscore
+        stream = open_shard_file(part)
+        self.parts.append((part, final))
+        return stream
+
+    def _write(self, kind: str, table: pa.Table) -> None:
+        with self._open(kind) as stream:
+            pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
+            _sync(stream)
+
+
+def open_shard_file(part: Path) -> IO[bytes]:
+    """A new file under its temporary name; tests replace this by disks that fill up."""
+    return open(part, "xb")
+
+
+def _sync(stream: IO[bytes]) -> None:
+    stream.flush()
+    os.fsync(stream.fileno())
+    stream.close()
+
+
+def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[Any]:
+    """Rows in the declared width, flattened to [T, width]; what is not there is NaN, -1, 0 (unsigned) or False."""
+    if values is not None and values.shape[1:] == column.shape:
+        return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
+    kind = np.dtype(column.dtype).kind
+    wide = np.full((steps, *column.shape), {"f": np.nan, "i": -1}.get(kind, 0), column.dtype)
+    if values is not None:
+        wide[(slice(None), *(slice(0, n) for n in values.shape[1:]))] = values
+    return wide.reshape(steps, column.width)
+
+
+def _to_arrow(rows: NDArray[Any]) -> pa.Array:
+    flat = rows.reshape(-1)
+    if flat.dtype == bool:
+        flat = pa.array(flat)
+    else:  # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
+        flat = pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(flat)])
+    return flat if rows.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
+
+
+def _arrow_type(spec: str) -> pa.DataType:
+    plain = _ARROW[spec.rstrip("*")]
+    return pa.list_(plain) if spec.endswith("*") else plain
+
+
+def _data_schema(schema: DatasetSchema) -> pa.Schema:
+    fields = [pa.field(name, pa.from_numpy_dtype(np.dtype(dtype))) for name, dtype in STANDARD.items()]
+    for c in schema.columns:
+        item = pa.from_numpy_dtype(np.dtype(c.dtype))
+        if c.width:
+            fields.append(pa.field(c.name, item if c.width == 1 else pa.list_(item, c.width)))
+    return pa.schema(
+        fields, metadata={"h3data.schema_version": SCHEMA_VERSION, "h3data.layout_hash": layout_hash(schema.columns)}
+    )
+
+
+def _parquet_options(schema: DatasetSchema) -> dict[str, Any]:
+    """zstd-3, no dictionaries, BYTE_STREAM_SPLIT on floats: 424 B/step instead of 733 with pyarrow's defaults.
+
+    Poses stay PLAIN: long runs of equal rows (13.5 instead of 15.2 B/step a base pose, 7.3 instead of 9.8 for 20 objects;
+    joint rotations 703 split, 790 plain).
+    """
+    encodings = {}
+    standard = [Column(name, dtype, ()) for name, dtype in STANDARD.items()]
+    for c in (*standard, *schema.columns):
+        path = c.name if c.width == 1 else f"{c.name}.list.element"
+        if c.name.endswith("_pose"):
+            encodings[path] = "PLAIN"
+        elif c.dtype in ("float32", "float64"):
+            encodings[path] = "BYTE_STREAM_SPLIT"
+        elif c.dtype in ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32"):
+            encodings[path] = "DELTA_BINARY_PACKED"
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": False,
+        "column_encoding": encodings,
+        "write_statistics": ["episode_index", "index", "frame_index", "task_index", "time_ns"],
+        "write_page_checksum": True,
+    }

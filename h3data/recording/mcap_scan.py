@@ -1,0 +1,169 @@
+"""The records of an MCAP file up to its first damage: all checksums checked, nothing trusted, nothing raised."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import Any
+
+from h3data.errors import FormatError
+
+MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<BQH")
+_MESSAGE_HEAD = 22  # channel, sequence, log time, publish time
+_LARGEST_CHUNK = 1 << 32
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL = 1, 2, 3, 4
+_MESSAGE_OP, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 5, 6, 9, 12, 15
+
+
+@dataclass
+class McapRecords:
+    """What the records of a file hold, up to the first damage."""
+
+    size: int
+    profile: str = ""
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    channels: dict[int, tuple[str, int, dict[str, str]]] = field(default_factory=dict)
+    """Topic, schema and metadata."""
+    messages: dict[int, list[memoryview]] = field(default_factory=dict)
+    readable_bytes: int = 0
+    fault: str | None = None
+
+    def channel_of(self, topic: str) -> int | None:
+        """The channel with that topic; a `FormatError` if several carry messages."""
+        used = [c for c, (name, _, _) in self.channels.items() if name == topic]
+        used = [c for c in used if self.messages.get(c)] or used[:1]
+        if len(used) > 1:
+            raise FormatError(f"Expected one channel {topic}, got {len(used)}.")
+        return used[0] if used else None
+
+
+def decoding_errors() -> tuple[type[Exception], ...]:
+    """All that mcap, zstd and protobuf raise on bytes that are not what they should be."""
+    import zstandard
+    from google.protobuf.message import DecodeError
+    from mcap.exceptions import McapError
+
+    return (
+        McapError,
+        struct.error,
+        ValueError,
+        TypeError,
+        AttributeError,
+        IndexError,
+        EOFError,
+        OverflowError,
+        MemoryError,
+        RuntimeError,
+        zstandard.ZstdError,
+        DecodeError,
+    )
+
+
+def scan_records(data: bytes) -> McapRecords:
+    """Everything up to the first damage; never raises. Checks every checksum that the file has."""
+    log = McapRecords(size=len(data))
+    if data[: len(MAGIC)] != MAGIC:
+        log.fault = "empty" if not data else f"starts with {data[:8]!r}"
+        return log
+    view = memoryview(data)
+    log.readable_bytes = position = len(MAGIC)
+    try:
+        while True:
+            if position + _RECORD.size > len(data):
+                raise EOFError(f"truncated at byte {position}")
+            opcode, length = _RECORD.unpack_from(data, position)
+            end = position + _RECORD.size + length
+            if end > len(data):
+                raise EOFError(f"truncated inside a record that starts at byte {position}")
+            body = view[position + _RECORD.size : end]
+            _take(log, opcode, body)
+            if opcode == _DATA_END:
+                _check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
+            position = log.readable_bytes = end
+            if opcode == _FOOTER:
+                break
+        summary_start, _, crc = struct.unpack("<QQI", body)
+        _check_crc(crc, view[summary_start or position : end - 4], "summary")
+        if bytes(data[end:]) != MAGIC:
+            raise EOFError("the closing magic bytes are missing")
+        log.readable_bytes = len(data)
+    except decoding_errors() as error:
+        log.fault = str(error) or type(error).__name__
+    return log
+
+
+def _check_crc(expected: int, data: memoryview, what: str) -> None:
+    if expected and zlib.crc32(data) != expected:
+        raise ValueError(f"the checksum of the {what} does not match")
+
+
+def _take(log: McapRecords, opcode: int, body: memoryview) -> None:
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+
+    if opcode == _CHUNK:
+        _take_chunk(log, _decompress(Chunk.read(ReadDataStream(BytesIO(body)))))
+        return
+    if opcode == _MESSAGE_OP:
+        (channel,) = struct.unpack_from("<H", body)
+        log.messages.setdefault(channel, []).append(body[_MESSAGE_HEAD:])
+        return
+    readers = {_HEADER: Header, _SCHEMA: Schema, _CHANNEL: Channel, _ATTACHMENT: Attachment, _METADATA: Metadata}
+    if opcode not in readers:
+        return  # indexes, statistics, records of later versions
+    if opcode == _ATTACHMENT:
+        _check_crc(struct.unpack_from("<I", body, len(body) - 4)[0], body[:-4], "attachment")
+    record: Any = readers[opcode].read(ReadDataStream(BytesIO(body)))
+    if opcode == _HEADER:
+        log.profile = record.profile
+    elif opcode == _SCHEMA:
+        log.schemas[record.id] = (record.name, record.data)
+    elif opcode == _CHANNEL:
+        log.channels[record.id] = (record.topic, record.schema_id, record.metadata)
+    elif opcode == _ATTACHMENT:
+        log.attachments[record.name] = record.data
+    else:
+        log.metadata[record.name] = record.metadata
+
+
+def _decompress(chunk: Any) -> bytes:
+    import zstandard
+
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk claims {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        claimed = zstandard.frame_content_size(chunk.data)
+        if claimed not in (-1, chunk.uncompressed_size):
+            raise ValueError("a chunk's sizes contradict each other")
+        data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"chunk compression {chunk.compression!r} is not supported (zstd is)")
+    _check_crc(chunk.uncompressed_crc, memoryview(data), "chunk")
+    return data
+
+
+def _take_chunk(log: McapRecords, data: bytes) -> None:
+    """Sort the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
+    view, position, size = memoryview(data), 0, len(data)
+    skip, unpack, messages = _RECORD.size + _MESSAGE_HEAD, _MESSAGE.unpack_from, log.messages
+    while position < size:
+        opcode, length, channel = unpack(data, position)
+        end = position + _RECORD.size + length
+        if end > size:
+            raise ValueError("a record exceeds its chunk")
+        if opcode == _MESSAGE_OP:
+            kept = messages.get(channel)
+            if kept is None:
+                kept = messages[channel] = []
+            kept.append(view[position + skip : end])
+        else:
+            _take(log, opcode, view[position + _RECORD.size : end])
+        position = end
