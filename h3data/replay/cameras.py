@@ -7,12 +7,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import heading_direction, heading_from_quat, pose_to_matrix
+from h3data.geometry import pose_to_matrix
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, pinhole
+from h3data.replay.chase import third_person
 from h3data.replay.replay import CameraTrack, Replay
 
 
@@ -94,12 +94,17 @@ def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 # --- from above ---------------------------------------------------------------------------------------------------------
-def top_down(replay: Replay, *, width: int = 800, margin_m: float = 0.4) -> CameraTrack:
+TOP_DOWN_PIXELS = 480_000
+
+
+def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     """The whole home from high above, without ceilings; the picture's upper edge is -Z. Stands still."""
     lo, hi = _extent(replay)
     lo, hi = lo - margin_m, hi + margin_m
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
-    height = int(np.clip(round(width * span_z / span_x), width // 3, width * 3 // 2)) // 2 * 2
+    shape = float(np.clip(span_z / span_x, 1 / 3, 3 / 2))
+    width = int(np.sqrt(TOP_DOWN_PIXELS / shape)) // 2 * 2
+    height = int(width * shape) // 2 * 2
     hfov_deg = 16.0  # narrow: nearly orthographic, so that walls do not hide the floor
     tan = np.tan(np.radians(hfov_deg) / 2)
     distance = max(span_x / 2 / tan, span_z / 2 / (tan * height / width))
@@ -138,53 +143,6 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points = np.concatenate([c.reshape(-1, 3) for c in corners]) if corners else np.zeros((1, 3))
     lo, hi = points.min(0), points.max(0)
     return lo, np.maximum(hi, lo + 1.0)
-
-
-# --- trailing -----------------------------------------------------------------------------------------------------------
-TRAIL_M = 1.9
-"""The trailing camera keeps this far behind along the robot's own way: where the robot has been there is no wall."""
-EYE_HEIGHT_M = 1.75
-SMOOTH_STEPS = 12
-
-
-def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """A camera that trails the robot (or the only agent) at eye height and looks over it at the person."""
-    recording = replay.recording
-    kinds = [agent.kind for agent in recording.agents]
-    leader = kinds.index("robot") if "robot" in kinds else 0
-    other = kinds.index("human") if "human" in kinds and kinds.index("human") != leader else None
-    base = recording.agent_column(leader, "base_pose").astype(np.float64)
-    position, heading = base[:, :3], heading_from_quat(base[:, 3:])
-    ahead = np.insert(heading_direction(heading), 1, 0.0, axis=-1)
-    eye = _trail(position, TRAIL_M) + np.array([0.0, EYE_HEIGHT_M, 0.0])
-    target = position + ahead * 1.2 + np.array([0.0, 0.6, 0.0])
-    if other is not None:
-        person = recording.agent_column(other, "base_pose")[:, :3].astype(np.float64) + np.array([0.0, 1.0, 0.0])
-        distance = np.linalg.norm(person - position, axis=-1, keepdims=True)
-        weight = np.clip((6.0 - distance) / 3.0, 0.0, 1.0) * 0.6
-        target = target * (1 - weight) + person * weight
-    eye = _smooth(eye)
-    target = _smooth(target)
-    near = np.linalg.norm((target - eye)[:, [0, 2]], axis=-1)
-    eye[:, 1] += np.clip(1.0 - near, 0.0, 1.0) * 0.3  # nearly above: rise, so that the view does not flip
-    poses = np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)]) if len(eye) else np.eye(4)[None]
-    camera = pinhole(width, height, hfov_deg=75, name="third_person", hidden_layers=("ceiling",))
-    return CameraTrack(camera=camera, poses=poses)
-
-
-def _trail(position: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:
-    """For each step the latest earlier point of the track at least ``distance_m`` away, else its start, shape [T, 3]."""
-    out = np.empty_like(position)
-    for k in range(len(position)):
-        j = k
-        while j > 0 and np.linalg.norm(position[k] - position[j]) < distance_m:
-            j -= 1
-        out[k] = position[j]
-    return out
-
-
-def _smooth(track: NDArray[np.float64]) -> NDArray[np.float64]:
-    return gaussian_filter1d(track, SMOOTH_STEPS, axis=0, mode="nearest") if len(track) > 1 else track
 
 
 # --- from a file --------------------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ class Import:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the recordings, one .mcap each."""
     assets: tuple[Path, ...] = ()
-    """Folders below which the recorded asset files are searched (besides H3DATA_ASSETS), to report what is missing."""
+    """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     fps: float = 30.0
     """Keyframes per second: a gfx-replay stores no times."""
     force: ForceFlag = False

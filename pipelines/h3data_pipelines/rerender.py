@@ -50,7 +50,7 @@ class Rerender:
     outputs: str = "rgb"
     """Comma-separated: rgb, depth, instance."""
     assets: tuple[Path, ...] = ()
-    """Folders below which recorded asset files are searched (besides H3DATA_ASSETS)."""
+    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
     steps: str = ""
     """Which steps, as start:stop:stride (default: all)."""
     format: Literal["mp4", "png"] = "mp4"
@@ -206,7 +206,8 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
         line = base[:: max(1, len(base) // 400)] + np.array([0.0, 0.03, 0.0])
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
-        draw_label(image, camera, base[-1] + np.array([0.0, 1.0, 0.0]), agent.name, color=color)
+        above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
+        draw_label(image, camera, above, agent.name, color=color, scale=0.6)
 
 
 def _picture_sink(folder: Path, output: str) -> Callable[[NDArray[Any], int], None]:

@@ -30,7 +30,7 @@ class View:
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The .rrd file (default: beside the recording)."""
     assets: tuple[Path, ...] = ()
-    """Folders below which recorded asset files are searched (besides H3DATA_ASSETS)."""
+    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
