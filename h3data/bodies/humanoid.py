@@ -169,7 +169,7 @@ def load_humanoid(name: str | Path) -> Humanoid:
     """A built-in body by name (``female_0``), or one from a file that ends in ``.npz``. Loaded once, then shared."""
     path = Path(name) if str(name).endswith(".npz") else _builtin_body(str(name))
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except FileNotFoundError:
         raise InputError(f"Expected a humanoid file, found none there: {path}") from None

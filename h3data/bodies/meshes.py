@@ -6,6 +6,7 @@ import json
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +46,10 @@ def _load_with_trimesh(path: Path) -> Mesh:
     if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
         raise SceneError(f"Expected a mesh file, this one has no triangles: {path}")
     colors = np.tile(np.array(DEFAULT_COLOR, np.uint8), (len(loaded.vertices), 1))
-    if loaded.visual.defined:
-        visual = loaded.visual if loaded.visual.kind == "vertex" else loaded.visual.to_color()  # pyright: ignore
-        colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)  # pyright: ignore
+    visual: Any = loaded.visual
+    if visual is not None and visual.defined:
+        painted = visual if visual.kind == "vertex" else visual.to_color()
+        colors = np.asarray(painted.vertex_colors)[:, :3].astype(np.uint8)
     return Mesh(
         vertices=np.ascontiguousarray(loaded.vertices, np.float32),
         faces=np.ascontiguousarray(loaded.faces, np.int32),

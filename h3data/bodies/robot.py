@@ -11,6 +11,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -78,9 +79,9 @@ class Robot:
     cameras: tuple[RobotCamera, ...]
     to_base: Array
     """URDF base frame to agent root frame, 4x4."""
-    origins: Array
+    origins: NDArray[np.float64]
     """Joint frame in the parent link's frame for each link, shape [L, 4, 4]."""
-    axes: Array
+    axes: NDArray[np.float64]
     """Joint axis of each link, shape [L, 3]."""
     kinds: NDArray[np.int64]
     """0 fixed, 1 turns, 2 slides, shape [L]."""
@@ -167,8 +168,7 @@ def _find(name_or_path: str | Path) -> Path:
 
 
 # --- robot.toml -------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True, kw_only=True)
-class CameraSettings:
+class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A ``[[cameras]]`` table."""
 
     name: str
@@ -184,8 +184,7 @@ class CameraSettings:
     hfov_deg: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class RobotSettings:
+class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What ``robot.toml`` says."""
 
     base_height_m: float = 0.0
@@ -200,17 +199,8 @@ class RobotSettings:
 def _read_settings(path: Path, urdf: Urdf) -> RobotSettings:
     if not path.is_file():
         return RobotSettings()
-    import msgspec
-
     try:
-        # strict keys: a misspelt setting must not pass for its default
-        raw = msgspec.toml.decode(path.read_bytes())
-        unknown = sorted(set(raw) - {f for f in RobotSettings.__dataclass_fields__})
-        if unknown:
-            raise FormatError(
-                f"Unknown keys {unknown}; known are {', '.join(RobotSettings.__dataclass_fields__)}. File: {path}"
-            )
-        settings = msgspec.convert(raw, RobotSettings)
+        settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except msgspec.MsgspecError as error:
         raise FormatError(f"Not a robot description: {error}. File: {path}") from error
     faults = []
@@ -253,8 +243,8 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
         base_radius_m=settings.base_radius_m,
         cameras=tuple(_camera(c, index[c.link]) for c in settings.cameras),
         to_base=to_base,
-        origins=np.stack([np.eye(4) if j is None else j.origin for j in joints]),
-        axes=np.stack([np.array([1.0, 0, 0]) if j is None else j.axis for j in joints]),
+        origins=np.stack([np.eye(4) if j is None else j.origin for j in joints]).astype(np.float64),
+        axes=np.stack([np.array([1.0, 0, 0]) if j is None else j.axis for j in joints]).astype(np.float64),
         kinds=np.array([0 if j is None else kinds[j.kind] for j in joints], np.int64),
     )
 
@@ -292,10 +282,12 @@ def _shape(part: UrdfPart) -> Shape:
     g, origin = part.geometry, part.origin
     match g.kind:
         case "box":
-            return Box(pose=pose_from_matrix(origin), half_extents=np.array(g.size) / 2)
+            return Box(pose=pose_from_matrix(origin).astype(np.float64), half_extents=np.array(g.size) / 2)
         case "cylinder":  # ours stand along y, URDF's along z
             y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-            return Cylinder(pose=pose_from_matrix(origin @ y_to_z), radius=g.radius, half_height=g.length / 2)
+            return Cylinder(
+                pose=pose_from_matrix(origin @ y_to_z).astype(np.float64), radius=g.radius, half_height=g.length / 2
+            )
         case "mesh":
             assert g.file is not None
             return Hull(points=_hull_points(moved(load_mesh(g.file), origin, g.scale)))

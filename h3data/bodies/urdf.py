@@ -247,7 +247,7 @@ def _geometry(element: ElementTree.Element | None, folder: Path, where: str, fau
 
 
 def _mesh_path(filename: str, folder: Path) -> Path:
-    """Where a mesh lies: relative to the URDF; of ``package://name/rest`` the ``rest`` is tried here and in the folders above."""
+    """Where a mesh lies: relative to the URDF; of ``package://name/rest`` the rest is tried here and two folders up."""
     if filename.startswith("package://"):
         rest = filename.removeprefix("package://").partition("/")[2]
         for base in (folder, *list(folder.resolve().parents)[:2]):
@@ -276,7 +276,11 @@ def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
     length = float(np.linalg.norm(axis))
     if length == 0:
         faults.append(f"{where}: its axis is zero")
-    bounded = limit is not None and kind != "continuous"
+    lower, upper = -np.inf, np.inf
+    if limit is not None and kind != "continuous":
+        lower, upper = (_numbers(limit.get(side), 1, (0.0,), where, faults)[0] for side in ("lower", "upper"))
+        if lower > upper:
+            faults.append(f"{where}: its lower limit {lower} is above the upper one {upper}")
     return UrdfJoint(
         name=name,
         kind=kind,  # pyright: ignore[reportArgumentType]  # one of the known ones, see above
@@ -284,8 +288,8 @@ def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
         child=child.get("link", ""),
         origin=_origin(element, where, faults),
         axis=axis / (length or 1.0),
-        lower=_numbers(limit.get("lower"), 1, (0.0,), where, faults)[0] if bounded else -np.inf,
-        upper=_numbers(limit.get("upper"), 1, (0.0,), where, faults)[0] if bounded else np.inf,
+        lower=lower,
+        upper=upper,
     )
 
 

@@ -147,13 +147,16 @@ def foot_of(rig: Rig, side: str) -> Foot:
 
 
 def pitch_curve(style: GaitStyle, loose: Array, phase: Array, amplitude: float) -> Array:
-    """Foot pitch [deg] at phases [...]: a periodic cubic spline through the knots, the loose ones moved."""
-    from scipy.interpolate import CubicSpline
+    """Foot pitch [deg] at phases [...] through the knots, the loose ones moved: periodic, and without the overshoot of a
+    cubic spline, which would lift a flat foot's toes by 5 mm."""
+    from scipy.interpolate import PchipInterpolator
 
     knots = np.array(style.pitch, np.float64)
-    knots[list(style.loose), 1] += loose
-    spline = CubicSpline(np.r_[knots[:, 0], 1], np.r_[knots[:, 1], knots[0, 1]], bc_type="periodic")
-    return amplitude * spline(phase % 1.0)
+    rows = list(style.loose)
+    knots[rows, 1] = np.minimum(knots[rows, 1] + loose, -1)  # heel up: only so the pivot stays at the ball
+    cycle = np.array([1.0, 0.0])
+    around = np.concatenate([knots - cycle, knots, knots + cycle])
+    return amplitude * PchipInterpolator(around[:, 0], around[:, 1])(phase % 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -156,12 +156,16 @@ def _mesh_arrays(prefix: str, mesh: Dressed) -> dict[str, NDArray[Any]]:
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :4]
     weights = np.take_along_axis(mesh.weights, order, axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
+    vertices = np.round(mesh.vertices / VERTEX_UNIT_M).astype(np.int16)
+    a, b, c = (vertices[mesh.faces[:, k]].astype(np.int64) for k in range(3))
+    faces = mesh.faces[np.any(np.cross(b - a, c - a) != 0, axis=1)]  # rounding folds the thinnest slivers to nothing
+    used, compact = np.unique(faces, return_inverse=True)
     return {
-        f"{prefix}_vertices": np.round(mesh.vertices / VERTEX_UNIT_M).astype(np.int16),
-        f"{prefix}_faces": mesh.faces.astype(np.uint16),
-        f"{prefix}_regions": mesh.regions,
-        f"{prefix}_joints": order.astype(np.uint8),
-        f"{prefix}_weights": np.round(weights / WEIGHT_UNIT).astype(np.uint8),
+        f"{prefix}_vertices": vertices[used],
+        f"{prefix}_faces": compact.reshape(-1, 3).astype(np.uint16),
+        f"{prefix}_regions": mesh.regions[used],
+        f"{prefix}_joints": order[used].astype(np.uint8),
+        f"{prefix}_weights": np.round(weights[used] / WEIGHT_UNIT).astype(np.uint8),
     }
 
 

@@ -1,7 +1,7 @@
-"""Write `datasets/robots/quad_arm`: a four-legged robot with a 7-DoF arm, our own design: ``python -m h3data_pipelines.bake.robot``.
+"""Write `datasets/robots/quad_arm`, a four-legged robot with a 7-DoF arm: ``python -m h3data_pipelines.bake.robot``.
 
 The joints have the order and the roles that Habitat's Spot has (spec/habitat.md 4): arm 0-6, gripper 7, legs 8-19; its
-resting joint positions give a natural stance with the arm stowed. Shapes, sizes and colours are ours. URDF frames:
+resting joint positions give a natural stance with the arm stowed. The design is our own. URDF frames:
 x forward, y left, z up.
 """
 
@@ -165,11 +165,13 @@ def arm() -> tuple[Link, ...]:
         Link(name="arm_turret", parent="base_link", joint="arm_0", xyz=(0.27, 0, 0.11), axis=z, limits=(-2.6, 3.14),
              mesh=turret, collision=(capsule_collision((0, 0, 0.02), (0, 0, 0.05), 0.07),)),
         Link(name="arm_upper", parent="arm_turret", joint="arm_1", xyz=(0, 0, 0.06), axis=y, limits=(-3.15, 0.55),
-             mesh=upper, collision=(capsule_collision((0, 0, 0), (0.17, 0, 0), 0.045),)),
+             mesh=upper, collision=(capsule_collision((0, 0, 0), (0.17, 0, 0), 0.04),
+                        capsule_collision((0, -0.05, 0), (0, 0.05, 0), 0.045))),
         Link(name="arm_upper_end", parent="arm_upper", joint="arm_2", xyz=(0.20, 0, 0), axis=x, limits=(-2.8, 2.8),
              mesh=upper_end, collision=(capsule_collision((0, 0, 0), (0.16, 0, 0), 0.040),)),
         Link(name="arm_elbow", parent="arm_upper_end", joint="arm_3", xyz=(0.16, 0, 0), axis=y, limits=(0.0, 3.14),
-             mesh=elbow, collision=(capsule_collision((0, 0, 0), (0.02, 0, 0.09), 0.036),)),
+             mesh=elbow, collision=(capsule_collision((0, 0, 0), (0.02, 0, 0.09), 0.034),
+                        capsule_collision((0, -0.03, 0), (0, 0.03, 0), 0.036))),
         Link(name="arm_forearm", parent="arm_elbow", joint="arm_4", xyz=(0.05, 0, 0.09), axis=x, limits=(-2.8, 2.8),
              mesh=forearm, collision=(capsule_collision((0, 0, 0), (0.33, 0, 0), 0.034),)),
         Link(name="arm_wrist", parent="arm_forearm", joint="arm_5", xyz=(0.33, 0, 0), axis=y, limits=(-1.84, 1.84),
@@ -254,7 +256,7 @@ rest = [{rest}]
 [[cameras]]                  # 224 wide, 171 high
 name = "robot_arm"
 link = "arm_hand"
-position = [0.188, 0.0, 0.062]
+position = [0.190, 0.0, 0.062]
 forward = [{forward}]
 width = 224
 height = 171
@@ -263,7 +265,7 @@ hfov_deg = 55.0
 [[cameras]]                  # as Habitat has it: height 224, width 171 (spec/habitat-findings.md, Limits 8)
 name = "robot_arm_habitat"
 link = "arm_hand"
-position = [0.188, 0.0, 0.062]
+position = [0.190, 0.0, 0.062]
 forward = [{forward}]
 width = 171
 height = 224
