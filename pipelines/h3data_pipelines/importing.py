@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import FormatError, H3DataError, InputError
 from h3data.interop import AssetLibrary, read_gfx_replay, sniff
 from h3data.recording import Recording, write_mcap
 from h3data.replay import Replay
@@ -44,22 +44,25 @@ class Import:
         if not 0 < self.fps <= 1000:
             raise InputError(f"--fps must be above 0 and at most 1000, got {self.fps}.")
         files = _collect(self.paths)
-        explicit = {p for p in self.paths if p.is_file()}
         library = AssetLibrary(self.assets)
+        if len(files) == 1 and files[0] in self.paths:
+            return _report([self._one(files[0], library)])  # refused as a whole if it cannot be read
         rows: list[dict[str, Any]] = []
-        for path in tqdm(files, desc="import", unit="file", disable=None if len(files) > 1 else True):
+        for path in tqdm(files, desc="import", unit="file", disable=None):
+            kind = sniff(path)
+            if kind not in ("gfx_replay", "unknown"):
+                rows.append({"source": str(path), "status": "skipped", "kind": kind, "reason": _cannot(kind)})
+                continue
             try:
                 rows.append(self._one(path, library))
             except H3DataError as error:
-                if path in explicit and len(files) == 1:
-                    raise
                 rows.append({"source": str(path), "status": "failed", "reason": str(error)})
         return _report(rows)
 
     def _one(self, path: Path, library: AssetLibrary) -> dict[str, Any]:
         kind = sniff(path)
         if kind not in ("gfx_replay", "unknown"):
-            return {"source": str(path), "status": "skipped", "kind": kind, "reason": f"cannot import {kind} files yet"}
+            raise FormatError(f"Expected a gfx-replay (JSON with keyframes); {_cannot(kind)}: {path}")
         recording = read_gfx_replay(path, fps=self.fps)
         target = claim_file(self.out / f"{recording_stem(path)}.mcap", force=self.force)
         write_mcap(recording, target, overwrite=self.force)
@@ -70,6 +73,10 @@ class Import:
             "recording": str(target),
             **summarize(recording, library),
         }
+
+
+def _cannot(kind: str) -> str:
+    return f"this looks like {kind.replace('_', ' ')}, which cannot be imported yet"
 
 
 def recording_stem(path: Path) -> str:
