@@ -1,0 +1,235 @@
+"""Social navigation: the rules of the episode, the scripted person, the expert, the oracle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from h3data.errors import InputError, SceneError
+from h3data.geometry import heading_from_quat
+from h3data.recording import Recording, RecordingWriter, open_recording, recordings_equal, state_hash
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from sim_kinematic.oracle import oracle_min_steps, steps_to_find
+from sim_kinematic.policies import Command, View, heuristic_expert, policy_by_name
+from sim_kinematic.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
+from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.step import least_clearance
+from sim_kinematic.waypoint_human import human_track
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=1))
+
+
+@pytest.fixture(scope="module")
+def free(home: Scene) -> FreeSpace:
+    return FreeSpace.from_scene(home, radius_m=0.25, cache=False)
+
+
+def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> SocialNavWorld:
+    return SocialNavWorld.create(home, seed=seed, spec=SocialNavSpec(**{"max_steps": 150, **changes}), free=free)  # type: ignore[arg-type]
+
+
+def ram(view: View, spec: BaseSpec) -> Command:
+    """Drives straight into the person."""
+    command = heuristic_expert(view._replace(geodesic_m=100.0), spec)
+    return Command(command.forward, command.turn, "follow")
+
+
+def test_starts_keep_their_distance(free: FreeSpace) -> None:
+    spec = SocialNavSpec(spawn_distance_m=4.0)
+    offsets = np.asarray(spec.robot.disc_offsets_m)
+    seen = set()
+    for seed in range(30):
+        s = draw_starts(free, seed, spec)
+        assert np.hypot(*(s.robot_xz - s.human_xz)) >= 4.0
+        assert least_clearance(free.sdf, free.origin, free.cell_m, *s.robot_xz, s.robot_heading, offsets) >= 0.25
+        assert np.isfinite(free.geodesic(s.robot_xz, s.human_xz))
+        seen.add(tuple(s.robot_xz))
+    assert len(seen) == 30
+
+
+def test_a_home_that_is_too_small_says_so(free: FreeSpace) -> None:
+    with pytest.raises(SceneError, match="--spawn-distance"):
+        draw_starts(free, 0, SocialNavSpec(spawn_distance_m=500.0))
+
+
+def test_same_seed_same_bits_and_the_hash_knows(home: Scene, free: FreeSpace) -> None:
+    a, b = (simulate_social_nav(world(home, free)) for _ in range(2))
+    assert recordings_equal(a, b) == []
+    state = {k: v for k, v in a.columns.items() if k != "state_hash"}
+    np.testing.assert_array_equal(state_hash(state), a.columns["state_hash"])
+    other = simulate_social_nav(world(home, free, seed=6))
+    assert other.columns["state_hash"][-1] != a.columns["state_hash"][-1]
+
+
+def test_the_person_does_not_react(home: Scene, free: FreeSpace) -> None:
+    expert = simulate_social_nav(world(home, free, end_on_collision=False))
+    still = simulate_social_nav(world(home, free, end_on_collision=False), policy="stand_still")
+    np.testing.assert_array_equal(expert.columns["agent_1.base_pose"], still.columns["agent_1.base_pose"])
+    w = world(home, free)
+    track = human_track(free, w.starts.human_xz, w.starts.human_heading, w.seed, w.spec.human, 150)
+    np.testing.assert_allclose(expert.columns["agent_1.base_pose"][:, [0, 2]], track, atol=1e-6)
+    assert np.ptp(still.columns["agent_0.base_pose"], axis=0).max() == 0
+
+
+def test_the_person_walks_where_one_can_and_never_too_fast(free: FreeSpace) -> None:
+    spec = WalkerSpec(speed_mps=2.5)
+    start = free.sample(np.random.default_rng(0), 1)[0]
+    track = human_track(free, start, 0.3, 11, spec, 1500)
+    assert np.hypot(*np.diff(track, axis=0).T).max() <= 2.5 * STEP_S + 1e-9
+    assert free.is_navigable(free.snap(track, max_distance_m=0.01)).all()
+    assert np.ptp(track, axis=0).min() > 2.0  # it gets about
+
+
+def test_ramming_ends_the_episode(home: Scene, free: FreeSpace) -> None:
+    recording = simulate_social_nav(world(home, free, max_steps=900), policy=ram)
+    assert recording.episode.info["ended"] == "collision"
+    collision = recording.columns["metrics.collision"]
+    assert collision[-1]
+    assert not collision[:-1].any()
+    assert recording.events[-1].kind == "collision"
+    assert recording.columns["metrics.dist_agents"][-1] < 1.2
+    on = simulate_social_nav(world(home, free, max_steps=900, end_on_collision=False), policy=ram)
+    assert len(on) == 900
+
+
+def test_the_expert_finds_and_follows(home: Scene, free: FreeSpace) -> None:
+    calm = WalkerSpec(speed_mps=0.8)
+    recording = simulate_social_nav(world(home, free, max_steps=600, human=calm))
+    geodesic = recording.columns["metrics.geodesic_agents"]
+    assert any(e.kind == "found" for e in recording.events)
+    found = next(e.step for e in recording.events if e.kind == "found")
+    assert np.median(geodesic[found:]) == pytest.approx(1.5, abs=0.35)
+
+
+def test_every_step_has_a_skill(home: Scene, free: FreeSpace) -> None:
+    recording = simulate_social_nav(world(home, free))
+    for agent in (0, 1):
+        covered = np.zeros(len(recording), int)
+        for span in recording.skills:
+            if span.agent == agent:
+                covered[span.start_step : span.end_step + 1] += 1
+                codes = recording.columns[f"agent_{agent}.skill"][span.start_step : span.end_step + 1]
+                assert set(codes) == {recording.agents[agent].skill_names.index(span.name)}
+        assert (covered == 1).all()
+
+
+def test_feet_and_floor_agree(home: Scene, free: FreeSpace) -> None:
+    """The walking cycle advances by the distance walked, so planted feet stay."""
+    w = world(home, free, human=WalkerSpec(speed_mps=1.3))
+    recording = simulate_social_nav(w, policy="stand_still")
+    xz = recording.columns["agent_1.base_pose"][:, [0, 2]].astype(np.float64)
+    walked = np.hypot(*np.diff(xz, axis=0).T)
+    phase = np.diff(recording.columns["agent_1.motion_phase"].astype(np.float64)) % 1.0
+    stride = w.human.clips[int(recording.columns["agent_1.motion_id"][0])].stride_m
+    np.testing.assert_allclose(np.where(phase > 0.99, 0.0, phase) * stride, walked, atol=2e-5)
+
+
+def test_the_log_grows_with_the_episode(home: Scene, free: FreeSpace, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    steps = []
+
+    def watch(_: int) -> None:
+        steps.append(path.with_name("live.mcap.part").stat().st_size)
+
+    recording = simulate_social_nav(world(home, free), sink=lambda h: RecordingWriter(path, h), progress=watch)
+    assert len(set(steps)) >= 4
+    read = open_recording(path)
+    assert isinstance(read, Recording)
+    assert recordings_equal(recording, read) == []
+    assert not path.with_name("live.mcap.part").exists()
+
+
+def test_an_interrupted_episode_can_be_recovered(home: Scene, free: FreeSpace, tmp_path: Path) -> None:
+    from h3data.recording import recover_mcap
+
+    path = tmp_path / "cut.mcap"
+
+    def stop(_: int, count: list[int] = [0]) -> None:  # noqa: B006 - a counter
+        count[0] += 1
+        if count[0] == 100:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate_social_nav(world(home, free), sink=lambda h: RecordingWriter(path, h), progress=stop)
+    assert not path.exists()
+    assert recover_mcap(tmp_path / "cut.mcap.part", path).steps >= 90
+
+
+# --- policies -----------------------------------------------------------------------------------------------------------
+def view(free: FreeSpace, robot: np.ndarray, heading: float, human: np.ndarray) -> View:
+    return View(free, robot, heading, human, float(free.geodesic(robot, human)), False)
+
+
+@pytest.fixture(scope="module")
+def lane(free: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Two points 3 m apart in plain sight of each other."""
+    rng = np.random.default_rng(4)
+    while True:
+        a, b = free.sample(rng, 2)
+        if 2.9 < np.hypot(*(a - b)) < 3.3 and free.geodesic(a, b) < np.hypot(*(a - b)) + 1e-9:
+            return a, b
+
+
+def test_the_expert_approaches_waits_and_backs_away(free: FreeSpace, lane: tuple[np.ndarray, np.ndarray]) -> None:
+    a, b = lane
+    spec = BaseSpec()
+    towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
+    far = heuristic_expert(view(free, a, towards, b), spec)
+    assert far.forward == pytest.approx(1.0)
+    assert abs(far.turn) < 1e-6
+    near = b + (a - b) / np.hypot(*(a - b)) * 1.0
+    back = heuristic_expert(view(free, near, towards, b), spec)
+    assert back.forward < 0
+    assert back.skill == "back_up"
+    away = heuristic_expert(view(free, near, towards + np.pi, b), spec)
+    assert away.forward == 0  # she is behind: turn first
+    assert abs(away.turn) == pytest.approx(1.0)
+
+
+def test_unknown_policies_are_listed() -> None:
+    with pytest.raises(InputError, match="heuristic_expert"):
+        policy_by_name("magic")
+
+
+# --- the oracle ---------------------------------------------------------------------------------------------------------
+def test_oracle_steps_of_a_straight_line() -> None:
+    spec = SocialNavSpec()
+    path = np.array([[0.0, 0.0], [10.0, 0.0]])
+    assert steps_to_find(path, 0.0, spec) == np.ceil(8.0 / (2.5 * STEP_S))
+    assert steps_to_find(path, np.pi / 2, spec) == np.ceil(8.0 / (2.5 * STEP_S)) + np.ceil(np.pi / 2 / (2.5 * STEP_S))
+    assert steps_to_find(np.array([[0.0, 0.0], [1.5, 0.0]]), 0.0, spec) == 0
+    assert steps_to_find(path[:1], 0.0, spec) == 0
+
+
+def test_corners_cost_turning_until_she_is_within_reach() -> None:
+    spec = SocialNavSpec()
+    corner = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, -4.0]])
+    straight = np.ceil(6.0 / (2.5 * STEP_S))
+    assert steps_to_find(corner, 0.0, spec) == straight + np.ceil(np.pi / 2 / (2.5 * STEP_S))
+    last = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, -1.0]])  # the robot stops before the corner
+    assert steps_to_find(last, 0.0, spec) == np.ceil(3.0 / (2.5 * STEP_S))
+
+
+def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
+    free: FreeSpace, lane: tuple[np.ndarray, np.ndarray]
+) -> None:
+    a, b = lane
+    spec = SocialNavSpec()
+    towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
+    needed = steps_to_find(free.path(a, b), towards, spec)
+    found = oracle_min_steps(free, a, towards, np.tile(b, (200, 1)), spec)
+    assert found is not None
+    assert needed < found <= needed + spec.oracle_waypoint_steps
+    assert oracle_min_steps(free, a, towards, np.tile(b, (int(needed) // 10 * 10, 1)), spec) is None
+
+
+def test_recorded_heading_is_the_heading(home: Scene, free: FreeSpace) -> None:
+    recording = simulate_social_nav(world(home, free, max_steps=30))
+    start = recording.episode.info["robot_start"]
+    first = heading_from_quat(recording.columns["agent_0.base_pose"][0, 3:].astype(np.float64))
+    assert abs(np.angle(np.exp(1j * (first - start[2])))) <= 2.5 * STEP_S + 1e-6
