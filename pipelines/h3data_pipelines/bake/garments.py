@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,24 @@ REGIONS = ("skin", "shirt", "trousers", "socks", "shoes", "soles", "hair", "brow
 SKIN, SHIRT, TROUSERS, SOCKS, SHOES, SOLES, HAIR, BROWS, SCLERA, IRIS = range(len(REGIONS))
 
 
+HAIRLINES = {
+    "over ears": (
+        (0, 64),
+        (25, 63),
+        (45, 55),
+        (62, 34),
+        (78, 20),
+        (92, 27),
+        (108, 20),
+        (125, -34),
+        (150, -62),
+        (180, -68),
+    ),
+    "short": ((0, 66), (25, 64), (45, 54), (60, 38), (74, 34), (90, 42), (110, 40), (124, 4), (138, -36), (180, -56)),
+}
+"""Azimuth [deg] and height above the eyes [mm at 1.63 m of stature] of the hairline."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outfit:
     """How one body is dressed. Colours are sRGB."""
@@ -30,6 +49,7 @@ class Outfit:
     """Where the sleeve ends, as a fraction of the upper arm."""
     hair_m: float = 0.022
     """Thickness of the hair on top [m]."""
+    hairline: Literal["over ears", "short"] = "over ears"
     bun_m: float = 0.0
     """Radius of a bun at the back of the head [m]; 0 = none."""
 
@@ -107,9 +127,7 @@ class Tailor:
 
         x, y, z = mesh.vertices.T
         azimuth = np.degrees(np.abs(np.arctan2(x, z - self.head_z)))
-        knots = np.array(
-            [(0, 64), (25, 63), (45, 55), (62, 34), (78, 20), (92, 27), (108, 20), (125, -34), (150, -62), (180, -68)]
-        )
+        knots = np.array(HAIRLINES[self.outfit.hairline])
         line = PchipInterpolator(knots[:, 0], knots[:, 1] * 1e-3 * self.stature / 1.63)(azimuth)
         return np.where(self.is_head(mesh) & ~self.is_eye(mesh), y - self.eye[1] - line, -1.0)
 
@@ -132,12 +150,14 @@ class Tailor:
         disc = 0.0062 - np.hypot(np.abs(x) - self.eye_x, y - self.eye[1])
         return np.where(self.is_eye(mesh), disc, -1.0)
 
-    def cut_and_named(self, mesh: Cloth) -> tuple[Cloth, NDArray[np.uint8]]:
-        """The mesh cut along every border, and the region of each of its faces."""
+    def cut_and_named(self, mesh: Cloth, *, brows: bool) -> tuple[Cloth, NDArray[np.uint8]]:
+        """The mesh cut along every border, and the region of each of its faces. ``brows`` need a fine mesh."""
         fields: dict[str, Field] = {
             "arm": self.bare_arm, "neck": self.neck, "hem": self.above_hem, "cuff": self.above_cuff,
-            "shoe": self.above_shoe, "sole": self.above_sole, "hair": self.hair, "brow": self.brow, "iris": self.iris,
+            "shoe": self.above_shoe, "sole": self.above_sole, "hair": self.hair, "iris": self.iris,
         }  # fmt: skip
+        if brows:
+            fields["brow"] = self.brow
         for field in fields.values():
             mesh = cut(mesh, field)
         assert mesh.sides is not None
@@ -147,7 +167,8 @@ class Tailor:
             region[~side[name]] = below
         region[side["arm"] | side["neck"]] = SKIN
         region[side["hair"]] = HAIR
-        region[side["brow"]] = BROWS
+        if brows:
+            region[side["brow"]] = BROWS
         region[self.is_eye(mesh)[mesh.faces].all(axis=1)] = SCLERA
         region[side["iris"]] = IRIS
         return mesh, region
@@ -176,7 +197,7 @@ def dress(rig: Rig, mesh: Cloth, outfit: Outfit, *, fine: bool = True) -> Dresse
     """``mesh`` (the rig's, or a decimated one) cut into regions and lifted, with shoes and a bun; soles at the floor."""
     tailor = Tailor(rig, outfit)
     mesh = _merged([mesh, *(_shoe(tailor, side, 16 if fine else 9) for side in ("left", "right"))])
-    mesh, regions = tailor.cut_and_named(mesh)
+    mesh, regions = tailor.cut_and_named(mesh, brows=fine)
     dressed = raise_regions(mesh, regions, tailor.thickness)
     parts = [dressed]
     if outfit.bun_m > 0:

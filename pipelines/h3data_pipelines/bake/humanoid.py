@@ -10,7 +10,7 @@ import json
 import logging
 import sys
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,15 @@ class BodySpec:
     outfit: Outfit
 
 
-def _outfit(bun_m: float = 0.0, hair_m: float = 0.022, **colors: tuple[int, int, int]) -> Outfit:
+def _outfit(
+    *,
+    bun_m: float = 0.0,
+    hair_m: float = 0.022,
+    hairline: Literal["over ears", "short"] = "over ears",
+    **colors: tuple[int, int, int],
+) -> Outfit:
     base = {"sclera": (238, 234, 228), "soles": (232, 230, 225), "socks": (226, 226, 222)}
-    return Outfit(colors=base | colors, bun_m=bun_m, hair_m=hair_m)
+    return Outfit(colors=base | colors, bun_m=bun_m, hair_m=hair_m, hairline=hairline)
 
 
 BODIES = {
@@ -67,7 +73,8 @@ BODIES = {
         },
         stature_m=1.76,
         outfit=_outfit(
-            hair_m=0.014, skin=(214, 164, 134), shirt=(214, 196, 160), trousers=(74, 82, 66), shoes=(70, 74, 84),
+            hair_m=0.014, hairline="short",
+            skin=(214, 164, 134), shirt=(214, 196, 160), trousers=(74, 82, 66), shoes=(70, 74, 84),
             hair=(52, 40, 32), brows=(58, 44, 36), iris=(84, 66, 48),
         ),
     ),
