@@ -8,13 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-import h3data
-from h3data.errors import InputError
 from h3data_pipelines.cli import COMMANDS, jsonable, main
 from h3data_pipelines.rerender import parse_outputs, parse_steps
 
-DEMO_FILES = ("episode.mcap", "metrics.json", "third_person.mp4", "arm_depth.mp4", "top_down.mp4", "episode.rrd", "summary.json")
+import h3data
+from h3data.errors import InputError
+
+DEMO_FILES = (
+    "episode.mcap",
+    "metrics.json",
+    "third_person.mp4",
+    "arm_depth.mp4",
+    "top_down.mp4",
+    "episode.rrd",
+    "summary.json",
+)
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> Any:
@@ -223,7 +231,10 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_json_has_no_nan() -> None:
-    assert json.dumps(jsonable({"a": np.float32("nan"), "b": [np.int64(3), float("inf")]})) == '{"a": null, "b": [3, null]}'
+    assert (
+        json.dumps(jsonable({"a": np.float32("nan"), "b": [np.int64(3), float("inf")]}))
+        == '{"a": null, "b": [3, null]}'
+    )
 
 
 def test_step_ranges() -> None:

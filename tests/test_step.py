@@ -16,14 +16,18 @@ OFFSETS = np.asarray(SPEC.disc_offsets_m)
 
 
 def empty_mesh() -> Mesh:
-    return Mesh(vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8))
+    return Mesh(
+        vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.int32), colors=np.zeros((0, 3), np.uint8)
+    )
 
 
 @pytest.fixture(scope="module")
 def free() -> FreeSpace:
     """A 6 x 5 m room with a table and a slanted shelf."""
     turned = np.array([0.0, 0.5, 0.0, 0.0, np.sin(0.3), 0.0, np.cos(0.3)])
-    block = Asset(name="block", mesh=empty_mesh(), shapes=(Box(pose=IDENTITY_POSE, half_extents=np.array([0.6, 0.5, 0.4])),))
+    block = Asset(
+        name="block", mesh=empty_mesh(), shapes=(Box(pose=IDENTITY_POSE, half_extents=np.array([0.6, 0.5, 0.4])),)
+    )
     shelf = Asset(name="shelf", mesh=empty_mesh(), shapes=(Box(pose=turned, half_extents=np.array([0.8, 0.5, 0.1])),))
     scene = Scene(
         name="room",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from h3data.geometry import heading_direction, heading_from_quat, normalized
+from h3data.geometry import Array, heading_direction, heading_from_quat, normalized
 from h3data.render import look_at, pinhole
 from h3data.replay.replay import CameraTrack, Replay
 from h3data.scene import FreeSpace
@@ -76,13 +76,11 @@ def _walls(replay: Replay) -> FreeSpace | None:
     return FreeSpace.from_scene(replay.scene, radius_m=CLEARANCE_M, height_m=EYE_M + EYE_RISE_M - 0.2, max_climb_m=1.3)
 
 
-def _free_length(
-    walls: FreeSpace | None, start: NDArray[np.float64], direction: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _free_length(walls: FreeSpace | None, start: Array, direction: Array) -> NDArray[np.float64]:
     """How far one can go from ``start`` [..., 2] along ``direction`` [..., 2] at eye height, at most `BOOM_M` [m]."""
     shape = np.broadcast_shapes(start.shape, direction.shape)[:-1]
     if walls is None:
-        return np.full(shape, BOOM_M)
+        return np.full(shape, BOOM_M, np.float64)
     reach = np.linspace(0.0, BOOM_M, 49)
     points = start[..., None, :] + direction[..., None, :] * reach[:, None]
     blocked = walls.signed_distance(points) < CLEARANCE_M
@@ -90,14 +88,14 @@ def _free_length(
     return reach[np.maximum(first - 1, 0)]
 
 
-def _visible(walls: FreeSpace | None, eyes: NDArray[np.float64], person: NDArray[np.float64]) -> NDArray[np.float64]:
+def _visible(walls: FreeSpace | None, eyes: Array, person: Array) -> NDArray[np.float64]:
     """1 where nothing at eye height stands between eyes [..., 2] and the person [..., 2], else 0."""
     shape = np.broadcast_shapes(eyes.shape, person.shape)[:-1]
     if walls is None:
         return np.ones(shape)
     share = np.linspace(0.0, 1.0, 41)[:, None]
     points = eyes[..., None, :] * (1 - share) + person[..., None, :] * share
-    return (walls.signed_distance(points) > 0.02).all(-1).astype(np.float64)
+    return np.asarray((walls.signed_distance(points) > 0.02).all(-1), np.float64)
 
 
 def _best_path(score: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -259,7 +259,9 @@ class Replay:
     def render_scene(self) -> RenderScene:
         """The immutable half of the renderer, shared by all threads."""
         instances = [
-            RenderInstance(mesh=slot, matrix=d.matrix, semantic_id=d.semantic_id, layer=d.layer, name=d.name)
+            RenderInstance(
+                mesh=slot, matrix=d.matrix.astype(np.float64), semantic_id=d.semantic_id, layer=d.layer, name=d.name
+            )
             for slot, d in zip(self._slot_of, self._drawables, strict=True)
         ]
         deformable = tuple(s for s, d in zip(self._slot_of, self._drawables, strict=True) if d.deformable)
