@@ -27,6 +27,14 @@ def draw_polyline(
     """
     _check(image, camera)
     p = camera.to_camera(points)
+    if len(p) and np.isfinite(p).all() and p[:, 2].min() >= _NEAR_M:
+        pixels = _to_pixels(camera, p)
+        if np.abs(pixels).max() < _FAR_PX:  # nothing to cut: one call draws it all
+            import cv2
+
+            line = [_fixed(pixels)[:, None]]
+            cv2.polylines(image, line, False, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+            return
     for start, end in pairwise(p):
         if not (np.isfinite(start).all() and np.isfinite(end).all()) or max(start[2], end[2]) < _NEAR_M:
             continue
@@ -70,15 +78,20 @@ def _cut(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.f
 def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, color: Color, thickness: int) -> None:
     import cv2
 
-    ends = np.stack([a, b])
-    pixels = ends[:, :2] / ends[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    pixels = _cut_to_square(pixels)
+    pixels = _cut_to_square(_to_pixels(camera, np.stack([a, b])))
     if pixels is None:
         return
-    # OpenCV counts from the middle of the first pixel
-    fixed = np.rint((pixels - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-    start, end = ((int(x), int(y)) for x, y in fixed)
+    start, end = ((int(x), int(y)) for x, y in _fixed(pixels))
     cv2.line(image, start, end, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def _to_pixels(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+
+
+def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
+    """OpenCV's fixed-point coordinates; it counts from the middle of the first pixel."""
+    return np.rint((pixels - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
 
 
 def _cut_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -30,6 +30,8 @@ from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, r
 from h3data_pipelines.importing import recording_stem
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
+TRAJECTORY_STRIDE = 6
+"""Trajectories are drawn through every sixth step: 0.2 s."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         if not len(base):
             continue
         color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
-        line = base[:: max(1, len(base) // 400)] + np.array([0.0, 0.03, 0.0])
+        line = base[::TRAJECTORY_STRIDE] + np.array([0.0, 0.03, 0.0])
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
         above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
         draw_label(image, camera, above, agent.name, color=color, scale=0.6)
