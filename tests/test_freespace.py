@@ -10,10 +10,11 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import MultiPolygon, Point, box
+from shapely.ops import nearest_points
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_heading
-from h3data.scene import FreeSpace
+from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene._visibility import visibility_edges
 from h3data.scene._visibility_build import edges_inside
 from h3data.scene.freespace import line_of_sight, sample_sdf, sdf_gradient
@@ -434,3 +435,21 @@ def test_a_sheet_without_thickness_still_blocks():
     )
     assert abs(float(tilted.signed_distance(middle))) < 0.05
     assert not tilted.is_navigable(middle)
+
+
+def test_paths_from_the_very_border_are_not_detours() -> None:
+    """A point a hair outside a wall (rounding) still finds the corners along it: paths as from just inside."""
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=3)), cache=False)
+    island = free.polygon.geoms[0]
+    inner = island.buffer(-5e-4)
+    rng = np.random.default_rng(0)
+    points, inside = [], []
+    for ring in (island.exterior, *island.interiors):
+        for at in rng.uniform(0, ring.length, 120):
+            point, ahead = (np.array(ring.interpolate(d).coords[0]) for d in (at, at + 1e-4))
+            along = (ahead - point) / np.linalg.norm(ahead - point)
+            for out_m in (-8e-5, -1e-6, -1e-8, 0.0, 1e-8):
+                points.append(point + np.array([-along[1], along[0]]) * out_m)
+                inside.append(nearest_points(inner, shapely.Point(points[-1]))[0].coords[0])
+    goals = np.resize(free.sample(rng, 300), (len(points), 2))
+    np.testing.assert_allclose(free.geodesic(points, goals), free.geodesic(inside, goals), atol=5e-3)

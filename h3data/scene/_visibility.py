@@ -197,14 +197,20 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
 
 
 @numba.njit(cache=True, nogil=True)
-def tangent(graph: Graph, x: float, z: float, node: int) -> bool:
-    """Whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string."""
+def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
+    """Whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
+
+    ``slack`` [m]: how far (x, z) may be off; a point just outside a wall must still find the corners along it.
+    """
     vx, vz = graph.nodes[node]
     ux = vx - x
     uz = vz - z
-    a = ux * (graph.before[node, 1] - vz) - uz * (graph.before[node, 0] - vx)
-    b = ux * (graph.after[node, 1] - vz) - uz * (graph.after[node, 0] - vx)
-    return not ((a > TANGENT_EPS and b < -TANGENT_EPS) or (a < -TANGENT_EPS and b > TANGENT_EPS))
+    px, pz = graph.before[node, 0] - vx, graph.before[node, 1] - vz
+    qx, qz = graph.after[node, 0] - vx, graph.after[node, 1] - vz
+    a, b = ux * pz - uz * px, ux * qz - uz * qx
+    eps_a = TANGENT_EPS + slack * (abs(px) + abs(pz))
+    eps_b = TANGENT_EPS + slack * (abs(qx) + abs(qz))
+    return not ((a > eps_a and b < -eps_b) or (a < -eps_a and b > eps_b))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -218,7 +224,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
             ix, iz = graph.nodes[i]
             for j in range(i + 1, graph.first[island + 1]):
                 jx, jz = graph.nodes[j]
-                if not tangent(graph, ix, iz, j) or not tangent(graph, jx, jz, i):
+                if not tangent(graph, ix, iz, j, 0.0) or not tangent(graph, jx, jz, i, 0.0):
                     continue
                 if not sees(graph, ix, iz, jx, jz):
                     continue
@@ -238,7 +244,7 @@ def visible_nodes(graph: Graph, x: float, z: float, island: int, found: NDArray,
     count = 0
     for node in range(graph.first[island], graph.first[island + 1]):
         vx, vz = graph.nodes[node]
-        if tangent(graph, x, z, node) and sees(graph, x, z, vx, vz):
+        if tangent(graph, x, z, node, GROW_M) and sees(graph, x, z, vx, vz):
             found[count] = node
             away[count] = np.hypot(vx - x, vz - z)
             count += 1
@@ -266,7 +272,7 @@ def geodesic_pair(
     for node in range(graph.first[island], graph.first[island + 1]):
         vx, vz = graph.nodes[node]
         rest = np.hypot(bx - vx, bz - vz)
-        if rest >= best or not tangent(graph, bx, bz, node):
+        if rest >= best or not tangent(graph, bx, bz, node, GROW_M):
             continue
         total = np.inf
         via = -1
