@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from h3data_pipelines.cli import COMMANDS, jsonable, main
-from h3data_pipelines.rerender import parse_outputs, parse_steps
 
 import h3data
 from h3data.errors import InputError
+from h3data_pipelines.cli import COMMANDS, jsonable, main
+from h3data_pipelines.rerender import parse_outputs, parse_steps
 
 DEMO_FILES = (
     "episode.mcap",

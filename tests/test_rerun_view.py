@@ -8,10 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from h3data_viewers import CameraFeed, write_rrd
-from h3data_viewers.mesh_detail import thin_mesh, view_mesh
-from h3data_viewers.rerun_cameras import frame_steps
-from h3data_viewers.rerun_tracks import Timeline, lanes_of, log_scalars
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import (
@@ -25,6 +21,10 @@ from h3data.geometry import (
 from h3data.recording.records import STEP_NS, Agent, Episode, Event, Recording, SkillSpan
 from h3data.render.camera import look_at, pinhole
 from h3data.scene.records import Mesh
+from h3data_viewers import CameraFeed, write_rrd
+from h3data_viewers.mesh_detail import thin_mesh, view_mesh
+from h3data_viewers.rerun_cameras import frame_steps
+from h3data_viewers.rerun_tracks import Timeline, lanes_of, log_scalars
 
 STEPS = 60
 pytest.importorskip("rerun")

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from h3data_viewers import write_rrd
 from tqdm import tqdm
 
 from h3data.errors import InputError
@@ -21,6 +20,7 @@ from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
 from h3data_pipelines.rerender import render_videos
+from h3data_viewers import write_rrd
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
 

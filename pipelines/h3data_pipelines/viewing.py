@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from h3data_viewers import write_rrd
 
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
 from h3data.replay import Replay
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.rerender import missing_lines
+from h3data_viewers import write_rrd
 
 
 @dataclass(frozen=True)
