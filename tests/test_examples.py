@@ -1,0 +1,31 @@
+"""The examples run as printed."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from h3data.scene import HomeSpec, build_home
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+def test_draw_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from h3data.recording import write_mcap
+
+    spec = SocialNavSpec(max_steps=20, spawn_distance_m=3.0)
+    recording = simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=1, spec=spec))
+    write_mcap(recording, tmp_path / "e.mcap")
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "e.mcap"), str(tmp_path / "p.png")])
+    runpy.run_path(str(EXAMPLES / "draw_a_recording.py"))
+    assert (tmp_path / "p.png").stat().st_size > 20_000
+
+
+def test_measure_policies(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "measure_policies.py"))
+    out = capsys.readouterr().out
+    assert "heuristic_expert" in out
+    assert out.count("Finding success") >= 2
