@@ -55,7 +55,5 @@ class SocialNavSpec:
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
-    oracle_waypoint_steps: int = 10
-    """Spacing of the way points of the human's trajectory in the search for the oracle's minimum steps."""
     robot: BaseSpec = BaseSpec()
     human: WalkerSpec = WalkerSpec()

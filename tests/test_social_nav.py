@@ -200,19 +200,19 @@ def test_unknown_policies_are_listed() -> None:
 def test_oracle_steps_of_a_straight_line() -> None:
     spec = SocialNavSpec()
     path = np.array([[0.0, 0.0], [10.0, 0.0]])
-    assert steps_to_find(path, 0.0, spec) == np.ceil(8.0 / (2.5 * STEP_S))
-    assert steps_to_find(path, np.pi / 2, spec) == np.ceil(8.0 / (2.5 * STEP_S)) + np.ceil(np.pi / 2 / (2.5 * STEP_S))
+    straight = np.ceil(8.0 / (2.5 * STEP_S))
+    assert steps_to_find(path, 0.0, spec) == straight
+    assert steps_to_find(path, np.pi / 2, spec) == straight  # it turns meanwhile
+    assert steps_to_find(path * 0.3, np.pi, spec) == np.ceil(np.pi / (2.5 * STEP_S))
     assert steps_to_find(np.array([[0.0, 0.0], [1.5, 0.0]]), 0.0, spec) == 0
     assert steps_to_find(path[:1], 0.0, spec) == 0
 
 
 def test_corners_cost_turning_until_she_is_within_reach() -> None:
-    spec = SocialNavSpec()
-    corner = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, -4.0]])
-    straight = np.ceil(6.0 / (2.5 * STEP_S))
-    assert steps_to_find(corner, 0.0, spec) == straight + np.ceil(np.pi / 2 / (2.5 * STEP_S))
-    last = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, -1.0]])  # the robot stops before the corner
-    assert steps_to_find(last, 0.0, spec) == np.ceil(3.0 / (2.5 * STEP_S))
+    spec = SocialNavSpec(far_m=0.5)
+    zigzag = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, -0.5], [1.0, -0.5], [1.0, -1.0]])
+    assert steps_to_find(zigzag, 0.0, spec) == np.ceil(np.pi / (2.5 * STEP_S))  # the last corner lies behind the end
+    assert steps_to_find(zigzag * 10, 0.0, spec) == np.ceil(19.5 / (2.5 * STEP_S))
 
 
 def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
@@ -221,11 +221,17 @@ def test_the_oracle_meets_one_who_stands_and_not_one_out_of_time(
     a, b = lane
     spec = SocialNavSpec()
     towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
-    needed = steps_to_find(free.path(a, b), towards, spec)
-    found = oracle_min_steps(free, a, towards, np.tile(b, (200, 1)), spec)
-    assert found is not None
-    assert needed < found <= needed + spec.oracle_waypoint_steps
-    assert oracle_min_steps(free, a, towards, np.tile(b, (int(needed) // 10 * 10, 1)), spec) is None
+    needed = int(steps_to_find(free.path(a, b), towards, spec))
+    assert oracle_min_steps(free, a, towards, np.tile(b, (200, 1)), spec) == needed + 1  # r < i, not r <= i
+    assert oracle_min_steps(free, a, towards, np.tile(b, (needed, 1)), spec) is None
+
+
+def test_no_policy_is_faster_than_the_oracle(home: Scene, free: FreeSpace) -> None:
+    """``l`` is a minimum: whoever finds her in step p had ``r_p <= p``, so ``l <= p + 1``."""
+    for seed in range(6):
+        recording = simulate_social_nav(world(home, free, seed=seed, max_steps=400))
+        found = next(e.step for e in recording.events if e.kind == "found") + 1
+        assert 1 < recording.episode.info["oracle_min_steps"] <= found + 1
 
 
 def test_recorded_heading_is_the_heading(home: Scene, free: FreeSpace) -> None:
