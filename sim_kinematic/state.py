@@ -15,7 +15,8 @@ class WorldState:
     robot_xz: NDArray[np.float64]
     """Base position on the floor [m], shape [W, 2]."""
     robot_heading: NDArray[np.float64]
-    """[rad], shape [W]."""
+    """[rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded quaternions
+    keep their signs continuous in time."""
     robot_contact: NDArray[np.bool_]
     """The base touched an obstacle in the last step, shape [W]."""
     human_xz: NDArray[np.float64]

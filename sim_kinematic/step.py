@@ -60,7 +60,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
 @njit(**_JIT)
 def drive_base(sdf, origin, cell, x, z, heading, speed, turn, dt, offsets, radius, iterations, tolerance, touch):
     """One step of a robot base: ``(x, z, heading, touched)``. ``speed`` [m/s] along x, ``turn`` [rad/s] to the left."""
-    new_heading = wrap_angle(heading + turn * dt)
+    new_heading = heading + turn * dt
     tx, tz = x + math.cos(heading) * speed * dt, z - math.sin(heading) * speed * dt
     limit = radius - tolerance
     if least_clearance(sdf, origin, cell, tx, tz, new_heading, offsets) >= radius:
@@ -88,13 +88,12 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
     distance = math.hypot(dx, dz)
     if distance <= arrive:
         return x, z, heading, 0.0
-    wanted = math.atan2(-dz, dx)
-    error = wrap_angle(wanted - heading)
+    error = wrap_angle(math.atan2(-dz, dx) - heading)
     most = turn * dt
     if abs(error) > turn_before_walk:
-        return x, z, wrap_angle(heading + min(max(error, -most), most)), 0.0
+        return x, z, heading + min(max(error, -most), most), 0.0
     walked = min(speed * dt, distance)
-    return x + dx / distance * walked, z + dz / distance * walked, wanted, walked
+    return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
 
 
 @njit(**_JIT)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.geometry import IDENTITY_POSE
+from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene import Asset, Box, FreeSpace, Instance, Mesh, Room, Scene
 from sim_kinematic import step as kernels
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
@@ -159,3 +159,17 @@ def test_the_walker_arrives_without_overshoot(x: float, z: float, heading: float
         assert 0.0 <= state.human_blend[0] <= 1.0
     assert left <= spec.arrive_m
     assert state.human_distance[0] == pytest.approx(max(distance - left, 0.0), abs=1e-9)
+
+
+def test_quaternions_do_not_jump_where_a_heading_would_wrap(free: FreeSpace) -> None:
+    """docs/conventions.md: signs continuous in time, through several whole turns of robot and human."""
+    state = WorldState.zeros(1)
+    state.robot_xz[0] = state.human_xz[0] = center = 1.0, 4.0
+    quats = []
+    for k in range(400):
+        kernels.drive_robots(state, free, np.array([[0.0, -1.0]]), SPEC)
+        goal = np.add(center, 5.0 * np.array([np.cos(k / 15), np.sin(k / 15)]))
+        kernels.walk_humans(state, goal[None], WalkerSpec(speed_mps=0.1))
+        quats.append(quat_from_heading([state.robot_heading[0], state.human_heading[0]]))
+    assert (np.abs([state.robot_heading[0], state.human_heading[0]]) > 4 * np.pi).all()
+    assert (np.sum(np.array(quats)[1:] * np.array(quats)[:-1], axis=-1) > 0.99).all()
