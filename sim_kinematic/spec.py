@@ -34,8 +34,8 @@ class WalkerSpec:
     turn_rad_s: float = 2.5
     turn_before_walk_rad: float = 0.0873
     """Above this heading error (5 degrees, spec/habitat.md 3.4) it turns without walking."""
-    arrive_m: float = 0.02
-    """A way point counts as reached within this distance."""
+    arrive_m: float = 1e-3
+    """A way point counts as reached within this distance. She lands on it exactly; more would cut the next corner."""
     blend_s: float = 0.2
     """Time to go over between standing and walking."""
 

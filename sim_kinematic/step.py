@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
+from h3data.errors import InputError
 from h3data.scene import FreeSpace
 from h3data.scene.freespace import sample_sdf, sdf_gradient
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
@@ -100,6 +101,8 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
 def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, max_turn, dt, offsets, radius, iterations,
                   tolerance, touch):  # fmt: skip
     for w in range(len(heading)):
+        if not (math.isfinite(action[w, 0]) and math.isfinite(action[w, 1])):
+            return w
         speed = min(max(action[w, 0], -1.0), 1.0) * max_speed
         turn = min(max(action[w, 1], -1.0), 1.0) * max_turn
         contact[w] = False
@@ -108,6 +111,7 @@ def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, ma
                 sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], speed, turn, dt, offsets, radius, iterations,
                 tolerance, touch,
             )  # fmt: skip
+    return -1
 
 
 @njit(**_JIT)
@@ -121,13 +125,19 @@ def _walk_worlds(xz, heading, distance, blend, goal, speed, turn, dt, turn_befor
 
 
 def drive_robots(state: WorldState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S) -> None:
-    """Move the robots of all worlds by ``action`` [W, 2] (forward and left turn, -1..1 of the limits), in place."""
-    _drive_worlds(
+    """Move the robots of all worlds by ``action`` [W, 2] (forward and left turn, -1..1 of the limits), in place.
+
+    Raises:
+        InputError: the actions have another shape, or one is not finite.
+    """
+    broken = _drive_worlds(
         free.sdf, free.origin, free.cell_m, state.robot_xz, state.robot_heading, state.robot_contact,
-        np.asarray(action, np.float64), spec.max_speed_mps, spec.max_turn_rad_s, dt,
-        np.asarray(spec.disc_offsets_m, np.float64), spec.disc_radius_m, spec.slide_iterations,
+        _per_world(action, state), spec.max_speed_mps, spec.max_turn_rad_s, dt,
+        np.array(spec.disc_offsets_m), spec.disc_radius_m, spec.slide_iterations,
         spec.clearance_tolerance_m, spec.contact_tolerance_m,
     )  # fmt: skip
+    if broken >= 0:
+        raise InputError(f"Actions must be finite. That of world {broken} is {np.asarray(action)[broken]}.")
 
 
 def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
@@ -136,6 +146,16 @@ def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt:
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
     _walk_worlds(
-        state.human_xz, state.human_heading, state.human_distance, state.human_blend, np.asarray(goal_xz, np.float64),
+        state.human_xz, state.human_heading, state.human_distance, state.human_blend, _per_world(goal_xz, state),
         spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
     )  # fmt: skip
+
+
+def _per_world(pairs: np.ndarray, state: WorldState) -> np.ndarray:
+    """Two numbers for each world, float64 [W, 2]: the kernels check no bounds."""
+    pairs = np.asarray(pairs, np.float64)
+    if pairs.shape != state.robot_xz.shape:
+        raise InputError(
+            f"Expected shape {list(state.robot_xz.shape)}: two numbers per world, got {list(pairs.shape)}."
+        )
+    return pairs

@@ -15,6 +15,10 @@ from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.state import WorldState
 from sim_kinematic.step import walk_humans
 
+ARC_STEP_M = 0.08
+"""Way points nearer together than this belong to one rounded corner (5 cm apart at a radius of 0.25 m)."""
+ARC_TURN_MAX = 1.75
+"""Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
 MIN_WALK_M = 1.5
 """A new goal nearer than this is drawn again: standing about is not following practice."""
 
@@ -53,8 +57,44 @@ class WaypointHuman:
         # a home with nothing that far away: the farthest point there is
         pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
         self.goals.append(candidates[pick])
-        self._path = self.free.path(position, candidates[pick])
+        self._path = sharp_corners(self.free, self.free.path(position, candidates[pick]))
         self.leg = 1
+
+
+def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
+
+    A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
+    """
+    short = np.hypot(*np.diff(path, axis=0).T) < ARC_STEP_M
+    kept = [path[0]]
+    k = 1
+    while k < len(path) - 1:
+        last = k
+        while last < len(path) - 2 and short[last]:
+            last += 1
+        meeting = _tangents_meet(path[k - 1 : k + 1], path[last : last + 2]) if last > k else None
+        if meeting is not None and _sees(free, kept[-1], meeting) and _sees(free, meeting, path[last + 1]):
+            kept.append(meeting)
+        else:
+            kept += list(path[k : last + 1])
+        k = last + 1
+    return np.array([*kept, path[-1]])
+
+
+def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Where the lines through two legs [2, 2] cross, ahead of the first; None when the turn between them is too wide."""
+    u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
+    cross = u[0] * v[1] - u[1] * v[0]
+    if abs(np.arctan2(cross, u @ v)) > ARC_TURN_MAX or cross == 0:
+        return None
+    gap = leaving[0] - arriving[0]
+    return arriving[0] + u * ((gap[0] * v[1] - gap[1] * v[0]) / cross)
+
+
+def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Whether the straight way from a to b is free: then it is the shortest."""
+    return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
 
 def human_track(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from sim_kinematic.policies import Command, View, heuristic_expert, policy_by_na
 from sim_kinematic.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.step import least_clearance
-from sim_kinematic.waypoint_human import human_track
+from sim_kinematic.waypoint_human import human_track, sharp_corners
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +82,33 @@ def test_the_person_walks_where_one_can_and_never_too_fast(free: FreeSpace) -> N
     start = free.sample(np.random.default_rng(0), 1)[0]
     track = human_track(free, start, 0.3, 11, spec, 1500)
     assert np.hypot(*np.diff(track, axis=0).T).max() <= 2.5 * STEP_S + 1e-9
-    assert free.is_navigable(free.snap(track, max_distance_m=0.01)).all()
+    assert free.is_navigable(free.snap(track, max_distance_m=0.002)).all()
     assert np.ptp(track, axis=0).min() > 2.0  # it gets about
+
+
+def test_the_person_walks_without_stutter(free: FreeSpace) -> None:
+    """She turns on the spot at corners (paper section 3.1), not before each of the 5 cm legs that round one."""
+    start = free.sample(np.random.default_rng(0), 1)[0]
+    walks = np.hypot(*np.diff(human_track(free, start, 0.3, 11, WalkerSpec(), 1500), axis=0).T) > 0
+    changes = np.flatnonzero(np.diff(walks.astype(int)))
+    assert np.median(np.diff(changes)) > 6
+    assert len(changes) / 50 < 3  # per second
+
+
+def test_sharp_corners_go_round_what_the_path_goes_round(free: FreeSpace) -> None:
+    rng = np.random.default_rng(5)
+    fewer = 0
+    for a, b in zip(free.sample(rng, 40), free.sample(rng, 40), strict=True):
+        path = free.path(a, b)
+        sharp = sharp_corners(free, path)
+        np.testing.assert_array_equal(sharp[[0, -1]], path[[0, -1]])
+        fewer += len(sharp) < len(path)
+        along = np.concatenate([np.linspace(p, q, 50) for p, q in itertools.pairwise(sharp)])
+        assert np.abs(free.snap(along) - along).max() < 0.0015
+        length = np.hypot(*np.diff(sharp, axis=0).T).sum()
+        assert free.geodesic(a, b) - 1e-3 < length < free.geodesic(a, b) * 1.15
+    assert fewer > 10
+    np.testing.assert_array_equal(sharp_corners(free, path[:2]), path[:2])
 
 
 def test_ramming_ends_the_episode(home: Scene, free: FreeSpace) -> None:

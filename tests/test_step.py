@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene import Asset, Box, FreeSpace, Instance, Mesh, Room, Scene
 from sim_kinematic import step as kernels
@@ -80,6 +81,15 @@ def test_commands_are_clipped(free: FreeSpace) -> None:
         state.robot_xz[0] = (3.0, 0.8)
         kernels.drive_robots(state, free, np.array(action), SPEC)
     np.testing.assert_array_equal(a.robot_xz, b.robot_xz)
+
+
+@pytest.mark.parametrize("action", [[[np.nan, 0.0]], [[0.0, np.inf]], [1.0, 0.0], np.zeros((2, 2)), np.zeros((1, 3))])
+def test_actions_that_are_none_are_refused(free: FreeSpace, action: object) -> None:
+    state = WorldState.zeros(1)
+    state.robot_xz[0] = (3.0, 0.8)
+    with pytest.raises(InputError, match=r"finite|per world"):
+        kernels.drive_robots(state, free, np.array(action), SPEC)
+    np.testing.assert_array_equal(state.robot_xz, [[3.0, 0.8]])
 
 
 def test_no_command_changes_nothing(free: FreeSpace) -> None:
