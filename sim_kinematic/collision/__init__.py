@@ -2,6 +2,7 @@
 
 from sim_kinematic.collision.agent_contact import AgentContact
 from sim_kinematic.collision.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance
+from sim_kinematic.collision.overlaps import Overlap, overlapping_instances
 from sim_kinematic.collision.shapes import capsule_transforms, shapes_from_capsules
 
 __all__ = [
@@ -9,9 +10,11 @@ __all__ = [
     "Contact",
     "FclScene",
     "MovingShapes",
+    "Overlap",
     "capsule_transforms",
     "collide",
     "contacts",
     "distance",
+    "overlapping_instances",
     "shapes_from_capsules",
 ]

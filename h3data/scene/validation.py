@@ -1,0 +1,234 @@
+"""What is wrong with a scene for those who walk in it: cut-off floor, tight passages, floating things, far receptacles.
+
+What needs FCL (things inside each other) is in `sim_kinematic.collision.overlapping_instances`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from h3data.geometry import transform_points
+from h3data.scene.freespace import FreeSpace
+from h3data.scene.records import Instance, Scene, instance_bounds, instance_matrix
+
+Kind = Literal[
+    "missing_asset", "unreachable_room", "island", "tight_gap", "overlap", "floating", "sunk", "out_of_reach"
+]
+
+GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
+"""A passage of 2 r - 5 cm to 2 r + 10 cm is open or shut by rounding alone (research/navigation-and-stepping.md 6)."""
+REACH_M = 1.1
+"""Greatest way on the floor plane from where one can stand to the middle of a receptacle, as the home generator grants."""
+ISLAND_MIN_M2 = 0.05
+"""Smaller patches of free floor are corners between things, not places."""
+ROOM_MIN_M2 = 0.1
+"""A room of which less can be walked on cannot be entered."""
+FLOAT_M, SINK_M = 0.02, 0.01
+"""A thing floats when nothing is this close below it, and is sunk when a surface is this far above its underside."""
+_SLACK_M = 0.004
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """One fault of a scene."""
+
+    kind: Kind
+    subject: str
+    """The room, instance or receptacle, or two joined by " / "."""
+    text: str
+    """What is wrong, with numbers."""
+    position: NDArray[np.float64] | None = None
+    """Where, world, shape [3] [m]; None if it is nowhere (a file that is missing)."""
+
+
+def free_space_for_validation(scene: Scene, *, radius_m: float = 0.25, height_m: float = 1.41) -> FreeSpace:
+    """The free space of a disc that is smaller by half of `GAP_BELOW_M`: tight passages are open in it."""
+    return FreeSpace.from_scene(scene, radius_m=radius_m - GAP_BELOW_M / 2, height_m=height_m)
+
+
+def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> list[Problem]:
+    """Everything that is wrong with a scene's floor, its receptacles and the things on them, in that order.
+
+    ``loose`` is its `free_space_for_validation`; ``radius_m`` the radius of the agent.
+    """
+    free = shapely.MultiPolygon(loose.polygon).buffer(-GAP_BELOW_M / 2)
+    islands = sorted((p for p in shapely.get_parts(free) if p.area >= ISLAND_MIN_M2), key=lambda p: -p.area)
+    floor = loose.floor_y
+    main = islands[0] if islands else shapely.Polygon()
+    return [
+        *_islands(islands, floor),
+        *_rooms(scene, main, floor),
+        *tight_gaps(loose.polygon, floor, radius_m=radius_m),
+        *_receptacles(scene, main),
+        *_resting(scene, floor),
+    ]
+
+
+def _islands(islands: Sequence[BaseGeometry], floor: float) -> Iterable[Problem]:
+    for k, island in enumerate(islands[1:], 1):
+        point = island.representative_point()
+        yield Problem(
+            kind="island",
+            subject=f"island {k}",
+            text=f"{island.area:.2f} m2 of free floor are cut off from the largest island ({islands[0].area:.2f} m2)",
+            position=np.array([point.x, floor, point.y]),
+        )
+
+
+def _rooms(scene: Scene, main: BaseGeometry, floor: float) -> Iterable[Problem]:
+    for room in scene.rooms:
+        if abs(room.floor_y - floor) > 0.5:
+            continue  # another storey, of which this free space says nothing
+        area = shapely.union_all([shapely.box(*r) for r in np.asarray(room.rectangles, np.float64)])
+        inside = main.intersection(area).area
+        if inside < ROOM_MIN_M2:
+            yield Problem(
+                kind="unreachable_room",
+                subject=room.name,
+                text=f"{inside:.2f} of its {area.area:.2f} m2 can be walked to",
+                position=np.array([area.centroid.x, floor, area.centroid.y]),
+            )
+
+
+def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Problem]:
+    """Passages whose width is between 2 r - 5 cm and 2 r + 10 cm: open for one agent, shut for the next.
+
+    ``loose`` is the free area for the disc of r - 2.5 cm. Where the wider disc (r + 5 cm) does not get, though the
+    places on both sides are free for it, is a tight passage; niches with one entrance are none.
+    """
+    shrink = (GAP_BELOW_M + GAP_ABOVE_M) / 2
+    wide = loose.buffer(-shrink)
+    reached = wide.buffer(shrink + _SLACK_M)
+    found = []
+    for neck in shapely.get_parts(loose.difference(reached)):
+        mouths = shapely.get_parts(neck.buffer(2 * _SLACK_M).intersection(reached))
+        if sum(m.area > 1e-6 for m in mouths) < 2:
+            continue
+        point = neck.representative_point()
+        width = 2 * (radius_m - GAP_BELOW_M / 2 + _narrowest(loose, neck, shrink))
+        found.append(
+            Problem(
+                kind="tight_gap",
+                subject=f"({point.x:.2f}, {point.y:.2f})",
+                text=f"a passage of {width:.2f} m, which is near the {2 * radius_m:.2f} m of an agent",
+                position=np.array([point.x, floor, point.y]),
+            )
+        )
+    return found
+
+
+def _narrowest(loose: BaseGeometry, neck: BaseGeometry, most: float) -> float:
+    """By how much a disc may grow until it does not pass a neck any more [m], within 2 mm."""
+    around = loose.intersection(neck.buffer(0.3))
+    before = len([p for p in shapely.get_parts(around) if p.intersects(neck)])
+    low, high = 0.0, most
+    while high - low > 0.002:
+        middle = (low + high) / 2
+        parts = [p for p in shapely.get_parts(around.buffer(-middle, join_style="mitre")) if p.area > 1e-4]
+        low, high = (middle, high) if len(parts) <= before else (low, middle)
+    return low
+
+
+def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
+    for instance, receptacle in scene.receptacles():
+        at = transform_points(instance_matrix(instance), np.asarray(receptacle.center, np.float64)[None])[0]
+        away = main.distance(shapely.Point(at[0], at[2])) if not main.is_empty else np.inf
+        if away > REACH_M:
+            yield Problem(
+                kind="out_of_reach",
+                subject=f"{instance.name}|{receptacle.name}",
+                text=f"its middle is {away:.2f} m from where one can stand; at most {REACH_M} m can be reached",
+                position=at,
+            )
+
+
+# --- things that do not rest ------------------------------------------------------------------------------------------
+def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
+    """Kinematic things with nothing below them, or partly below the surface of their receptacle."""
+    movable = [i for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
+    if not movable:
+        return
+    boxes = [instance_bounds(scene, i) for i in scene.instances]
+    surfaces = [(instance_matrix(i), i, r) for i, r in scene.receptacles()]
+    for thing in movable:
+        matrix = instance_matrix(thing)
+        points = transform_points(matrix, scene.assets[thing.asset].mesh.vertices.astype(np.float64))
+        low, high = points.min(0), points.max(0)
+        middle = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+        sunk = _sunk(surfaces, thing, middle, float(high[1]))
+        if sunk is not None:
+            depth, name = sunk
+            text = f"its underside is {100 * depth:.1f} cm below the surface of {name}"
+            yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
+            continue
+        gap = float(low[1] - max(_support(scene, boxes, thing, points, low), -np.inf))
+        ground = float(low[1] - floor)
+        if -SINK_M > ground > -0.5 and gap > FLOAT_M:
+            text = f"its underside is {-100 * ground:.1f} cm below the floor"
+            yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
+        elif gap > FLOAT_M:
+            what = f"the next thing below is {100 * gap:.1f} cm away" if np.isfinite(gap) else "nothing is below it"
+            yield Problem(kind="floating", subject=thing.name, text=what, position=middle)
+
+
+def _sunk(surfaces: Sequence, thing: Instance, foot: NDArray[np.float64], top: float) -> tuple[float, str] | None:
+    """How far a receptacle's surface is above the foot of a thing that stands in its rectangle, and its name."""
+    for matrix, owner, receptacle in surfaces:
+        local = np.linalg.solve(matrix[:3, :3], foot - matrix[:3, 3]) - receptacle.center
+        level = (matrix[:3, :3] @ receptacle.center + matrix[:3, 3])[1]
+        inside = abs(local[0]) <= receptacle.half_size[0] and abs(local[2]) <= receptacle.half_size[1]
+        if owner.name != thing.name and inside and foot[1] + SINK_M < level < top:
+            return float(level - foot[1]), f"{owner.name}|{receptacle.name}"
+    return None
+
+
+def _support(
+    scene: Scene, boxes: Sequence[NDArray[np.float64]], thing: Instance, points: NDArray, low: NDArray
+) -> float:
+    """Height of the highest surface under the foot of a thing [m]; -inf if there is none.
+
+    Looked for straight below the middle and a ring of points of the footprint.
+    """
+    high = points.max(0)
+    foot = points[points[:, 1] < low[1] + 0.02]
+    ring = foot[:: max(1, len(foot) // 12)][:, [0, 2]]
+    middle = np.array([[(low[0] + high[0]) / 2, (low[2] + high[2]) / 2]])
+    below = np.concatenate([middle, middle + 0.8 * (ring - middle)])
+    best = -np.inf
+    for other, box in zip(scene.instances, boxes, strict=True):
+        apart = (box[0] > high).any() or box[1][0] < low[0] or box[1][2] < low[2]
+        if other.name == thing.name or apart or box[1][1] < best:
+            continue
+        mesh = scene.assets[other.asset].mesh
+        triangles = transform_points(instance_matrix(other), mesh.vertices.astype(np.float64))[mesh.faces]
+        best = max(best, _height_below(triangles, below, float(low[1]) + SINK_M))
+    return best
+
+
+def _height_below(triangles: NDArray[np.float64], points: NDArray[np.float64], level: float) -> float:
+    """Greatest height at most ``level`` at which triangles [F, 3, 3] are met straight below points [N, 2] (x, z)."""
+    flat = triangles[..., [0, 2]]
+    near = (flat.min(1) <= points.max(0)).all(1) & (flat.max(1) >= points.min(0)).all(1)
+    near &= triangles[..., 1].min(1) <= level
+    triangles, flat = triangles[near], flat[near]
+    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    keep = np.abs(area) > 1e-12
+    triangles, flat, u, v, area = (x[keep] for x in (triangles, flat, u, v, area))
+    best = -np.inf
+    for point in points:
+        d = point - flat[:, 0]
+        s = (d[:, 0] * v[:, 1] - d[:, 1] * v[:, 0]) / area
+        t = (u[:, 0] * d[:, 1] - u[:, 1] * d[:, 0]) / area
+        inside = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9)
+        y = triangles[:, 0, 1] + s * (triangles[:, 1, 1] - triangles[:, 0, 1]) + t * (triangles[:, 2, 1] - triangles[:, 0, 1])
+        hits = y[inside & (y <= level)]
+        best = max(best, float(hits.max(initial=-np.inf)))
+    return best
