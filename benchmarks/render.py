@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.scene.records import Mesh
 
 Emit = Callable[[str, float, str], None]
@@ -247,6 +247,9 @@ def _run_largest(emit: Emit, renderer: Renderer) -> None:
         emit(f"render.cpu.{size}_cpu_ms", frame_ms(renderer, _views(size), outputs=IDS), "ms")
     views = _views("640x480")
     emit("render.cpu.rgb_640x480_cpu_ms", frame_ms(renderer, views, outputs=(*IDS, "rgb")), "ms")
+    plain, empty = Renderer(renderer.scene, light=Light(occlusion=0)), Renderer(RenderScene([], []))
+    emit("render.cpu.rgb_plain_640x480_cpu_ms", frame_ms(plain, views, outputs=(*IDS, "rgb")), "ms")
+    emit("render.cpu.sky_640x480_cpu_ms", frame_ms(empty, views, outputs=("rgb",)), "ms")
     emit("render.cpu.rgb_4_samples_640x480_cpu_ms", frame_ms(renderer, views, outputs=("rgb",), samples=4), "ms")
     emit("render.cpu.update_cpu_ms", _update_ms(), "ms")
 

@@ -1,7 +1,7 @@
 """RGB and normals from the visibility buffer, once per pixel (or once per quarter pixel at edges).
 
 Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun, a weak fill light and one at the camera;
-there are no shadows. Surfaces are lit on both sides.
+there are no cast shadows, but corners and contacts get darker (`occlusion`). Surfaces are lit on both sides.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.geometry import normalized
-from h3data.render.raster import CLUSTER, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude
+from h3data.render.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
 from h3data.render.scene import Surface
 from h3data.render.shading_simd import (
     ATTRIBUTES,
@@ -21,7 +22,6 @@ from h3data.render.shading_simd import (
     COLOR,
     COLOR_1,
     COLOR_2,
-    LIGHT_WORDS,
     NORMAL,
     NORMAL_1,
     NORMAL_2,
@@ -29,6 +29,7 @@ from h3data.render.shading_simd import (
     TONE_LIMIT,
     TONE_SIZE,
     light_block,
+    sky_block,
 )
 
 Color = tuple[float, float, float]
@@ -54,6 +55,8 @@ class Light:
     """Background at eye level and below."""
     zenith: Color = (0.45, 0.60, 0.80)
     """Background straight up."""
+    occlusion: float = 0.7
+    """How much darker corners and contacts get, 0..1; 0 switches it off (and costs nothing)."""
 
 
 _SHOULDER = 0.75
@@ -87,6 +90,9 @@ _BYTE_OF_LINEAR = np.round(
 ).astype(np.uint8)
 
 
+_NO_OCCLUSION = Occlusion(np.zeros((0, 0), np.float32), np.zeros((4, 0, 0), np.float32))
+
+
 def _light_table(light: Light) -> NDArray[np.float32]:
     sky, ground = np.array(light.sky), np.array(light.ground)
     colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
@@ -112,6 +118,8 @@ def shade(
     same triangle are averaged (in linear light).
     """
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
+    strength = light.occlusion if rgb is not None else 0.0
+    occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
     _shade_image(
         geometry,
         (surface.faces, surface.colors, normals, surface.packet_faces),
@@ -120,6 +128,8 @@ def shade(
         target,
         _light_table(light),
         (_LINEAR_OF_BYTE, _BYTE_OF_LINEAR),
+        occlusion,
+        np.float32(strength),
         no_rgb if rgb is None else rgb,
         no_normal if normal is None else normal,
         samples == 4,
@@ -127,7 +137,7 @@ def shade(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
-def _shade_image(geometry, surface, matrices, view, target, light, tables, rgb, normal, fine):
+def _shade_image(geometry, surface, matrices, view, target, light, tables, occlusion, strength, rgb, normal, fine):
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor
     cofactors = _normal_matrices(matrices)
@@ -138,6 +148,7 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, rgb, 
     strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
     sample = np.zeros((6, 8), np.int32)
     row = np.zeros(width, np.int32)
+    near = np.zeros(width + 8, np.float32)
     words, axes = target.words, view.axes
     linear, byte_of_level = tables
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
@@ -161,9 +172,10 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, rgb, 
                             _set_up(word, slot, geometry, surface, cofactors, axes, target, linear, planes, attributes)
                         _light_run(slot, planes, attributes, u1, v1, 0.0, 0, 1, axes, light, block, sample)
                     else:
-                        _sky_run(u1, v1, 0.0, 0, 1, axes, light, sample)
+                        _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
+                    left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
                     for a in range(3):
-                        strip[a, x] += min(sample[a, 0], _BRIGHTEST_SAMPLE)
+                        strip[a, x] += int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
                 for a in range(3):
                     strip[a, x] >>= 2
             else:
@@ -177,8 +189,12 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, rgb, 
                         _set_up(word, slot, geometry, surface, cofactors, axes, target, linear, planes, attributes)
                     _light_run(slot, planes, attributes, u, v, step, x, end, axes, light, block, strip)
                 else:
-                    _sky_run(u, v, step, x, end, axes, light, strip)
+                    _sky_run(u, v, step, x, end, axes, light, block, strip)
             x = end
+        if strength > 0:
+            for x in range(width):
+                near[x] = target.inv_z[y * factor, x * factor] if row[x] != _MIXED else FAR_PADDING
+            dim_row(occlusion, strength, y, near, strip)
         if rgb.size:
             for x in range(width):
                 for a in range(3):
@@ -334,16 +350,15 @@ def _light_run(slot, planes, attributes, u, v, step, begin, end, axes, light, bl
         light_block(block_at, attributes_at, light_at, strip_at + np.uintp(x * 4), row_bytes)
 
 
-@njit(nogil=True, error_model="numpy")
-def _sky_run(u, v, step, begin, end, axes, light, strip):
-    """Write the background: from horizon to zenith by the ray's elevation."""
-    to_level = np.float32(TONE_SIZE / TONE_LIMIT)
-    for x in range(begin, end):
-        ray_u = u + step * (x - begin)
-        up = axes[1, 0] * ray_u + axes[1, 1] * v + axes[1, 2]
-        height = np.float32(min(max(up / np.sqrt(ray_u * ray_u + v * v + 1), 0.0), 1.0))
-        for a in range(3):
-            horizon, zenith = light[LIGHT_WORDS + a], light[LIGHT_WORDS + 3 + a]
-            level = (horizon + (zenith - horizon) * height) * to_level
-            strip[a, x] = int(min(max(level, np.float32(0)), np.float32(TONE_SIZE - 1)))
-            strip[3 + a, x] = 0
+@njit(nogil=True, forceinline=True)
+def _sky_run(u, v, step, begin, end, axes, light, block, strip):
+    """Write pixels begin..end of a strip that see nothing; the first one's ray is (u, v, 1)."""
+    row_bytes = np.uintp(strip.shape[1] * 4)
+    strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    for k in range(3):
+        block[RAY + 2 * k + 1] = axes[k, 0] * step
+    for x in range(begin, end, 8):
+        first = u + step * (x - begin)
+        for k in range(3):
+            block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+        sky_block(block_at, light_at, strip_at + np.uintp(x * 4), row_bytes)
