@@ -2,41 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.geometry import IDENTITY_POSE
+from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from sim_kinematic.collision import AgentContact
 
-GATE_M = 2.0
-"""Bases farther apart than this cannot touch: neither body reaches a metre from its root along the floor."""
+REACH_MARGIN_M = 0.05
+"""Added to the person's reach, which is taken at a number of phases and blends of each clip."""
 
 
 class RobotHumanContact:
-    """Contact between one robot (collision shapes of its links) and one humanoid (its 18 capsules)."""
+    """Contact between a robot that keeps its posture (collision shapes of its links) and a person who plays clips (her
+    18 capsules)."""
 
-    def __init__(self, robot: Robot, human: Humanoid) -> None:
-        self.robot, self.human = robot, human
-        self._links = [k for k, link in enumerate(robot.links) for _ in link.shapes]
-        rest = human.joint_matrices(IDENTITY_POSE[None], *human.clip_pose(np.zeros(1, int), np.zeros(1), np.zeros(1)))
-        start, end, radius = human.capsules_world(rest)
+    def __init__(self, robot: Robot, human: Humanoid, posture: ArrayLike | None = None) -> None:
+        """``posture``: the robot's joint positions [J]; None is its resting one."""
+        self._human = human
+        joints = np.asarray(robot.rest if posture is None else posture, np.float64)
+        links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
+        self._shapes_at = links[[k for k, link in enumerate(robot.links) for _ in link.shapes]]
+        start, end, radius = _clip_capsules(human, np.zeros(1, int), np.zeros(1), np.zeros(1))
         self._pair = AgentContact([s for link in robot.links for s in link.shapes], start[0], end[0], radius)
+        self.gate_m = robot_reach(robot, joints) + clip_reach(human)
+        """Bases farther apart than this on the floor [m] cannot touch."""
 
     def touching(
-        self,
-        robot_base: NDArray[np.floating],
-        robot_joints: NDArray[np.floating],
-        human_base: NDArray[np.floating],
-        human_joints: Callable[[], NDArray[np.floating]],
+        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float
     ) -> bool:
-        """Whether they touch: base poses [7], the robot's joint positions [J], and the person's joint matrices
-        [55, 4, 4], which are computed only when the two are near."""
-        if np.hypot(*(robot_base[[0, 2]] - human_base[[0, 2]])) > GATE_M:
+        """Whether they touch: base poses [7], and the frame of the clip that the person plays."""
+        if np.hypot(*(robot_base[[0, 2]] - human_base[[0, 2]])) > self.gate_m:
             return False
-        links = self.robot.link_matrices(robot_base[None], robot_joints[None])[0]
-        start, end, _ = self.human.capsules_world(human_joints()[None])
-        self._pair.update(links[self._links], start[0], end[0])
+        start, end, _ = _clip_capsules(self._human, np.array([clip]), np.array([phase]), np.array([blend]), human_base)
+        links = pose_to_matrix(robot_base.astype(np.float64)) @ self._shapes_at
+        self._pair.update(links, start[0], end[0])
         return self._pair.collides()
+
+
+def robot_reach(robot: Robot, joints: Array) -> float:
+    """Farthest that a shape of the robot gets from its root along the floor in this posture [J] [m]; a bound."""
+    from sim_kinematic.collision.shapes import bounding_sphere
+
+    links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
+    reach = 0.0
+    for matrix, link in zip(links, robot.links, strict=True):
+        for shape in link.shapes:
+            center, radius = bounding_sphere(shape)
+            reach = max(reach, float(np.hypot(*(matrix[:3, :3] @ center + matrix[:3, 3])[[0, 2]])) + radius)
+    return reach
+
+
+@lru_cache(maxsize=32)
+def clip_reach(human: Humanoid) -> float:
+    """Farthest that the person's capsules get from her root along the floor in any of her clips [m]."""
+    clip, phase, blend = (
+        grid.ravel()
+        for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")
+    )
+    start, end, radius = _clip_capsules(human, clip, phase, blend)
+    ends = np.hypot(*np.stack([start, end])[..., [0, 2]].transpose(3, 0, 1, 2))
+    return float((ends + radius).max()) + REACH_MARGIN_M
+
+
+def _clip_capsules(
+    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE
+) -> tuple[Array, Array, Array]:
+    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [7]."""
+    return human.capsules_world(human.joint_matrices(base[None], *human.clip_pose(clip, phase, blend)))

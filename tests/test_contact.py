@@ -1,0 +1,88 @@
+"""Contact between robot and person: against points sampled on the robot, and that no gate hides one."""
+
+import numpy as np
+import pytest
+
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.geometry import ground_pose, pose_to_matrix, transform_points
+from h3data.scene import Box, Capsule, Shape
+from sim_kinematic.contact import RobotHumanContact, clip_reach, robot_reach
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("quad_arm")
+
+
+@pytest.fixture(scope="module")
+def human() -> Humanoid:
+    return load_humanoid("female_0")
+
+
+def surface(shape: Shape, rng: np.random.Generator, n: int = 250) -> np.ndarray:
+    """Random points [n, 3] on the surface of a box or capsule, asset frame."""
+    if isinstance(shape, Capsule):
+        axis = np.asarray(shape.end) - shape.start
+        out = rng.normal(size=(n, 3))
+        out *= shape.radius / np.linalg.norm(out, axis=1, keepdims=True)
+        return shape.start + rng.random((n, 1)) * axis + out
+    assert isinstance(shape, Box)
+    points = rng.uniform(-1, 1, (n, 3))
+    face = rng.integers(0, 3, n)
+    points[np.arange(n), face] = np.sign(points[np.arange(n), face])
+    return transform_points(pose_to_matrix(shape.pose), points * shape.half_extents)
+
+
+def capsules(human: Humanoid, base: np.ndarray, frame: tuple[int, float, float]) -> tuple[np.ndarray, ...]:
+    pose = human.clip_pose(*([value] for value in frame))
+    start, end, radius = human.capsules_world(human.joint_matrices(base[None], *pose))
+    return start[0], end[0], radius
+
+
+def test_contact_is_what_sampled_surfaces_say(robot: Robot, human: Humanoid) -> None:
+    rng = np.random.default_rng(0)
+    contact = RobotHumanContact(robot, human)
+    points = [surface(s, rng) for link in robot.links for s in link.shapes]
+    at = [k for k, link in enumerate(robot.links) for _ in link.shapes]
+    seen = {True: 0, False: 0}
+    for _ in range(100):
+        apart, angle, turn, turn_h = rng.uniform(
+            [0.3, -np.pi, -np.pi, -np.pi], [contact.gate_m + 0.1, np.pi, np.pi, np.pi]
+        )
+        robot_base = ground_pose(np.zeros(2), turn, 0.0).astype(np.float32)
+        human_base = ground_pose(apart * np.array([np.cos(angle), np.sin(angle)]), turn_h, 0.0).astype(np.float32)
+        frame = int(rng.integers(len(human.clips))), rng.random(), rng.random()
+        links = robot.link_matrices(robot_base[None], robot.rest[None])[0]
+        cloud = np.concatenate([transform_points(links[k], p) for k, p in zip(at, points, strict=True)])
+        start, end, radius = capsules(human, human_base, frame)
+        axis = end - start
+        along = np.einsum("pcj,cj->pc", cloud[:, None] - start, axis) / np.maximum((axis**2).sum(1), 1e-12)
+        nearest = start + np.clip(along, 0, 1)[..., None] * axis
+        gap = (np.linalg.norm(cloud[:, None] - nearest, axis=-1) - radius).min()
+        if -1e-3 < gap < 0.04:  # samples are centimetres apart
+            continue
+        touching = contact.touching(robot_base, human_base, *frame)
+        assert touching == (gap < 0), (apart, gap)
+        seen[touching] += 1
+    assert min(seen.values()) > 12
+
+
+def test_the_gate_holds_both_bodies(robot: Robot, human: Humanoid) -> None:
+    rng = np.random.default_rng(1)
+    home = ground_pose(np.zeros(2), 0.0, 0.0)
+    links = robot.link_matrices(home[None], robot.rest[None])[0]
+    for link, matrix in zip(robot.links, links, strict=True):
+        for shape in link.shapes:
+            points = transform_points(matrix, surface(shape, rng))
+            assert np.hypot(points[:, 0], points[:, 2]).max() <= robot_reach(robot, robot.rest)
+    for _ in range(200):
+        frame = int(rng.integers(len(human.clips))), rng.random(), rng.random()
+        start, end, radius = capsules(human, home, frame)
+        for ends in (start, end):
+            assert (np.hypot(ends[:, 0], ends[:, 2]) + radius).max() <= clip_reach(human)
+
+
+def test_a_stretched_arm_reaches_farther(robot: Robot, human: Humanoid) -> None:
+    stretched = robot.rest.copy()
+    stretched[:7] = 0.0
+    assert RobotHumanContact(robot, human, stretched).gate_m > RobotHumanContact(robot, human).gate_m + 0.2
