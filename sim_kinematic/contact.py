@@ -1,7 +1,8 @@
-"""Does the robot touch the person? A distance test first; FCL on the exact shapes when they are near."""
+"""Does the robot touch the person, or the furniture where it starts? FCL on the exact shapes says."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -9,8 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
-from sim_kinematic.collision import AgentContact
+from h3data.scene import Scene
+from sim_kinematic.collision import AgentContact, FclScene, MovingShapes, collide
 
+FLOOR_M = 0.02
+"""What lies on the floor lower than this, such as a rug, is stood on."""
 REACH_MARGIN_M = 0.05
 """Added to the person's reach, which is taken at a number of phases and blends of each clip."""
 
@@ -40,6 +44,29 @@ class RobotHumanContact:
         links = pose_to_matrix(robot_base.astype(np.float64)) @ self._shapes_at
         self._pair.update(links, start[0], end[0])
         return self._pair.collides()
+
+
+def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[NDArray[np.float64]], bool]:
+    """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
+
+    Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
+    """
+    scenery = _scenery(scene)
+    shapes = MovingShapes([s for link in robot.links for s in link.shapes])
+    links = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
+    shapes_at = links[[k for k, link in enumerate(robot.links) for _ in link.shapes]]
+
+    def is_clear(base: NDArray[np.float64]) -> bool:
+        raised = base + np.array([0, FLOOR_M, 0, 0, 0, 0, 0])
+        shapes.set_transforms(pose_to_matrix(raised) @ shapes_at)
+        return not collide(scenery, shapes)
+
+    return is_clear
+
+
+@lru_cache(maxsize=4)
+def _scenery(scene: Scene) -> FclScene:
+    return FclScene(scene)
 
 
 def robot_reach(robot: Robot, joints: Array) -> float:

@@ -15,7 +15,7 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import ground_pose
 from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.contact import RobotHumanContact
+from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
 from sim_kinematic.oracle import oracle_min_steps
 from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name
 from sim_kinematic.randomness import generator
@@ -60,15 +60,19 @@ class SocialNavWorld:
         """An episode of ``scene`` with starts drawn from ``seed``; ``free`` saves building the map again."""
         spec = spec or SocialNavSpec()
         free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
+        body = load_robot(robot)
         return cls(
-            scene=scene, free=free, seed=seed, spec=spec, robot=load_robot(robot), human=load_humanoid(human),
-            starts=draw_starts(free, seed, spec), human_name=human, robot_name=robot,
+            scene=scene, free=free, seed=seed, spec=spec, robot=body, human=load_humanoid(human),
+            starts=draw_starts(free, seed, spec, stands_free=clear_of_furniture(scene, body)),
+            human_name=human, robot_name=robot,
         )  # fmt: skip
 
 
-def draw_starts(free: FreeSpace, seed: int, spec: SocialNavSpec) -> Starts:
+def draw_starts(
+    free: FreeSpace, seed: int, spec: SocialNavSpec, *, stands_free: Callable[[NDArray[np.float64]], bool] | None = None
+) -> Starts:
     """Random start poses at least ``spec.spawn_distance_m`` apart on one island, the robot's base free of obstacles
-    (spec/habitat.md 1.2).
+    (spec/habitat.md 1.2). ``stands_free`` may look closer at a pose7 of the robot.
 
     Raises:
         SceneError: the scene has no two such places.
@@ -86,7 +90,9 @@ def draw_starts(free: FreeSpace, seed: int, spec: SocialNavSpec) -> Starts:
         clearance = least_clearance(
             free.sdf, free.origin, free.cell_m, robot_xz[0], robot_xz[1], robot_heading, offsets
         )
-        if clearance >= spec.robot.disc_radius_m and np.isfinite(free.geodesic(robot_xz, human_xz)):
+        if clearance < spec.robot.disc_radius_m or not np.isfinite(free.geodesic(robot_xz, human_xz)):
+            continue
+        if stands_free is None or stands_free(ground_pose(robot_xz, robot_heading, free.floor_y)):
             return Starts(
                 robot_xz=robot_xz, robot_heading=float(robot_heading), human_xz=human_xz,
                 human_heading=float(human_heading),
