@@ -168,7 +168,7 @@ def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
             text = f"its underside is {100 * depth:.1f} cm below the surface of {name}"
             yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
             continue
-        gap = float(low[1] - max(_support(scene, boxes, thing, points, low), -np.inf))
+        gap = float(low[1] - _support(scene, boxes, thing, points, low))
         ground = float(low[1] - floor)
         if -SINK_M > ground > -0.5 and gap > FLOAT_M:
             text = f"its underside is {-100 * ground:.1f} cm below the floor"
@@ -228,7 +228,11 @@ def _height_below(triangles: NDArray[np.float64], points: NDArray[np.float64], l
         s = (d[:, 0] * v[:, 1] - d[:, 1] * v[:, 0]) / area
         t = (u[:, 0] * d[:, 1] - u[:, 1] * d[:, 0]) / area
         inside = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9)
-        y = triangles[:, 0, 1] + s * (triangles[:, 1, 1] - triangles[:, 0, 1]) + t * (triangles[:, 2, 1] - triangles[:, 0, 1])
+        y = (
+            triangles[:, 0, 1]
+            + s * (triangles[:, 1, 1] - triangles[:, 0, 1])
+            + t * (triangles[:, 2, 1] - triangles[:, 0, 1])
+        )
         hits = y[inside & (y <= level)]
         best = max(best, float(hits.max(initial=-np.inf)))
     return best

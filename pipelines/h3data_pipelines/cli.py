@@ -20,6 +20,7 @@ from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.rerender import Rerender
+from h3data_pipelines.scenes import Scenes
 from h3data_pipelines.viewing import View
 
 COMMANDS: dict[str, type[Command]] = {
@@ -29,6 +30,7 @@ COMMANDS: dict[str, type[Command]] = {
     "rerender": Rerender,
     "metrics": Metrics,
     "view": View,
+    "scenes": Scenes,
     "doctor": Doctor,
 }
 
