@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.interop.meshes import MESH_SUFFIXES, load_mesh, recolored
+from h3data.interop.meshes import MESH_SUFFIXES, is_file, load_mesh, recolored
 from h3data.interop.placeholders import placeholder_mesh
 from h3data.interop.primitives import box_mesh, is_primitive, primitive_mesh
 from h3data.recording.records import AssetRef, Body
@@ -82,7 +82,7 @@ class AssetLibrary:
         """
         if uri not in self._resolved:
             path = clean_path(uri)
-            found = next((p for p in self._candidates(path) if p.is_file()), None)
+            found = next((p for p in self._candidates(path) if is_file(p)), None)
             self._resolved[uri] = found or self._longest_end(path)
         return self._resolved[uri]
 

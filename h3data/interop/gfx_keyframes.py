@@ -16,10 +16,12 @@ from typing import Annotated, Any
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.interop.sniff import KIND_WORDS, json_kind, not_json, read_bytes
+from h3data.interop.sniff import KIND_WORDS, decode_json, json_kind, not_json, read_bytes
 
-Vec3 = tuple[float, float, float]
-Quat = tuple[float, float, float, float]
+Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+"""What fits a float32 also after a product or two."""
+Vec3 = tuple[Number, Number, Number]
+Quat = tuple[Number, Number, Number, Number]
 Key = Annotated[int, msgspec.Meta(ge=0)]
 
 
@@ -36,13 +38,13 @@ class Frame(msgspec.Struct):
 
 
 class Phong(msgspec.Struct):
-    diffuse: Annotated[list[float], msgspec.Meta(min_length=3)] | None = None
+    diffuse: Annotated[list[Number], msgspec.Meta(min_length=3)] | None = None
 
 
 class Load(msgspec.Struct):
     filepath: str
     frame: Frame = msgspec.field(default_factory=Frame)
-    virtualUnitToMeters: float = 1.0
+    virtualUnitToMeters: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 1.0
     overridePhongMaterial: Phong | None = None
 
 
@@ -154,14 +156,14 @@ def read_keyframes(path: Path) -> tuple[bytes, list[Keyframe]]:
     """Bytes and keyframes of a ``.gfx_replay.json`` or ``.json.gz``; also of a single ``{"keyframe": {...}}``."""
     data = read_bytes(path)
     try:
-        file = msgspec.json.decode(data, type=_File)
+        file = decode_json(data, _File)
     except msgspec.ValidationError as fault:
         raise _explain(path, data, str(fault)) from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
     keyframes = file.keyframes if file.keyframes is not None else [file.keyframe] if file.keyframe is not None else None
     if keyframes is None:
-        raise _other_kind(path, msgspec.json.decode(data))
+        raise _other_kind(path, decode_json(data))
     if not keyframes:
         raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
     return data, keyframes
@@ -234,7 +236,10 @@ def _other_kind(path: Path, content: Any) -> FormatError:
 
 def _explain(path: Path, data: bytes, message: str) -> FormatError:
     """An error that names keyframe and instance instead of an index path."""
-    content = json.loads(data)  # msgspec refuses numbers that are too large, which may be the very fault
+    try:
+        content = json.loads(data)  # msgspec refuses numbers that are too large, which may be the very fault
+    except (ValueError, RecursionError):
+        return FormatError(f"Not a valid gfx-replay: {message}: {path}")
     if not isinstance(content, dict) or not content.keys() & {"keyframes", "keyframe"}:
         return _other_kind(path, content)
     reason, _, where = message.partition(" - at `")

@@ -21,7 +21,7 @@ from h3data.interop.meshes import frame_rotation, srgb_from_linear
 from h3data.interop.primitives import is_primitive
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
 
-_DIFFUSE = re.compile(r"_dif_(\d+)")
+_DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
 _UNTELLING_STEMS = {"textured", "mesh", "model", "visual", "collider", "textured_simple"}
 _UNTELLING_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets", "tsdf", "poisson"}

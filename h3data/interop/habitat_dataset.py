@@ -154,11 +154,9 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str) -> list[Temp
     configured = {t.handle for t in found.values() if t.is_config}
     # a mesh that also has a config is offered once, as the config
     result = [t for t in found.values() if t.is_config or t.handle not in configured]
-    for item in entry.get("configs") or ():
-        if not isinstance(item, dict):
-            raise FormatError(f"Expected objects under 'configs', got {type(item).__name__}: {config}")
+    for item in objects(entry, "configs", where=config):
         overrides = _mapping(item.get("attributes"))
-        original, handle = item.get("original_file"), item.get("template_handle")
+        original, handle = (text(item, key, where=config) for key in ("original_file", "template_handle"))
         if original is None:
             if handle is not None:
                 result.append(Template(handle=handle, path=config, defaults=defaults, overrides=overrides, inline=True))
@@ -174,7 +172,10 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str) -> list[Temp
 def _matching(root: Path, pattern: str, ending: str) -> list[Path]:
     """Files that end in ``ending``, for a pattern that names files or folders (folders are not searched deeper)."""
     pattern = pattern.replace("\\", "/").strip("/")
-    places = sorted(root.glob(pattern)) if pattern not in ("", ".") else [root]
+    try:
+        places = sorted(root.glob(pattern)) if pattern not in ("", ".") else [root]
+    except (ValueError, NotImplementedError, OSError) as fault:
+        raise FormatError(f"Not a path pattern of a dataset: {pattern[:200]!r} ({fault}): {root}") from None
     files: list[Path] = []
     for place in places:
         if place.is_dir():
@@ -197,6 +198,22 @@ def _without_ending(name: str) -> str:
 
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dict[str, Any]]:
+    """The list of JSON objects under ``key``; empty if there is none."""
+    value = attributes.get(key) or []
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise FormatError(f"Expected a list of objects under {key!r}, got {str(value)[:60]}: {where}")
+    return value
+
+
+def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
+    """The text under ``key``, if there is any."""
+    value = attributes.get(key)
+    if value is not None and not isinstance(value, str):
+        raise FormatError(f"Expected a text under {key!r}, got {str(value)[:60]}: {where}")
+    return value
 
 
 def number(attributes: Mapping[str, Any], key: str, default: float, *, where: Path) -> float:

@@ -20,9 +20,10 @@ from h3data.interop.habitat_dataset import (
     load_scene_dataset,
     number,
     numbers,
+    objects,
 )
 from h3data.interop.habitat_receptacles import read_receptacles
-from h3data.interop.meshes import MESH_SUFFIXES, frame_rotation, load_mesh, node_box
+from h3data.interop.meshes import MESH_SUFFIXES, frame_rotation, is_file, load_mesh, node_box
 from h3data.interop.primitives import is_primitive, primitive_mesh
 from h3data.scene.records import Asset, Box, Hull, Instance, Mesh, Motion, Scene, Shape
 
@@ -96,7 +97,7 @@ def _from_instance(builder: _Builder, dataset: SceneDataset, template: Template)
             builder.warnings.append("the stage instance's own translation and rotation are ignored, as in habitat-sim")
         builder.add_stage(found)
     absent: list[str] = []
-    for entry in content.get("object_instances") or ():
+    for entry in objects(content, "object_instances", where=where):
         name = _template_name(entry, where)
         found = builder.find(dataset, "objects", name)
         if found is None:
@@ -104,11 +105,11 @@ def _from_instance(builder: _Builder, dataset: SceneDataset, template: Template)
         else:
             builder.add_object(found, entry, origin=content.get("translation_origin"), where=where)
     if absent:
-        text = f"{len(absent)} objects have no template in the dataset, the first is {absent[0]!r}"
+        fault = f"{len(absent)} objects have no template in the dataset, the first is {absent[0]!r}"
         if not builder.allow_missing:
-            raise SceneError(f"{text}. Hint: allow_missing=True leaves them out. {where}")
-        builder.warnings.append(text)
-    articulated = len(content.get("articulated_object_instances") or ())
+            raise SceneError(f"{fault}. Hint: allow_missing=True leaves them out. {where}")
+        builder.warnings.append(fault)
+    articulated = len(objects(content, "articulated_object_instances", where=where))
     if articulated:
         builder.warnings.append(f"{articulated} articulated objects are left out: they are not supported yet")
     return builder.scene(template.handle, config=dataset.path, scene=template.handle)
@@ -270,7 +271,7 @@ class _Builder:
         if is_primitive(asset):
             return primitive_mesh(asset)
         file = folder / asset
-        if not file.is_file():
+        if not is_file(file):
             self.missing.append(file)
             return None
         units = number(attributes, "units_to_meters", 1.0, where=template.path)
@@ -286,7 +287,7 @@ class _Builder:
             size = np.array(numbers(attributes, "collision_asset_size", (1, 1, 1), where=template.path), np.float32)
             solid = primitive_mesh(asset)
             mesh = replace(solid, vertices=solid.vertices * size, normals=None)
-        elif isinstance(asset, str) and (folder / asset).is_file():
+        elif isinstance(asset, str) and is_file(folder / asset):
             mesh = self._mesh(attributes, folder, up, front, template, key="collision_asset") or mesh
         if attributes.get("use_bounding_box_for_collision"):
             return _box(mesh)

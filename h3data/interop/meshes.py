@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -41,7 +42,7 @@ def load_mesh(
     flat. The result is cached per file, time stamp and frame: do not write to it.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}")
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise SceneError(
@@ -49,6 +50,14 @@ def load_mesh(
         )
     up3, front3 = _vector3(up), _vector3(front)
     return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; also for paths that others wrote down, which may be too long for the file system."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def node_box(
@@ -66,12 +75,21 @@ def node_box(
     """
     path = Path(path)
     rotation = frame_rotation(_vector3(up), _vector3(front))
-    scene = _load_scene(str(path))
+    with _reading(str(path)) as scene:
+        found = _node_box(scene)
+    if not len(found) or not np.isfinite(found).all():
+        raise SceneError(f"A mesh file without triangles: {path}")
+    turned = _corners(found) @ rotation.T * units_m
+    return np.stack([turned.min(0), turned.max(0)])
+
+
+def _node_box(scene: Any) -> NDArray[np.float64]:
     children, edges = scene.graph.transforms.children, scene.graph.transforms.edge_data
 
     def box(node: str) -> NDArray[np.float64]:
         _, geometry = scene.graph[node]
-        boxes = [np.zeros((0, 3))] if geometry is None else [np.asarray(scene.geometry[geometry].bounds)]
+        bounds = None if geometry is None else scene.geometry[geometry].bounds
+        boxes = [np.zeros((0, 3)) if bounds is None else np.asarray(bounds)]
         for child in children.get(node, ()):
             inner = box(child)
             if len(inner):
@@ -80,11 +98,7 @@ def node_box(
         points = np.concatenate(boxes)
         return np.stack([points.min(0), points.max(0)]) if len(points) else points
 
-    found = box(scene.graph.base_frame)
-    if not len(found):
-        raise SceneError(f"A mesh file without triangles: {path}")
-    turned = _corners(found) @ rotation.T * units_m
-    return np.stack([turned.min(0), turned.max(0)])
+    return box(scene.graph.base_frame)
 
 
 def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,39 +156,49 @@ def _vector3(value: Sequence[float]) -> Vector3:
 def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
     del mtime_ns  # only part of the key: a changed file is read again
     rotation = frame_rotation(up, front)
-    parts = [_part(geometry, matrix, glb=path.lower().endswith(("glb", "gltf"))) for geometry, matrix in _open(path)]
+    glb = path.lower().endswith(("glb", "gltf"))
+    with _reading(path) as scene:
+        parts = [_part(geometry, matrix, glb=glb) for geometry, matrix in _triangles(scene)]
     parts = [p for p in parts if len(p.faces)]
     if not parts:
         raise SceneError(f"A mesh file without triangles: {path}")
     mesh = merged(parts)
-    if not np.isfinite(mesh.vertices).all():
-        raise SceneError(f"A mesh with vertices that are not finite numbers: {path}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices = (mesh.vertices @ rotation.T * units_m).astype(np.float32)
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(vertices):
+        raise SceneError(f"A mesh with triangles between vertices that do not exist: {path}")
+    if not np.isfinite(vertices).all():
+        raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
     return Mesh(
-        vertices=(mesh.vertices @ rotation.T * units_m).astype(np.float32),
+        vertices=vertices,
         faces=mesh.faces,
         colors=mesh.colors,
         normals=None if mesh.normals is None else (mesh.normals @ rotation.T).astype(np.float32),
     )
 
 
-def _open(path: str) -> list[tuple[Any, NDArray[np.float64]]]:
+def _triangles(scene: Any) -> list[tuple[Any, NDArray[np.float64]]]:
     """Pairs of trimesh geometry and its 4x4 to the file's root."""
     import trimesh
 
-    scene = _load_scene(path)
     nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
     pairs = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in nodes]
     return [(geometry, matrix) for geometry, matrix in pairs if isinstance(geometry, trimesh.Trimesh)]
 
 
-def _load_scene(path: str) -> Any:
-    """The file as trimesh's scene; `SceneError` names the reason if it cannot be read."""
+@contextmanager
+def _reading(path: str) -> Iterator[Any]:
+    """The file as trimesh's scene, for reading in the block; `SceneError` names the reason if that fails.
+
+    Much is decoded only when it is asked for (textures, bounds), and trimesh raises whatever its loaders meet.
+    """
     import trimesh
 
     _refuse_compressed(path)
     try:
-        return trimesh.load_scene(path, process=False)
-    except Exception as fault:  # trimesh raises whatever its loaders meet
+        with np.errstate(all="ignore"):  # of values that are refused afterwards
+            yield trimesh.load_scene(path, process=False)
+    except Exception as fault:
         reason = f"{type(fault).__name__}: {fault}".splitlines()[0][:200]
         raise SceneError(
             f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}"
@@ -185,7 +209,10 @@ def _refuse_compressed(path: str) -> None:
     """`SceneError` for glTF whose triangles are compressed: trimesh would return zeros in their place."""
     if not path.lower().endswith((".glb", ".gltf")):
         return
-    data = Path(path).read_bytes()
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise SceneError(f"The mesh file cannot be read ({error.strerror}): {path}") from None
     header = data[20 : 20 + int.from_bytes(data[12:16], "little")] if data.startswith(b"glTF") else data
     for extension, module in _COMPRESSIONS.items():
         if extension.encode() in header and (module is None or find_spec(module) is None):

@@ -13,6 +13,11 @@ from h3data.errors import SceneError
 from h3data.interop.meshes import DEFAULT_COLOR
 from h3data.scene.records import Mesh
 
+_FINEST = 256
+"""Rings and segments are cut off here: a name in a file must not decide how much memory is taken."""
+
+_LONGEST = 1e6
+
 _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wireframe)(_|$)")
 
 
@@ -36,17 +41,17 @@ def primitive_mesh(name: str) -> Mesh:
     kind, style, _ = match.groups()
     if style == "Wireframe":
         return _mesh(np.zeros((0, 3)), np.zeros((0, 3)))
-    segments, half = int(_number(name, "segments", 12)), _number(name, "halfLen", 1.0)
-    rings = max(1, int(_number(name, "rings", 1)))
+    segments, half = _count(name, "segments", 12, least=3), min(_number(name, "halfLen", 1.0), _LONGEST)
+    rings = _count(name, "rings", 1)
     if kind == "cube":
         return box_mesh((1, 1, 1))
     if kind == "icosphere":
-        return _icosphere(int(_number(name, "subdivs", 1)))
+        return _icosphere(_count(name, "subdivs", 1, least=0))
     if kind == "uvSphere":
-        angles = np.linspace(-np.pi / 2, np.pi / 2, max(2, int(_number(name, "rings", 8))) + 1)
-        return _lathe(np.cos(angles), np.sin(angles), int(_number(name, "segments", 16)), smooth=True)
+        angles = np.linspace(-np.pi / 2, np.pi / 2, _count(name, "rings", 8, least=2) + 1)
+        return _lathe(np.cos(angles), np.sin(angles), _count(name, "segments", 16, least=3), smooth=True)
     if kind == "capsule3D":
-        quarter = np.linspace(0, np.pi / 2, max(1, int(_number(name, "hemiRings", 4))) + 1)
+        quarter = np.linspace(0, np.pi / 2, _count(name, "hemiRings", 4) + 1)
         radii = np.concatenate([np.cos(quarter[::-1]), np.cos(quarter)])
         heights = np.concatenate([-half - np.sin(quarter[::-1]), half + np.sin(quarter)])
         return _lathe(radii, heights, segments, smooth=True)
@@ -85,6 +90,10 @@ def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequ
         colors=np.broadcast_to(np.asarray(color, np.uint8), unit.vertices.shape).copy(),
         normals=(unit.normals @ rotation.T).astype(np.float32),
     )
+
+
+def _count(name: str, key: str, default: int, *, least: int = 1) -> int:
+    return int(min(max(_number(name, key, default), least), _FINEST))
 
 
 def _number(name: str, key: str, default: float) -> float:

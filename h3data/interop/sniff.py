@@ -58,7 +58,7 @@ def sniff(path: str | Path) -> FileKind:
         if data.startswith(magic):
             return kind
     try:
-        content = msgspec.json.decode(data)
+        content = decode_json(data)
     except msgspec.DecodeError:
         return "unknown"
     return json_kind(content, name=path.name)
@@ -92,11 +92,14 @@ def json_kind(content: Any, *, name: str = "") -> FileKind:
 
 def read_bytes(path: Path) -> bytes:
     """The bytes of a file, unpacked if it is gzip; `InputError` if there is none, `FormatError` if it is damaged."""
-    if not path.exists():
-        raise InputError(f"There is no such file: {path}")
-    if path.is_dir():
-        raise InputError(f"Expected a file, this is a folder: {path}")
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"There is no such file: {path}") from None
+    except IsADirectoryError:
+        raise InputError(f"Expected a file, this is a folder: {path}") from None
+    except OSError as error:
+        raise InputError(f"The file cannot be read ({error.strerror}): {path}") from None
     if not data.startswith(b"\x1f\x8b"):
         return data
     try:
@@ -107,13 +110,25 @@ def read_bytes(path: Path) -> bytes:
         ) from None
 
 
+def decode_json(data: bytes, kind: Any = Any) -> Any:
+    """The JSON document as ``kind``; every fault is a `msgspec.DecodeError`. A byte order mark is skipped."""
+    import msgspec
+
+    try:
+        return msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"), type=kind)
+    except RecursionError:
+        raise msgspec.DecodeError("JSON is malformed: brackets are nested too deep") from None
+    except UnicodeDecodeError as fault:
+        raise msgspec.DecodeError(f"JSON is malformed: a text is not UTF-8 ({fault.reason})") from None
+
+
 def read_json(path: Path) -> tuple[bytes, Any]:
     """Bytes and content of a JSON file (gzip allowed); `FormatError` says where it stops being JSON."""
     import msgspec
 
     data = read_bytes(path)
     try:
-        return data, msgspec.json.decode(data)
+        return data, decode_json(data)
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
 
