@@ -1,0 +1,79 @@
+"""The simulator: CPU seconds (user + system, getrusage) of this process, everything warm, the median of some rounds.
+
+The whole step with a picture is the episode of `simulate_social_nav` (expert, contact, recording) and then, step by step,
+posing robot and skinned person and drawing the robot's arm camera: what a loop with a policy that sees would cost.
+"""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+
+from h3data.replay import Replay
+from h3data.replay.cameras import camera_track
+from h3data.scene import FreeSpace, HomeSpec, build_home
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.state import WorldState
+from sim_kinematic.step import drive_robots, walk_humans
+
+Emit = Callable[[str, float, str], None]
+EPISODES = 4
+
+
+def run(emit: Emit) -> None:
+    """Emits ``sim.state.*``, ``sim.social_nav.*`` and ``sim.human_robot.w1_depth_fps``."""
+    home = build_home(HomeSpec(preset="small", seed=1))
+    free = FreeSpace.from_scene(home)
+    emit("sim.state.w1_steps_per_s", _state_steps(free, worlds=1, steps=20_000), "steps/s")
+    emit("sim.state.w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, worlds=1024, steps=300), "steps/s")
+    # collisions do not end these episodes: all have the same number of steps
+    spec = SocialNavSpec(end_on_collision=False)
+    worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
+    recordings = [simulate_social_nav(world) for world in worlds]
+    seconds = median(_cpu_s(lambda w=world: simulate_social_nav(w)) for world in worlds)
+    emit("sim.social_nav.steps_per_cpu_s", spec.max_steps / seconds, "steps/s")
+    replay = Replay(recordings[0])
+    track, steps = camera_track(replay, "robot_arm"), range(0, len(replay), 5)
+
+    def draw() -> None:
+        for _ in replay.frames([track], steps, outputs=("depth",)):
+            pass
+
+    draw()
+    frame_s = median(_cpu_s(draw) for _ in range(3)) / len(steps)
+    size = f"{track.camera.width}x{track.camera.height}"
+    assert size == "224x171", size
+    emit("sim.human_robot.w1_depth_fps", 1 / (frame_s + seconds / spec.max_steps), "frames/s")
+
+
+def _state_steps(free: FreeSpace, *, worlds: int, steps: int) -> float:
+    """Steps per CPU second of all worlds together: robots drive, humans walk; nothing else."""
+    spec = SocialNavSpec()
+    rng = np.random.default_rng(0)
+    state = WorldState.zeros(worlds)
+    state.robot_xz[:], state.human_xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
+    actions = rng.uniform(-1, 1, (64, worlds, 2))
+    goals = np.stack([free.sample(rng, worlds) for _ in range(64)])
+
+    def go(count: int) -> None:
+        for k in range(count):
+            walk_humans(state, goals[(k // 30) % 64], spec.human)
+            drive_robots(state, free, actions[(k // 10) % 64], spec.robot)
+
+    go(10)
+    return steps / median(_cpu_s(lambda: go(steps)) for _ in range(5))
+
+
+def _cpu_s(work: Callable[[], object]) -> float:
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    work()
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+if __name__ == "__main__":
+    run(lambda name, value, unit: print(f"{name} {value:.6g} {unit}"))
