@@ -11,24 +11,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from h3data.errors import InputError
+from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace import sample_sdf, sdf_gradient
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.state import WorldState
 
-_JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
 
-
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def wrap_angle(angle):
     """The angle in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def least_clearance(sdf, origin, cell, x, z, heading, offsets):
     """Smallest signed distance [m] from the centres of the base's discs to an obstacle."""
     least = math.inf
@@ -38,7 +36,7 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
     return least
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
     """Base position moved until its discs, if possible, keep their radius: ``(x, z)``."""
     for _ in range(iterations):
@@ -58,7 +56,7 @@ def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
     return x, z
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def drive_base(sdf, origin, cell, x, z, heading, speed, turn, dt, offsets, radius, iterations, tolerance, touch):
     """One step of a robot base: ``(x, z, heading, touched)``. ``speed`` [m/s] along x, ``turn`` [rad/s] to the left."""
     new_heading = heading + turn * dt
@@ -82,7 +80,7 @@ def drive_base(sdf, origin, cell, x, z, heading, speed, turn, dt, offsets, radiu
     return x, z, heading, True
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
     """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
     dx, dz = goal_x - x, goal_z - z
@@ -97,7 +95,7 @@ def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_wal
     return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, max_turn, dt, offsets, radius, iterations,
                   tolerance, touch):  # fmt: skip
     for w in range(len(heading)):
@@ -114,7 +112,7 @@ def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, ma
     return -1
 
 
-@njit(**_JIT)
+@kernel(error_model="numpy")
 def _walk_worlds(xz, heading, distance, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
     for w in range(len(heading)):
         xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(

@@ -21,7 +21,7 @@ def quads(corners: list) -> Mesh:
     """A grey mesh of quads [N, 4, 3]."""
     points = np.array(corners, np.float32)
     first = 4 * np.arange(len(points), dtype=np.int32)[:, None]
-    faces = (first[:, None] + np.int32([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    faces = (first[:, None] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
     vertices = points.reshape(-1, 3)
     return Mesh(vertices=vertices, faces=faces, colors=np.tile(np.array(GREY, np.uint8), (len(vertices), 1)))
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from h3data.kernels import kernel
 
 FIXED, TURNS, SLIDES = 0, 1, 2
 """How a link moves in its joint frame."""
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def link_frames(
     root: NDArray[np.float64],
     positions: NDArray[np.float64],

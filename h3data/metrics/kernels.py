@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.kernels import kernel
 
 NEVER = -1
 """Row of an encounter or a contact that did not happen."""
@@ -100,7 +101,7 @@ def count(
     )
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _forward_xz(pose):
     """Horizontal part (x, z) of the x axis of a pose7, unit; zero if it points straight up."""
     qx, qy, qz, qw = np.float64(pose[3]), np.float64(pose[4]), np.float64(pose[5]), np.float64(pose[6])
@@ -111,7 +112,7 @@ def _forward_xz(pose):
     return 0.0, 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _sweep(robot, human, reach, time_ns, collision, offsets, limits):
     near, far, facing, avoid, slow, still = limits
     episodes = len(offsets) - 1

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from h3data.kernels import kernel
 
 CLUSTER_TRIANGLES = 96
 """At most; never above 128, because a pixel's word keeps 7 bits for it. 48 and 192 measured the same within noise."""
@@ -42,7 +43,7 @@ def build_clusters(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> C
     return Clusters(packets, triangles, first, center, half)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _centroids(vertices, faces):
     out = np.empty((len(faces), 3), np.float32)
     for f in range(len(faces)):
@@ -52,7 +53,7 @@ def _centroids(vertices, faces):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _select(order, keys, left, right, k):
     """Reorder ``order[left..right]`` (inclusive) so that the k-th of it by key is in its sorted place (quickselect)."""
     while right > left:
@@ -76,7 +77,7 @@ def _select(order, keys, left, right, k):
             return
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _split(centroids):
     """Order of the triangles [F] and the start of each cluster in it, with F at the end, shape [C + 1]."""
     count = len(centroids)
@@ -111,7 +112,7 @@ def _split(centroids):
     return order, starts[: clusters + 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _lanes(order, starts):
     first = np.zeros(len(starts), np.int32)
     for c in range(len(starts) - 1):
@@ -123,7 +124,7 @@ def _lanes(order, starts):
     return triangles, first
 
 
-@njit(cache=True, nogil=True, boundscheck=False)
+@kernel(boundscheck=False)
 def fill_packets(vertices, faces, triangles, first, packets, center, half):
     """Write soup [P, 9, 8] and boxes [C, 3] for new vertices [V, 3] (also after a deformation: the clusters stay)."""
     for c in range(len(first) - 1):
@@ -168,7 +169,7 @@ def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
 
 
-@njit(cache=True, nogil=True, boundscheck=False)
+@kernel(boundscheck=False)
 def smooth_normals(vertices, faces, groups, sums, normals):
     """Write unit vertex normals [V, 3]: the faces' normals, weighted by area, summed over each group.
 

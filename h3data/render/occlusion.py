@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.render.occlusion_simd import (
     CENTER_X,
     CENTER_Y,
@@ -95,7 +96,7 @@ def occlude(view: View, target: Target, samples: int) -> Occlusion:
     return Occlusion(inv_z, planes)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+@kernel(error_model="numpy", boundscheck=False)
 def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
     """Fill ``inv_z`` and ``planes``; ``scratch`` holds z and half-blurred amounts."""
     row = inv_z.shape[1]

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.render.raster_simd import (
     E0,
     E0_DX,
@@ -136,7 +137,7 @@ def new_target(width: int, height: int, *, draws: int, instances: int) -> Target
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+@kernel(error_model="numpy", boundscheck=False)
 def rasterise(geometry, placement, view, target):
     """Draw one picture into ``target``; returns the number of clusters in the frustum."""
     _clear(target, view.width, view.height)
@@ -146,7 +147,7 @@ def rasterise(geometry, placement, view, target):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _clear(target, width, height):
     target.inv_z[:height, :width] = 0
     target.inv_z[:height, width:] = FAR_PADDING
@@ -536,7 +537,7 @@ def _fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
 
 
 # --- results --------------------------------------------------------------------------------------------------------
-@njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+@kernel(error_model="numpy", boundscheck=False)
 def read_depth(inv_z, depth):
     """Write z-depth [H, W] [m], 0 where nothing is."""
     for y in range(depth.shape[0]):
@@ -545,7 +546,7 @@ def read_depth(inv_z, depth):
             depth[y, x] = np.float32(1) / w if w > 0 else np.float32(0)
 
 
-@njit(cache=True, nogil=True, boundscheck=False)
+@kernel(boundscheck=False)
 def read_ids(words, draws, ids_of_instances, ids):
     """Write an id per pixel [H, W] from a table per instance [I]; -1 where nothing is."""
     for y in range(ids.shape[0]):
@@ -554,7 +555,7 @@ def read_ids(words, draws, ids_of_instances, ids):
             ids[y, x] = ids_of_instances[draws[word >> 7, INSTANCE]] if word >= 0 else np.int32(-1)
 
 
-@njit(cache=True, nogil=True, boundscheck=False)
+@kernel(boundscheck=False)
 def read_triangles(words, draws, cluster_packets, packet_triangles, triangles):
     """Write the mesh's triangle per pixel [H, W]; -1 where nothing is."""
     for y in range(triangles.shape[0]):

@@ -1,7 +1,4 @@
-"""The rasteriser's inner steps as 8-wide numba intrinsics: set up 8 triangles, draw 8 pixels, 8x8 minimum.
-
-Note for those who edit this file: numba caches the kernels of `raster.py` by that file's time stamp, so touch it too.
-"""
+"""The rasteriser's inner steps as 8-wide numba intrinsics: set up 8 triangles, draw 8 pixels, 8x8 minimum."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.geometry import normalized
+from h3data.kernels import kernel
 from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude
 from h3data.render.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
 from h3data.render.scene import Surface
@@ -136,7 +137,7 @@ def shade(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", boundscheck=False)
+@kernel(error_model="numpy", boundscheck=False)
 def _shade_image(geometry, surface, matrices, view, target, light, tables, occlusion, strength, rgb, normal, fine):
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor

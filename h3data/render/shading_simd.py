@@ -1,7 +1,4 @@
-"""Lighting of 8 pixels at a time, as one numba intrinsic.
-
-Note for those who edit this file: numba caches the kernels of `shading.py` by that file's time stamp, so touch it too.
-"""
+"""Lighting of 8 pixels at a time, as one numba intrinsic."""
 
 from __future__ import annotations
 

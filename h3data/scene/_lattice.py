@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.scene._sdf import line_of_sight
 from h3data.scene._visibility import Graph, geodesic_pair, locate, sees, visible_nodes
 
@@ -40,7 +40,7 @@ class Lattice(NamedTuple):
     """Shortest path lengths [m], inf between islands, shape [k, k]."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
     """Exact distances [k, k] between free points: through the corners that each sees, or straight."""
     k = len(points)
@@ -83,7 +83,7 @@ def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
     return table
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _islands(graph: Graph, origin: NDArray, step: float, nx: int, nz: int) -> NDArray:
     out = np.empty((nx, nz), np.int32)
     for i in range(nx):
@@ -105,7 +105,7 @@ def build_lattice(graph: Graph, bounds: tuple[float, float, float, float], *, st
     return Lattice(origin, step, rows, _table(graph, points, island[free]))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _seen_nodes(
     sdf: NDArray,
     origin: NDArray,
@@ -136,7 +136,7 @@ def _seen_nodes(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def lattice_distance(
     sdf: NDArray,
     origin: NDArray,
@@ -165,7 +165,7 @@ def lattice_distance(
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def quick_distance(
     graph: Graph,
     sdf: NDArray,
@@ -186,7 +186,7 @@ def quick_distance(
     return length
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def quick_distance_many(
     graph: Graph,
     sdf: NDArray,

@@ -7,9 +7,10 @@ floor, positive on free floor, negative off it. They are not inflated: a disc of
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.kernels import kernel
 
 MIN_STEP_M = 0.02
 """Shortest stride of sphere tracing: without it a ray along a wall would creep."""
@@ -18,7 +19,7 @@ SLACK_M = 0.004
 surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> float:
     """Signed distance [m] at the floor point (x, z), bilinear; off the grid the border value minus the way to it."""
     fx = (x - origin[0]) / cell - 0.5
@@ -34,7 +35,7 @@ def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -
     return near + far - cell * np.hypot(fx - cx, fz - cz)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> tuple[float, float]:
     """Gradient (d/dx, d/dz) of the bilinear distance at (x, z): points away from the nearest obstacle, length about 1
     (shorter on the ridges half-way between obstacles)."""
@@ -53,7 +54,7 @@ def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float)
     return gx, gz
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def line_of_sight(
     sdf: NDArray, origin: NDArray, cell: float, radius: float, ax: float, az: float, bx: float, bz: float
 ) -> bool:
@@ -72,7 +73,7 @@ def line_of_sight(
     return sample_sdf(sdf, origin, cell, bx, bz) >= radius - SLACK_M
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
     """Signed distances [N] [m] at points [N, 2]."""
     out = np.empty(len(points))
@@ -81,7 +82,7 @@ def sample_sdf_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray)
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sdf_gradient_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArray) -> NDArray:
     """Gradients [N, 2] of the distance at points [N, 2]."""
     out = np.empty((len(points), 2))
@@ -90,7 +91,7 @@ def sdf_gradient_many(sdf: NDArray, origin: NDArray, cell: float, points: NDArra
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
     """Distance from a point to the segment a-b."""
     dx = bx - ax
@@ -102,7 +103,7 @@ def point_segment_distance(x: float, z: float, ax: float, az: float, bx: float, 
     return np.hypot(x - ax - t * dx, z - az - t * dz)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
     """Whether each cell centre lies inside the rings ``edges`` [E, 4] (even-odd rule), bool [nx, nz]: one scan line per
     row of cells flips everything behind each crossing."""
@@ -130,7 +131,7 @@ def inside_mask(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) 
     return inside
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sdf_from_edges(edges: NDArray, origin: NDArray, cell: float, nx: int, nz: int) -> NDArray:
     """Exact signed distance [m] of every cell centre to the closed rings ``edges`` [E, 4], float32 [nx, nz].
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from heapq import heappop, heappush
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 from h3data.scene._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment
 
 STARTS_MAX = 64
 """Polygons that may meet in one point."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -> bool:
     """Whether direction u lies between the right and the left border of a cone (less than half a turn)."""
     eps = ANGLE_EPS * (abs(ux) + abs(uz))
@@ -22,7 +22,7 @@ def _in_cone(ux: float, uz: float, rx: float, rz: float, lx: float, lz: float) -
     return right and _cross(ux, uz, lx, lz) >= -eps * (abs(lx) + abs(lz))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray) -> int:
     """How many polygons meet in (x, z), from one of them through edges that touch the point; fills their indices."""
     found[0] = polygon
@@ -49,10 +49,8 @@ def _meeting(surface: Surface, polygon: int, x: float, z: float, found: NDArray)
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def view(
-    surface: Surface, polygon: int, x: float, z: float, target: int, tx: float, tz: float, seen: NDArray
-) -> bool:
+@kernel()
+def view(surface: Surface, polygon: int, x: float, z: float, target: int, tx: float, tz: float, seen: NDArray) -> bool:
     """Marks the nodes that are seen from (x, z), bool [n], and says whether (tx, tz) in polygon ``target`` is.
 
     Triangular expansion (Bungiu et al. 2014) on convex polygons: a cone of view is narrowed by every edge it goes through.
@@ -110,7 +108,7 @@ def view(
     return hit
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
     """Whether a taut string from (x, z) can bend at a node: both walls beside it lie on one side of the string."""
     vx, vz = surface.node[node, 0], surface.node[node, 2]
@@ -123,7 +121,7 @@ def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
     return not ((a > eps and b < -eps) or (a < -eps and b > eps))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
     """Links between nodes that see each other and are taut at both ends: (start int64 [n + 1], node int32 [links])."""
     n = len(surface.node)
@@ -148,7 +146,7 @@ def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
     return start, links[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: int) -> tuple[float, NDArray]:
     """Length [m] in space of the shortest path between points [3] in polygons ``first`` and ``last``, and its points
     [k, 3]; inf and none where there is no way."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.kernels import kernel
 
 GROW_M = 1e-4
 """How far the blocking edges lie outside the free area [m]."""
@@ -54,7 +55,7 @@ class Graph(NamedTuple):
     """Side of a bucket, shape [1] [m]."""
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx: float, dz: float) -> bool:
     """Whether segments a-b and c-d cross. Half-open: a line through a shared end point of two edges that lie on its two
     sides crosses exactly one of them, so nothing slips through a vertex."""
@@ -67,7 +68,7 @@ def crosses(ax: float, az: float, bx: float, bz: float, cx: float, cz: float, dx
     return (c >= 0.0) != (d >= 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int) -> tuple[NDArray, NDArray]:
     """Which edges [E, 4] touch each bucket of a grid, as (start int32 [nx * nz + 1], items int32)."""
     margin = 1e-6  # so that a ray through the corner of a bucket finds its edges whichever way rounding sends it
@@ -106,7 +107,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
     return start, items
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
     """Whether the straight way from a to b stays in the free area: walks the buckets along it."""
     size = graph.bucket_size[0]
@@ -140,7 +141,7 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def locate(graph: Graph, x: float, z: float) -> int:
     """Island of a point, -1 = not free: the label of the bucket's middle, changed at every edge on the way to it."""
     size = graph.bucket_size[0]
@@ -173,7 +174,7 @@ def locate(graph: Graph, x: float, z: float) -> int:
     return int(island) if free != odd else -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple[float, float, int]:
     """(x, z, island) of the free point nearest to (x, z); island -1 and NaN when there is none within reach."""
     island = locate(graph, x, z)
@@ -196,7 +197,7 @@ def nearest_free(graph: Graph, x: float, z: float, max_distance: float) -> tuple
     return found_x, found_z, island
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
     """Whether a taut string from (x, z) can bend at a node: both its ring neighbours lie on one side of the string.
 
@@ -213,7 +214,7 @@ def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
     return not ((a > eps_a and b < -eps_b) or (a < -eps_a and b > eps_b))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
     """Pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
     pairs = np.empty((1024, 2), np.int32)
@@ -238,7 +239,7 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
     return pairs[:count], lengths[:count]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def visible_nodes(graph: Graph, x: float, z: float, island: int, found: NDArray, away: NDArray) -> int:
     """How many nodes a taut string from (x, z) can reach first; fills their indices and distances."""
     count = 0
@@ -251,7 +252,7 @@ def visible_nodes(graph: Graph, x: float, z: float, island: int, found: NDArray,
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def geodesic_pair(
     graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float
 ) -> tuple[float, int, int, float, float, float, float]:
@@ -289,7 +290,7 @@ def geodesic_pair(
     return best, enter, leave, ax, az, bx, bz
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float) -> NDArray:
     """Shortest path lengths [N] [m] between points [N, 2]; inf where there is no way."""
     out = np.empty(len(starts))
@@ -298,7 +299,7 @@ def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float)
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
     """Way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
@@ -319,7 +320,7 @@ def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap
     return points
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def locate_many(graph: Graph, points: NDArray) -> NDArray:
     """Islands [N] of points [N, 2], -1 = not free."""
     out = np.empty(len(points), np.int32)
@@ -328,7 +329,7 @@ def locate_many(graph: Graph, points: NDArray) -> NDArray:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def snap_many(graph: Graph, points: NDArray, max_distance: float) -> NDArray:
     """Nearest free points [N, 2] of points [N, 2]; NaN where none is within ``max_distance``."""
     out = np.empty((len(points), 2))

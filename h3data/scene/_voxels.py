@@ -6,12 +6,13 @@ and has headroom, and neighbouring surfaces join when the step between them is n
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel
 
-@numba.njit(cache=True, nogil=True)
+
+@kernel()
 def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, out: NDArray) -> int:
     """Part of a convex polygon [count, 3] on one side of an axis-aligned plane (Sutherland-Hodgman), into ``out``."""
     n = 0
@@ -32,7 +33,7 @@ def _clip(poly: NDArray, count: int, axis: int, plane: float, keep_above: bool, 
     return n
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def voxel_columns(
     triangles: NDArray, steep_cos: float, origin: NDArray, cell: float, level: float, shape: tuple[int, int, int]
 ) -> NDArray:
@@ -76,7 +77,7 @@ def voxel_columns(
     return columns
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def mark_standable(columns: NDArray, head: int, climb: int) -> int:
     """Marks with 3 every surface voxel that one can stand on; returns how many there are.
 
@@ -107,7 +108,7 @@ def mark_standable(columns: NDArray, head: int, climb: int) -> int:
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple[NDArray, NDArray, NDArray]:
     """Connected surfaces among the voxels marked 3: (voxel [total, 3] as i j k, its component [total], sizes [C])."""
     nx, nz, ny = columns.shape
@@ -147,7 +148,7 @@ def flood_surfaces(columns: NDArray, total: int, climb: int, head: int) -> tuple
     return voxel[:count], component[:count], sizes[:components]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, head: int) -> bool:
     """Whether somebody standing on the higher of two surfaces also fits above the lower one."""
     ny = columns.shape[2]
@@ -160,7 +161,7 @@ def _headroom(columns: NDArray, i: int, j: int, k: int, u: int, v: int, w: int, 
     return free
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def mask_rectangles(mask: NDArray) -> NDArray:
     """Disjoint rectangles ``i0 j0 i1 j1`` (ends excluded) [R, 4] that cover a bool mask: equal runs of rows are merged."""
     nx, nz = mask.shape

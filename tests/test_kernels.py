@@ -1,0 +1,80 @@
+"""Compiled kernels are compiled anew when anything changes that went into them."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from h3data import kernels
+
+ROOT = Path(__file__).resolve().parents[1]
+
+KERNEL = """
+from h3data.kernels import kernel
+from stale_part import SIZE, double
+
+@kernel()
+def scaled(x):
+    return double(x) * SIZE
+"""
+PART = """
+from numba import njit
+from stale_constants import SIZE
+
+@njit(nogil=True)
+def double(x):
+    return {factor} * x
+"""
+SCRIPT = """
+from h3data import kernels
+kernels.OURS = ("h3data", "stale_kernel", "stale_part", "stale_constants")
+import stale_kernel
+print(stale_kernel.scaled(1.0), sum(stale_kernel.scaled.stats.cache_hits.values()))
+"""
+
+
+def _run(folder: Path, *, factor: int, size: int) -> str:
+    for name, text in (("kernel", KERNEL), ("part", PART.format(factor=factor)), ("constants", f"SIZE = {size}\n")):
+        path = folder / f"stale_{name}.py"
+        path.write_text(text)
+        os.utime(path, (1_700_000_000, 1_700_000_000))  # the worst case: size and time do not tell
+    environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_a_kernel_follows_changes_in_the_files_it_imports(tmp_path: Path):
+    assert _run(tmp_path, factor=2, size=3) == "6.0 0"
+    assert _run(tmp_path, factor=2, size=3) == "6.0 1"  # from the cache
+    assert _run(tmp_path, factor=5, size=3) == "15.0 0"  # a function that it calls
+    assert _run(tmp_path, factor=5, size=4) == "20.0 0"  # a constant that it takes from a file further down
+
+
+def test_the_renderer_stamps_cover_the_intrinsics():
+    for module, inside in {
+        "h3data.render.raster": {"h3data.render.raster_simd", "h3data.render.vectors"},
+        "h3data.render.shading": {"h3data.render.occlusion_simd", "h3data.render.vectors", "h3data.render.raster"},
+        "sim_kinematic.step": {"h3data.scene._sdf", "sim_kinematic.spec"},
+    }.items():
+        __import__(module)
+        seen, waiting = set(), {module}
+        while waiting:
+            name = waiting.pop()
+            seen.add(name)
+            waiting |= set(kernels._source(name)[1]) - seen
+        assert inside <= seen
+
+
+def test_nothing_is_cached_past_the_decorator():
+    for path in [*(ROOT / "h3data").rglob("*.py"), *(ROOT / "sim_kinematic").rglob("*.py")]:
+        if path.name == "kernels.py" and path.parent.name == "h3data":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            cached = (
+                isinstance(node, ast.keyword) and node.arg == "cache" and getattr(node.value, "value", None) is True
+            )
+            assert not cached, f"{path}:{node.value.lineno}: use h3data.kernels.kernel"  # type: ignore[attr-defined]
