@@ -1,0 +1,315 @@
+"""Numba kernels on a walking surface: convex polygons in space that share edges. All go from polygon to polygon through
+shared edges, so floors may lie above each other, and nothing gets through a wall, however thin or long the step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel
+
+REACH_M = np.array([2.0, 4.0, 2.0])
+"""Half extents x, y, z of the box in which the nearest polygon is sought (spec/habitat.md 6.7)."""
+VISITED_MAX = 256
+"""Polygons that one step may look at (Detour: 64, but a `FreeSpace` in triangles has more and smaller ones)."""
+SEARCH_SLACK_M = 0.001
+"""A step looks this much beyond the circle around start and end, as Detour's moveAlongSurface."""
+TOUCH_M = 1e-6
+"""A point this near to an edge is in the polygons of both sides."""
+ANGLE_EPS = 1e-9
+"""Sine of the angle by which a corner may lie outside a cone of view and still be seen."""
+TAUT_EPS = 1e-9
+"""Cross products [m2] below this count as collinear."""
+
+
+class Surface(NamedTuple):
+    """Polygons as flat arrays; corner s of polygon p: ``start[p] <= s < start[p + 1]``, counter-clockwise in (x, z)."""
+
+    start: NDArray[np.int32]
+    """Shape [P + 1]."""
+    corner: NDArray[np.float64]
+    """Corners (x, y, z), shape [S, 3] [m]."""
+    neighbour: NDArray[np.int32]
+    """Polygon across the edge from corner s to the next, -1 at a wall, shape [S]."""
+    island: NDArray[np.int32]
+    """Shape [P]."""
+    box: NDArray[np.float64]
+    """Lower and upper corner of each polygon, shape [P, 6]."""
+    triangle_start: NDArray[np.int32]
+    """Shape [P + 1]."""
+    triangle: NDArray[np.float64]
+    """Ground under each polygon, shape [T, 3, 3] [m]."""
+    climb: NDArray[np.float64]
+    """A polygon straight above or below by less than this counts as touched, shape [1] [m]."""
+    bucket_first: NDArray[np.int32]
+    """Polygons that touch bucket (i, j) are ``bucket_polygon[bucket_first[i, j]:bucket_first[i, j] + bucket_count[i, j]]``,
+    shape [bx, bz]."""
+    bucket_count: NDArray[np.int32]
+    bucket_polygon: NDArray[np.int32]
+    bucket: NDArray[np.float64]
+    """Lower corner (x, z) of bucket (0, 0) and the side of a bucket, shape [3] [m]."""
+    corner_node: NDArray[np.int32]
+    """Node of the path graph at each corner, -1: none, shape [S]."""
+    node: NDArray[np.float64]
+    """Where a path may bend, (x, y, z), shape [n, 3]."""
+    node_polygon: NDArray[np.int32]
+    """A polygon with that corner, shape [n]."""
+    node_side: NDArray[np.float64]
+    """The wall corners (x, z) before and after each node, shape [n, 4]."""
+    link_start: NDArray[np.int64]
+    """Links of node i are ``link_start[i]:link_start[i + 1]``, shape [n + 1]."""
+    link_node: NDArray[np.int32]
+    link_length: NDArray[np.float64]
+    """Length in space [m]."""
+
+
+@kernel()
+def _cross(ax: float, az: float, bx: float, bz: float) -> float:
+    return ax * bz - az * bx
+
+
+@kernel()
+def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
+    """Whether (x, z) is in a polygon, its border included."""
+    first, last = surface.start[polygon], surface.start[polygon + 1]
+    ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
+    for s in range(first, last):
+        bx, bz = surface.corner[s, 0], surface.corner[s, 2]
+        if _cross(bx - ax, bz - az, x - ax, z - az) < 0.0:
+            return False
+        ax, az = bx, bz
+    return True
+
+
+@kernel()
+def height(surface: Surface, polygon: int, x: float, z: float) -> float:
+    """Height [m] of the ground of a polygon at (x, z), of the triangle that contains it best."""
+    best = -np.inf
+    y = surface.corner[surface.start[polygon], 1]
+    for t in range(surface.triangle_start[polygon], surface.triangle_start[polygon + 1]):
+        a, b, c = surface.triangle[t, 0], surface.triangle[t, 1], surface.triangle[t, 2]
+        area = _cross(b[0] - a[0], b[2] - a[2], c[0] - a[0], c[2] - a[2])
+        if area == 0.0:
+            continue
+        v = _cross(x - a[0], z - a[2], c[0] - a[0], c[2] - a[2]) / area
+        w = _cross(b[0] - a[0], b[2] - a[2], x - a[0], z - a[2]) / area
+        u = 1.0 - v - w
+        inside = min(u, v, w)
+        if inside > best:
+            best = inside
+            y = u * a[1] + v * b[1] + w * c[1]
+        if inside >= 0.0:
+            break
+    return y
+
+
+@kernel()
+def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
+    """Where on the segment a-b, 0 to 1, the point nearest to (x, z) is."""
+    dx, dz = bx - ax, bz - az
+    square = dx * dx + dz * dz
+    if square <= 0.0:
+        return 0.0
+    return min(max(((x - ax) * dx + (z - az) * dz) / square, 0.0), 1.0)
+
+
+@kernel()
+def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tuple[int, float, float, float]:
+    """(polygon, x, y, z) of the point of the surface nearest to a point, polygon -1: none in reach. As Detour's
+    findNearestPoly: polygons whose box touches the box of `REACH_M`; straight above or below counts less the climb.
+
+    With ``island`` >= 0 only its polygons count.
+    """
+    if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        return -1, np.nan, np.nan, np.nan
+    climb = surface.climb[0]
+    i = int(np.floor(min(max((x - surface.bucket[0]) / surface.bucket[2], -1.0), 1e6)))
+    j = int(np.floor(min(max((z - surface.bucket[1]) / surface.bucket[2], -1.0), 1e6)))
+    if 0 <= i < surface.bucket_count.shape[0] and 0 <= j < surface.bucket_count.shape[1]:
+        first = surface.bucket_first[i, j]
+        for k in range(first, first + surface.bucket_count[i, j]):
+            p = surface.bucket_polygon[k]
+            if (island < 0 or surface.island[p] == island) and contains(surface, p, x, z):
+                h = height(surface, p, x, z)
+                if abs(h - y) <= climb:
+                    return p, x, h, z
+    best, found, fx, fy, fz = np.inf, -1, np.nan, np.nan, np.nan
+    for p in range(len(surface.island)):
+        box = surface.box[p]
+        if box[0] > x + REACH_M[0] or box[1] > y + REACH_M[1] or box[2] > z + REACH_M[2]:
+            continue
+        if box[3] < x - REACH_M[0] or box[4] < y - REACH_M[1] or box[5] < z - REACH_M[2]:
+            continue
+        if island >= 0 and surface.island[p] != island:
+            continue
+        if contains(surface, p, x, z):
+            h = height(surface, p, x, z)
+            d = max(abs(h - y) - climb, 0.0)
+            if d * d < best:
+                best, found, fx, fy, fz = d * d, p, x, h, z
+            continue
+        near, qx, qz = np.inf, x, z
+        last = surface.start[p + 1]
+        ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
+        for s in range(surface.start[p], last):
+            bx, bz = surface.corner[s, 0], surface.corner[s, 2]
+            t = _on_segment(x, z, ax, az, bx, bz)
+            ex, ez = ax + t * (bx - ax), az + t * (bz - az)
+            d = (x - ex) ** 2 + (z - ez) ** 2
+            if d < near:
+                near, qx, qz = d, ex, ez
+            ax, az = bx, bz
+        if near >= best:
+            continue
+        h = height(surface, p, qx, qz)
+        d = near + (h - y) ** 2
+        if d < best:
+            best, found, fx, fy, fz = d, p, qx, h, qz
+    return found, fx, fy, fz
+
+
+@kernel()
+def slide(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
+    """(polygon, x, z) of the point nearest to the target that can be reached from (x, z) within the circle over the way
+    there: the target itself, or a point of the walls around. As Detour's moveAlongSurface."""
+    visited = np.empty(VISITED_MAX, np.int32)
+    visited[0] = polygon
+    count = 1
+    mx, mz = (x + tx) / 2, (z + tz) / 2
+    radius = np.hypot(tx - x, tz - z) / 2 + SEARCH_SLACK_M
+    best, found, fx, fz = np.inf, polygon, x, z
+    head = 0
+    while head < count:
+        p = visited[head]
+        head += 1
+        if contains(surface, p, tx, tz):
+            return p, tx, tz
+        first, last = surface.start[p], surface.start[p + 1]
+        for s in range(first, last):
+            r = s + 1 if s + 1 < last else first
+            ax, az, bx, bz = surface.corner[s, 0], surface.corner[s, 2], surface.corner[r, 0], surface.corner[r, 2]
+            beyond = surface.neighbour[s]
+            if beyond < 0:
+                t = _on_segment(tx, tz, ax, az, bx, bz)
+                ex, ez = ax + t * (bx - ax), az + t * (bz - az)
+                d = (tx - ex) ** 2 + (tz - ez) ** 2
+                if d < best:
+                    best, found, fx, fz = d, p, ex, ez
+                continue
+            t = _on_segment(mx, mz, ax, az, bx, bz)
+            if np.hypot(mx - ax - t * (bx - ax), mz - az - t * (bz - az)) > radius or count == VISITED_MAX:
+                continue
+            known = False
+            for k in range(count):
+                known |= visited[k] == beyond
+            if not known:
+                visited[count] = beyond
+                count += 1
+    return found, fx, fz
+
+
+@kernel()
+def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
+    """(polygon, x, z) where a straight way from (x, z) to the target ends: there, or at the first wall."""
+    dx, dz = tx - x, tz - z
+    reached = 0.0
+    p = polygon
+    for _ in range(len(surface.island) + 1):
+        first, last = surface.start[p], surface.start[p + 1]
+        leave, edge = np.inf, -1
+        for s in range(first, last):
+            r = s + 1 if s + 1 < last else first
+            ex, ez = surface.corner[r, 0] - surface.corner[s, 0], surface.corner[r, 2] - surface.corner[s, 2]
+            out = _cross(dx, dz, ex, ez)  # positive: the way goes out through this edge
+            if out <= 0.0:
+                continue
+            t = _cross(surface.corner[s, 0] - x, surface.corner[s, 2] - z, ex, ez) / out
+            if t < leave:
+                leave, edge = t, s
+        if edge < 0 or leave >= 1.0:
+            return p, tx, tz
+        reached = max(reached, leave)
+        if surface.neighbour[edge] < 0:
+            break
+        p = surface.neighbour[edge]
+    return p, x + reached * dx, z + reached * dz
+
+
+@kernel()
+def try_step(surface: Surface, start: NDArray, end: NDArray, sliding: bool) -> NDArray:
+    """Where a step from start [3] to end [3] ends [3]: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
+    out = start.copy()
+    p, x, _, z = nearest(surface, start[0], start[1], start[2], -1)
+    q = nearest(surface, end[0], end[1], end[2], -1)[0]
+    if p < 0 or q < 0:
+        return out
+    if sliding:
+        last, fx, fz = slide(surface, p, x, z, end[0], end[2])
+    else:
+        last, fx, fz = straight(surface, p, x, z, end[0], end[2])
+    fy = height(surface, last, fx, fz)
+    other = nearest(surface, fx, fy, fz, -1)[0]
+    if other < 0 or surface.island[other] != surface.island[p]:  # on an edge of another island: 0.1 mm into ours
+        first, after = surface.start[last], surface.start[last + 1]
+        mx, mz = surface.corner[first:after, 0].mean() - fx, surface.corner[first:after, 2].mean() - fz
+        length = np.hypot(mx, mz)
+        if length > 0.0:
+            fx += 1e-4 * mx / length
+            fz += 1e-4 * mz / length
+    out[0], out[1], out[2] = fx, fy, fz
+    return out
+
+
+@kernel()
+def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> tuple[float, NDArray]:
+    """Distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3];
+    ``radius`` and NaN when there is none within it. As Detour's findDistanceToWall."""
+    hit = np.full(3, np.nan)
+    seen = np.zeros(len(surface.island), np.bool_)
+    stack = np.empty(len(surface.island), np.int32)
+    stack[0] = polygon
+    seen[polygon] = True
+    top = 1
+    best = radius
+    while top > 0:
+        top -= 1
+        p = stack[top]
+        first, last = surface.start[p], surface.start[p + 1]
+        for s in range(first, last):
+            r = s + 1 if s + 1 < last else first
+            a, b = surface.corner[s], surface.corner[r]
+            t = _on_segment(x, z, a[0], a[2], b[0], b[2])
+            d = np.hypot(x - a[0] - t * (b[0] - a[0]), z - a[2] - t * (b[2] - a[2]))
+            if d > best:
+                continue
+            beyond = surface.neighbour[s]
+            if beyond >= 0:
+                if not seen[beyond]:
+                    seen[beyond] = True
+                    stack[top] = beyond
+                    top += 1
+            elif d < best or np.isnan(hit[0]):
+                best = d
+                for k in range(3):
+                    hit[k] = a[k] + t * (b[k] - a[k])
+    return best, hit
+
+
+@kernel()
+def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> int:
+    """Polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
+    p, nx, ny, nz = nearest(surface, x, y, z, -1)
+    if p < 0 or abs(ny - y) > delta or np.hypot(nx - x, nz - z) > 1e-2:
+        return -1
+    return p
+
+
+@kernel()
+def island_map(surface: Surface, x0: float, z0: float, step: float, y: float, delta: float, out: NDArray) -> None:
+    """Fills int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1: none."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            p = navigable(surface, x0 + j * step, y, z0 + i * step, delta)
+            out[i, j] = surface.island[p] if p >= 0 else -1
