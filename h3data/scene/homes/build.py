@@ -46,21 +46,19 @@ class _Collector:
         )
 
     def furniture(self, placed: Placed) -> Instance:
-        asset = placed.piece.asset
-        if id(asset) not in self._names:
-            number = self._kinds[asset.category] = self._kinds.get(asset.category, -1) + 1
-            name = self._names[id(asset)] = f"{asset.category}_model_{number}"
-            self.assets[name] = Asset(
-                name=name, mesh=asset.mesh, category=asset.category, shapes=asset.shapes, receptacles=asset.receptacles
-            )
-        number = self._count[asset.category] = self._count.get(asset.category, -1) + 1
+        piece = placed.piece
+        if id(piece) not in self._names:
+            number = self._kinds[piece.category] = self._kinds.get(piece.category, -1) + 1
+            name = self._names[id(piece)] = f"{piece.category}_model_{number}"
+            self.assets[name] = piece.asset(name)
+        number = self._count[piece.category] = self._count.get(piece.category, -1) + 1
         heading = placed.quarter * np.pi / 2 + placed.yaw
         pose = np.concatenate([[placed.x, placed.y, placed.z], quat_from_heading(heading)])
         instance = Instance(
-            name=f"{asset.category}_{number}",
-            asset=self._names[id(asset)],
+            name=f"{piece.category}_{number}",
+            asset=self._names[id(piece)],
             pose=pose,
-            semantic_id=CATEGORIES[asset.category],
+            semantic_id=CATEGORIES[piece.category],
             layer=placed.layer,
         )
         self.instances.append(instance)

@@ -16,11 +16,15 @@ from h3data.scene.homes.style import Style
 from h3data.scene.records import Asset, Box, Cylinder, Receptacle, Shape
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Furniture:
-    """One parametric asset with what the placement has to know about it."""
+    """One parametric piece with what the placement has to know about it."""
 
-    asset: Asset
+    category: str
+    builder: MeshBuilder
+    """What it looks like; triangles are made by `asset`, when the piece has found its place."""
+    shapes: tuple[Shape, ...]
+    receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
     """Footprint and height: x, y, z [m]."""
     front_m: float = 0.0
@@ -30,7 +34,17 @@ class Furniture:
 
     @property
     def solid(self) -> bool:
-        return bool(self.asset.shapes)
+        return bool(self.shapes)
+
+    def asset(self, name: str) -> Asset:
+        """The asset under a name of its own."""
+        return Asset(
+            name=name,
+            mesh=self.builder.mesh(),
+            category=self.category,
+            shapes=self.shapes,
+            receptacles=self.receptacles,
+        )
 
 
 Maker = Callable[[np.random.Generator, Style], Furniture]
@@ -67,11 +81,16 @@ def finish(
     front: float = 0.0,
     wall_gap: float = 0.02,
 ) -> Furniture:
-    """The record of a piece just built; the caller of the maker gives the asset its final name."""
-    asset = Asset(
-        name=category, mesh=mesh.mesh(), category=category, shapes=tuple(shapes), receptacles=tuple(receptacles)
+    """The record of a piece just modelled."""
+    return Furniture(
+        category=category,
+        builder=mesh,
+        shapes=tuple(shapes),
+        receptacles=tuple(receptacles),
+        size=size,
+        front_m=front,
+        wall_gap_m=wall_gap,
     )
-    return Furniture(asset=asset, size=size, front_m=front, wall_gap_m=wall_gap)
 
 
 def legs(mesh: MeshBuilder, half_x: float, half_z: float, top: float, color: Color, thick: float = 0.05) -> list[Shape]:

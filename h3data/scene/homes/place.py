@@ -222,10 +222,10 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
     for p in group:
         if p.y > 0 or not p.piece.solid:
             continue
-        if p.piece.asset.category != "chair" and not (p.piece.front_m > 0 or p.piece.asset.receptacles):
+        if p.piece.category != "chair" and not (p.piece.front_m > 0 or p.piece.receptacles):
             continue
-        near = _REACH.get(p.piece.asset.category, PLAN_RADIUS + 0.06)
-        faced = p.piece.front_m > 0 or p.piece.asset.category in ("nightstand", "desk")
+        near = _REACH.get(p.piece.category, PLAN_RADIUS + 0.06)
+        faced = p.piece.front_m > 0 or p.piece.category in ("nightstand", "desk")
         goals.append((front_strip(p, 0.002) if faced else footprint(p), near))
     return goals
 
@@ -263,7 +263,7 @@ def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
 def commit(state: RoomState, group: Sequence[Placed]) -> None:
     """Takes a group into the room. Rugs that would leave the room or cover another rug are left out."""
     for p in group:
-        if p.piece.asset.category == "rug":
+        if p.piece.category == "rug":
             rect = footprint(p)
             if not _inside(rect, state.interior) or any(overlap(rect, other) for other in state.rugs):
                 continue

@@ -190,7 +190,7 @@ def _row(pieces: Sequence[Furniture]) -> list[Member]:
 def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, row: Sequence[Placed]) -> None:
     cabinets: dict[float, Furniture] = {}
     for p in row:
-        if p.piece.asset.category != "kitchen_counter":
+        if p.piece.category != "kitchen_counter":
             continue
         u, half = (p.x if p.quarter % 2 == 0 else p.z), p.piece.size[0] / 2
         holes = [*state.windows, *state.doors]
@@ -256,7 +256,7 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
     done = _need(done, "bath or shower", state)
     basin = _need(_single(rng, state, bath.bathroom_sink(rng, style), middle=True), "basin", state)[0]
     _need(_single(rng, state, bath.toilet(rng, style)), "toilet", state)
-    if first and done[0].piece.asset.category == "bathtub":
+    if first and done[0].piece.category == "bathtub":
         _single(rng, state, bath.shower(rng, style), left_corner=True)
     glass = bath.mirror(rng, style, min(0.7, basin.piece.size[0]))
     _hang(state, glass, basin.quarter, basin.x if basin.quarter % 2 == 0 else basin.z, 1.52)
@@ -288,7 +288,7 @@ def _hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> 
     span = (half, 0.1) if side % 2 == 0 else (0.1, half)
     rect = (x + dx - span[0], z + dz - span[1], x + dx + span[0], z + dz + span[1])
     for p in state.placed:
-        top = p.y + p.piece.size[1] if p.piece.asset.category not in ("picture", "mirror") else 9.0
+        top = p.y + p.piece.size[1] if p.piece.category not in ("picture", "mirror") else 9.0
         if top > y - piece.size[1] / 2 - 0.05 and overlap(footprint(p), rect):
             return False
     state.placed.append(Placed(piece=piece, room=state.room.name, x=x, z=z, quarter=side, y=y))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import product
 
@@ -19,14 +19,15 @@ _CREASE_COS = float(np.cos(np.radians(50)))
 
 def shade(color: Sequence[int], factor: float) -> Color:
     """The colour made darker (factor < 1) or lighter."""
-    r, g, b = (int(np.clip(round(c * factor), 0, 255)) for c in color)
+    r, g, b = (min(255, max(0, round(c * factor))) for c in color)
     return r, g, b
 
 
 def vary(rng: np.random.Generator, color: Sequence[int], amount: float = 0.06) -> Color:
     """The colour with its brightness changed by up to ``amount`` either way, and its hue a little."""
-    factor = 1 + rng.uniform(-amount, amount) + rng.uniform(-amount, amount, 3) / 4
-    r, g, b = np.clip(np.round(np.asarray(color) * factor), 0, 255).astype(int).tolist()
+    draws = (2 * rng.random(4) - 1) * amount
+    common, *hue = draws.tolist()
+    r, g, b = (min(255, max(0, round(c * (1 + common + h / 4)))) for c, h in zip(color, hue, strict=True))
     return r, g, b
 
 
@@ -100,34 +101,115 @@ def _grid_cube(n: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return np.array(points), np.array(faces, np.int32)
 
 
+_Solid = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+"""Vertices [V, 3], unit normals [V, 3] and triangles [F, 3] about the origin."""
+
+
+def _boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[_Solid, NDArray[np.intp]]:
+    """Boxes of whole sizes [N, 3], edges cut by bevels [N], and the box of each vertex; all in one go, as there are many."""
+    signs, normals, faces = _box_template()
+    half = size[:, None] / 2
+    cut = np.minimum(bevel[:, None, None], 0.98 * half.min(2, keepdims=True))
+    vertices = signs * (half - cut) + normals * cut
+    first = 24 * np.arange(len(size), dtype=np.int32)[:, None, None]
+    sharp = bevel <= 0
+    triangles = np.concatenate([(faces[:12] + first).reshape(-1, 3), (faces[12:] + first[~sharp]).reshape(-1, 3)])
+    solid = vertices.reshape(-1, 3), np.tile(normals, (len(size), 1)), triangles.astype(np.int32)
+    return solid, np.repeat(np.arange(len(size)), 24)
+
+
+def _cushion(size: NDArray[np.float64], radius: float) -> _Solid:
+    index, faces = _grid_cube(3)
+    half = size / 2
+    r = min(radius, 0.98 * float(half.min()))
+    lines = np.stack([-half, r - half, half - r, half])
+    p = lines[index, np.arange(3)]
+    inner = np.clip(p, r - half, half - r)
+    normals = p - inner
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return inner + r * normals, normals, faces
+
+
+@cache
+def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices [V, 3] of a pillow in the cube of half size 1, and its triangles."""
+    n = 6
+    index, faces = _grid_cube(n)
+    used = (index[:, 1] == 0) | (index[:, 1] == n)
+    faces = faces[used[faces].all(1) & (index[faces][:, :, 1].min(1) == index[faces][:, :, 1].max(1))]
+    u = index / n * 2 - 1
+    puff = (1 - u[:, 0] ** 4) * (1 - u[:, 2] ** 4)
+    v = np.stack([u[:, 0], np.sign(u[:, 1]) * np.sqrt(puff), u[:, 2]], 1)
+    keep = np.unique(faces)
+    renumber = np.zeros(len(v), np.int32)
+    renumber[keep] = np.arange(len(keep))
+    return v[keep], renumber[faces]
+
+
+def _pillow(size: NDArray[np.float64]) -> _Solid:
+    unit, faces = _pillow_template()
+    vertices = unit * (size / 2)
+    return vertices, _smooth_normals(vertices, faces), faces
+
+
+def _lathe(profile: Sequence[tuple[float, float]], segments: int, stretch: tuple[float, float]) -> _Solid:
+    p = np.array(profile, float)
+    along = np.diff(p, axis=0)
+    flat = np.stack([along[:, 1], -along[:, 0]], 1)
+    flat /= np.maximum(np.sqrt((flat * flat).sum(1, keepdims=True)), 1e-12)
+    start, end = flat.copy(), flat.copy()
+    joined = (flat[:-1] * flat[1:]).sum(1) > _CREASE_COS
+    mean = flat[:-1] + flat[1:]
+    mean /= np.maximum(np.sqrt((mean * mean).sum(1, keepdims=True)), 1e-12)
+    start[1:][joined], end[:-1][joined] = mean[joined], mean[joined]
+    rings = np.stack([p[:-1], p[1:]], 1).reshape(-1, 2)  # two for each piece of the profile
+    slopes = np.stack([start, end], 1).reshape(-1, 2)
+    angle = np.arange(segments) * (2 * np.pi / segments)
+    circle = np.stack([np.sin(angle), np.cos(angle)], 1)
+    shape = np.asarray(stretch, float)
+    vertices, normals = np.empty((len(rings), segments, 3)), np.empty((len(rings), segments, 3))
+    vertices[..., ::2] = circle * shape * rings[:, :1, None]
+    normals[..., ::2] = circle / shape * slopes[:, :1, None]
+    vertices[..., 1], normals[..., 1] = rings[:, 1:], slopes[:, 1:]
+    normals /= np.maximum(np.sqrt((normals * normals).sum(2, keepdims=True)), 1e-12)
+    k = np.arange(segments)
+    n = (k + 1) % segments
+    faces = []
+    for s, (r0, r1) in enumerate(zip(p[:-1, 0].tolist(), p[1:, 0].tolist(), strict=True)):
+        low, high = 2 * s * segments, (2 * s + 1) * segments
+        if r0 > 0:
+            faces.append(np.stack([low + k, low + n, high + n], 1))
+        if r1 > 0:
+            faces.append(np.stack([low + k, high + n, high + k], 1))
+    return vertices.reshape(-1, 3), normals.reshape(-1, 3), np.concatenate(faces).astype(np.int32)
+
+
+def _quads(corners: NDArray[np.float64]) -> _Solid:
+    c = corners
+    normal = _cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])
+    normal /= np.maximum(np.sqrt((normal * normal).sum(1, keepdims=True)), 1e-12)
+    first = 4 * np.arange(len(c), dtype=np.int32)[:, None, None]
+    faces = (first + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
+    return c.reshape(-1, 3), np.repeat(normal, 4, axis=0), faces
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`numpy.cross` of [N, 3], without its overhead for small N."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)
+
+
 class MeshBuilder:
-    """Collects solids and gives them back as one `Mesh`. The only mutable thing here; it lives inside one function."""
+    """Collects solids and gives them back as one `Mesh`.
+
+    It only notes what is wanted until `mesh` is called, because most pieces of furniture are tried and not used.
+    """
 
     def __init__(self) -> None:
-        self._vertices: list[NDArray[np.float64]] = []
-        self._normals: list[NDArray[np.float64]] = []
-        self._colors: list[NDArray[np.uint8]] = []
-        self._faces: list[NDArray[np.int32]] = []
-        self._count = 0
-
-    def add(
-        self,
-        vertices: NDArray[np.float64],
-        normals: NDArray[np.float64],
-        faces: NDArray[np.int32],
-        color: ArrayLike,
-        *,
-        center: ArrayLike = (0.0, 0.0, 0.0),
-        turn: NDArray[np.float64] | None = None,
-    ) -> None:
-        """Adds triangles given about the origin: turned by a 3x3 rotation, then moved to ``center``."""
-        if turn is not None:
-            vertices, normals = vertices @ turn.T, normals @ turn.T
-        self._vertices.append(vertices + np.asarray(center, float))
-        self._normals.append(normals)
-        self._colors.append(np.broadcast_to(np.asarray(color, np.uint8), vertices.shape))
-        self._faces.append(faces + self._count)
-        self._count += len(vertices)
+        self._boxes: list[tuple[ArrayLike, ArrayLike, Color, float, NDArray[np.float64] | None]] = []
+        self._solids: list[tuple[Callable[..., _Solid], tuple, ArrayLike, ArrayLike, NDArray[np.float64] | None]] = []
+        self._mesh: Mesh | None = None
 
     def box(
         self,
@@ -139,16 +221,12 @@ class MeshBuilder:
         turn: NDArray[np.float64] | None = None,
     ) -> None:
         """A box; with a bevel its edges are cut and shaded round (24 vertices either way)."""
-        signs, normals, faces = _box_template()
-        half = np.asarray(size, float) / 2
-        bevel = min(bevel, 0.49 * 2 * float(half.min()))
-        vertices = signs * (half - bevel) + normals * bevel
-        self.add(vertices, normals, faces if bevel > 0 else faces[:12], color, center=center, turn=turn)
+        self._boxes.append((center, size, color, bevel, turn))
 
-    def span(self, low: ArrayLike, high: ArrayLike, color: Color, *, bevel: float = 0.0) -> None:
+    def span(self, low: Sequence[float], high: Sequence[float], color: Color, *, bevel: float = 0.0) -> None:
         """A box between two corners."""
-        low, high = np.asarray(low, float), np.asarray(high, float)
-        self.box((low + high) / 2, high - low, color, bevel=bevel)
+        (a, b, c), (d, e, f) = low, high
+        self._boxes.append((((a + d) / 2, (b + e) / 2, (c + f) / 2), (d - a, e - b, f - c), color, bevel, None))
 
     def cushion(
         self,
@@ -160,33 +238,13 @@ class MeshBuilder:
         turn: NDArray[np.float64] | None = None,
     ) -> None:
         """A box with round edges (108 triangles): upholstery."""
-        index, faces = _grid_cube(3)
-        half = np.asarray(size, float) / 2
-        r = min(radius, 0.98 * float(half.min()))
-        lines = np.stack([-half, r - half, half - r, half])
-        p = lines[index, np.arange(3)]
-        inner = np.clip(p, r - half, half - r)
-        normals = p - inner
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        self.add(inner + r * normals, normals, faces, color, center=center, turn=turn)
+        self._solids.append((_cushion, (np.asarray(size, float), radius), color, center, turn))
 
     def pillow(
         self, center: ArrayLike, size: ArrayLike, color: Color, *, turn: NDArray[np.float64] | None = None
     ) -> None:
-        """A puffed sheet, thick in the middle and thin at its rim: a pillow lying flat (200 triangles)."""
-        n = 6
-        index, faces = _grid_cube(n)
-        used = (index[:, 1] == 0) | (index[:, 1] == n)
-        faces = faces[used[faces].all(1) & (index[faces][:, :, 1].min(1) == index[faces][:, :, 1].max(1))]
-        u = index / n * 2 - 1
-        puff = (1 - u[:, 0] ** 4) * (1 - u[:, 2] ** 4)
-        half = np.asarray(size, float) / 2
-        v = np.stack([u[:, 0] * half[0], np.sign(u[:, 1]) * half[1] * np.sqrt(puff), u[:, 2] * half[2]], 1)
-        keep = np.unique(faces)
-        renumber = np.zeros(len(v), np.int32)
-        renumber[keep] = np.arange(len(keep))
-        faces, v = renumber[faces], v[keep]
-        self.add(v, _smooth_normals(v, faces), faces, color, center=center, turn=turn)
+        """A puffed sheet, thick in the middle and thin at its rim: a pillow lying flat (144 triangles)."""
+        self._solids.append((_pillow, (np.asarray(size, float),), color, center, turn))
 
     def lathe(
         self,
@@ -202,39 +260,7 @@ class MeshBuilder:
 
         Kinks sharper than 50 degrees stay sharp; the rest is shaded smooth.
         """
-        p = np.array(profile, float)
-        along = np.diff(p, axis=0)
-        flat = np.stack([along[:, 1], -along[:, 0]], 1)
-        flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
-        start, end = flat.copy(), flat.copy()
-        joined = np.einsum("si,si->s", flat[:-1], flat[1:]) > _CREASE_COS
-        mean = flat[:-1] + flat[1:]
-        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-        start[1:][joined], end[:-1][joined] = mean[joined], mean[joined]
-        angle = np.arange(segments) * (2 * np.pi / segments)
-        sx, sz = stretch
-        circle = np.stack([np.sin(angle), np.cos(angle)], 1)
-        vertices, normals = [], []
-        for (r0, y0), (r1, y1), n0, n1 in zip(p[:-1], p[1:], start, end, strict=True):
-            for r, y, n in ((r0, y0, n0), (r1, y1, n1)):
-                vertices.append(np.column_stack([circle[:, 0] * r * sx, np.full(segments, y), circle[:, 1] * r * sz]))
-                normals.append(
-                    np.column_stack([circle[:, 0] * n[0] / sx, np.full(segments, n[1]), circle[:, 1] * n[0] / sz])
-                )
-        k = np.arange(segments)
-        ring = np.stack([k, (k + 1) % segments], 1)
-        faces = []
-        for s, (r0, r1) in enumerate(zip(p[:-1, 0], p[1:, 0], strict=True)):
-            low, high = ring + 2 * s * segments, ring + (2 * s + 1) * segments
-            if r0 > 0:
-                faces.append(np.stack([low[:, 0], low[:, 1], high[:, 1]], 1))
-            if r1 > 0:
-                faces.append(np.stack([low[:, 0], high[:, 1], high[:, 0]], 1))
-        normal = np.concatenate(normals)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        self.add(
-            np.concatenate(vertices), normal, np.concatenate(faces).astype(np.int32), color, center=center, turn=turn
-        )
+        self._solids.append((_lathe, (profile, segments, stretch), color, center, turn))
 
     def cylinder(
         self,
@@ -270,29 +296,49 @@ class MeshBuilder:
     def quads(self, corners: ArrayLike, colors: ArrayLike) -> None:
         """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in colours [Q, 3] or [3]."""
         c = np.asarray(corners, float).reshape(-1, 4, 3)
-        normal = np.cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        color = np.repeat(np.broadcast_to(np.asarray(colors, np.uint8), (len(c), 3)), 4, axis=0)
-        first = 4 * np.arange(len(c))[:, None, None]
-        faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
-        self.add(c.reshape(-1, 3), np.repeat(normal, 4, axis=0), faces, color)
+        color = np.asarray(colors, np.uint8)
+        if color.ndim == 2:
+            color = np.repeat(color, 4, axis=0)
+        self._solids.append((_quads, (c,), color, 0.0, None))
 
     def mesh(self) -> Mesh:
-        """Everything added so far."""
-        if not self._vertices:
+        """Everything collected so far; the same mesh again if it is asked again."""
+        if self._mesh is None:
+            self._mesh = self._build()
+        return self._mesh
+
+    def _build(self) -> Mesh:
+        solids: list[_Solid] = []
+        colors: list[NDArray[np.uint8]] = []
+        if self._boxes:
+            center, size, color, bevel, turn = zip(*self._boxes, strict=True)
+            (v, n, f), owner = _boxes(np.array(size, float), np.array(bevel, float))
+            if any(t is not None for t in turn):
+                matrices = np.array([np.eye(3) if t is None else t for t in turn])[owner]
+                v, n = np.einsum("vij,vj->vi", matrices, v), np.einsum("vij,vj->vi", matrices, n)
+            solids.append((v + np.array(center, float)[owner], n, f))
+            colors.append(np.array(color, np.uint8)[owner])
+        for make, arguments, color, center, turn in self._solids:
+            v, n, f = make(*arguments)
+            if turn is not None:
+                v, n = v @ turn.T, n @ turn.T
+            solids.append((v + np.asarray(center, float), n, f))
+            colors.append(np.broadcast_to(np.asarray(color, np.uint8), v.shape))
+        if not solids:
             empty = np.zeros((0, 3), np.float32)
             return Mesh(vertices=empty, faces=empty.astype(np.int32), colors=empty.astype(np.uint8), normals=empty)
+        first = np.cumsum([0, *(len(v) for v, _, _ in solids)])[:-1].tolist()
         return Mesh(
-            vertices=np.concatenate(self._vertices).astype(np.float32),
-            faces=np.concatenate(self._faces),
-            colors=np.concatenate(self._colors),
-            normals=np.concatenate(self._normals).astype(np.float32),
+            vertices=np.concatenate([v for v, _, _ in solids]).astype(np.float32),
+            faces=np.concatenate([f + np.int32(k) for (_, _, f), k in zip(solids, first, strict=True)]),
+            colors=np.concatenate(colors),
+            normals=np.concatenate([n for _, n, _ in solids]).astype(np.float32),
         )
 
 
 def _smooth_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     p = vertices[faces]
-    area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = _cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     normals = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], area)
