@@ -176,6 +176,7 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
             motion_names=tuple(c.name for c in world.human.clips), skill_names=HUMAN_SKILLS,
         ),
     )  # fmt: skip
+    bodies_of = f"{world.robot_name}:{world.human_name}"
     info = {
         "policy": policy,
         "max_steps": spec.max_steps,
@@ -187,7 +188,7 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
         "categories": list(CATEGORIES),
     }
     episode = Episode(
-        uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:social_nav:{digest}:{world.seed}:{policy}:{spec}")),
+        uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:social_nav:{digest}:{bodies_of}:{world.seed}:{policy}:{spec}")),
         episode_id=episode_id, task="social_nav", scene=scene.name, seed=world.seed,
         created_by=f"h3data {importlib.metadata.version('h3data')}", info=info,
     )  # fmt: skip

@@ -16,7 +16,8 @@ class BaseSpec:
     max_speed_mps: float = 2.5
     max_turn_rad_s: float = 2.5
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
-    """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation)."""
+    """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation). Nothing looks
+    behind them: when it turns in a narrow place, its rear may swing through furniture."""
     disc_radius_m: float = 0.25
     slide_iterations: int = 3
     """Attempts to push the discs out of obstacles before the move is given up."""

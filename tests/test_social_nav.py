@@ -84,6 +84,12 @@ def test_same_seed_same_bits_and_the_hash_knows(home: Scene, free: FreeSpace) ->
     assert other.columns["state_hash"][-1] != a.columns["state_hash"][-1]
 
 
+def test_another_person_is_another_episode(home: Scene, free: FreeSpace) -> None:
+    spec = SocialNavSpec(max_steps=2)
+    worlds = [SocialNavWorld.create(home, seed=5, spec=spec, free=free, human=h) for h in ("female_0", "male_0")]
+    assert len({simulate_social_nav(w).episode.uid for w in worlds}) == 2
+
+
 def test_the_person_does_not_react(home: Scene, free: FreeSpace) -> None:
     expert = simulate_social_nav(world(home, free, end_on_collision=False))
     still = simulate_social_nav(world(home, free, end_on_collision=False), policy="stand_still")
