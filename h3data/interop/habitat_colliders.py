@@ -102,10 +102,9 @@ def _ring(sides: int) -> NDArray[np.float64]:
 
 def _ball() -> NDArray[np.float64]:
     """Points [N, 3] whose hull encloses the unit ball."""
-    rows = [np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])]
-    for polar in np.arange(1, 2 * _BALL_RINGS) * (np.pi / (2 * _BALL_RINGS)):
-        rows.append(_ring(4 * _BALL_RINGS) * np.sin(polar) + [0, np.cos(polar), 0])
-    points = np.concatenate(rows)
     from scipy.spatial import ConvexHull
 
+    polar = np.arange(1, 2 * _BALL_RINGS) * (np.pi / (2 * _BALL_RINGS))
+    rings = [_ring(4 * _BALL_RINGS) * np.sin(a) + [0, np.cos(a), 0] for a in polar]
+    points = np.concatenate([np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]), *rings])
     return points / np.abs(ConvexHull(points).equations[:, 3]).min()  # the nearest face touches the ball

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
-from h3data.geometry import IDENTITY_POSE, normalized
+from h3data.geometry import normalized
+from h3data.interop.glb_write import GlbNode, glb_bytes
 from h3data.interop.habitat_colliders import part_mesh, scaled_asset
 from h3data.interop.habitat_dataset import DATASET_ENDING
 from h3data.scene.records import Asset, Instance, Mesh, Receptacle, Room, Scene, instance_matrix
-from h3data.scene.scene_file import scene_bytes
 from h3data.scene.scene_json import asset_record
 
 STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stage"))
@@ -50,7 +50,7 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
 _SHADER = "phong"
-"""habitat-sim's shader that draws vertex colours; its PBR shader leaves them out."""
+"""Needs no image-based light, and shows the colours as they are."""
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
@@ -120,7 +120,7 @@ class _Files:
 
     def glb(self, folder: str, mesh: Mesh) -> str:
         """Name of the GLB with a mesh, beside which a config may name it; equal meshes share one file."""
-        data = scene_bytes(_one_asset_scene([mesh]))
+        data = glb_bytes([mesh])
         file = f"{hashlib.sha256(data).hexdigest()[:16]}.glb"
         self.content[f"{folder}/{file}"] = data
         return file
@@ -180,7 +180,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
     }
     files.json(f"scenes/{handle}.scene_instance.json", instance_file)
     files.json(filter_file, _receptacle_filter(receptacles))
-    files.json(f"lighting/{handle}.lighting_config.json", _lights(scene))
+    files.json(f"lighting/{handle}.lighting_config.json", _lights())
     files.json(f"navmeshes/{handle}.navmesh_settings.json", NAVMESH_SETTINGS)
     if regions:
         files.json(f"semantics/scenes/{handle}.semantic_config.json", {"region_annotations": regions})
@@ -200,13 +200,22 @@ def _object_instance(instance: Instance, template: str, category: str) -> dict[s
 
 
 def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instance]) -> None:
-    assets = {i.asset: scene.assets[i.asset] for i in stage}
+    names = list(dict.fromkeys(i.asset for i in stage))
+    nodes = []
     for instance in stage:
-        files.classes.setdefault(int(instance.semantic_id), assets[instance.asset].category)
-    source = {"kind": "habitat_stage", "scene": scene.name}
-    files.content[f"stages/{handle}.glb"] = scene_bytes(
-        Scene(name=handle, assets=assets, instances=tuple(stage), source=source)
-    )
+        category = scene.assets[instance.asset].category
+        files.classes.setdefault(int(instance.semantic_id), category)
+        extras = {"category": category, "semantic_id": int(instance.semantic_id), "layer": instance.layer}
+        nodes.append(
+            GlbNode(
+                name=instance.name,
+                mesh=names.index(instance.asset),
+                pose=instance.pose,
+                scale=instance.scale,
+                extras={"h3data": extras},
+            )
+        )
+    files.content[f"stages/{handle}.glb"] = glb_bytes([scene.assets[n].mesh for n in names], nodes)
     config = {
         "render_asset": f"{handle}.glb",
         "collision_asset": f"{handle}.glb",
@@ -243,15 +252,13 @@ def _receptacle_filter(names: list[str]) -> dict[str, list[str]]:
     return {"active": names, **{key: [] for key in empty}}
 
 
-def _lights(scene: Scene) -> dict[str, Any]:
-    """A lamp under every ceiling (a point light in the middle of each room), and a weak sun from above."""
+def _lights() -> dict[str, Any]:
+    """Light from above and weaker from four sides, the same in every room: directions only, so that no wall is dark."""
+    sides = ((-0.8, -0.5, -0.3), (0.8, -0.5, 0.3), (0.3, -0.5, -0.8), (-0.3, -0.5, 0.8))
     lights: list[dict[str, Any]] = [
-        {"type": "directional", "direction": [-0.28, -0.75, -0.6], "intensity": 0.6, "color": [1, 1, 1]}
+        {"type": "directional", "direction": [0, -1, 0], "intensity": 0.4, "color": [1, 0.98, 0.95]}
     ]
-    for room in scene.rooms:
-        x0, z0, x1, z1 = np.asarray(room.rectangles, np.float64)[0].tolist()
-        middle = [(x0 + x1) / 2, room.floor_y + _ROOM_HEIGHT_M - 0.4, (z0 + z1) / 2]
-        lights.append({"type": "point", "position": middle, "intensity": 1.2, "color": [1, 0.97, 0.92]})
+    lights += [{"type": "directional", "direction": list(d), "intensity": 0.35, "color": [1, 1, 1]} for d in sides]
     return {"lights": {str(k): light for k, light in enumerate(lights)}}
 
 
@@ -284,9 +291,6 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
     Collision parts go into a GLB of their own, one mesh each, and stay apart (``join_collision_meshes`` false).
     Habitat's ``use_bounding_box_for_collision`` is not used: it puts the box's middle at the centre of mass.
     """
-    for what, values in (("vertices", asset.mesh.vertices), ("normals", asset.mesh.normals)):
-        if values is not None and not np.isfinite(values).all():
-            raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; they cannot be written.")
     identity = json.dumps([asset_record(replace(asset, name=""), None), semantic_id], sort_keys=True).encode()
     file = files.glb("objects", asset.mesh)
     digest = hashlib.sha256(identity + file.encode()).hexdigest()[:16]
@@ -306,7 +310,7 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
     }
     if asset.shapes:
         collider = f"{handle}.collider.glb"
-        files.content[f"objects/{collider}"] = scene_bytes(_one_asset_scene([part_mesh(s) for s in asset.shapes]))
+        files.content[f"objects/{collider}"] = glb_bytes([part_mesh(s) for s in asset.shapes])
         config["collision_asset"] = collider
     entries = [_receptacle(r, np.ones(3), r.name) for r in asset.receptacles]
     config["user_defined"] = {
@@ -319,10 +323,11 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
 
 def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -> dict[str, Any]:
     """A box above the surface: its bottom is the surface, its height the clearance (half extents, spec/habitat.md 6.4)."""
-    half = np.array([receptacle.half_size[0], receptacle.clearance_m / 2, receptacle.half_size[1]]) * scale
+    lift = np.array([0.0, receptacle.clearance_m / 2, 0.0])
+    half = np.array([receptacle.half_size[0], lift[1], receptacle.half_size[1]]) * scale
     return {
         "name": name,
-        "position": (np.asarray(receptacle.center, np.float64) + [0, receptacle.clearance_m / 2, 0]).tolist(),
+        "position": (np.asarray(receptacle.center, np.float64) + lift).tolist(),
         "rotation": [1, 0, 0, 0],
         "scale": half.tolist(),
         "up": [0, 1, 0],
@@ -331,13 +336,6 @@ def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -
 
 def _receptacle_key(name: str) -> str:
     return f"receptacle_aabb_{_file_name(name)}"
-
-
-def _one_asset_scene(meshes: Sequence[Mesh]) -> Scene:
-    """Meshes as nodes of one file; nothing in it tells where it came from, so equal meshes give equal files."""
-    assets = {f"part_{k}": Asset(name=f"part_{k}", mesh=mesh) for k, mesh in enumerate(meshes)}
-    instances = tuple(Instance(name=n, asset=n, pose=IDENTITY_POSE.copy()) for n in assets)
-    return Scene(name="object", assets=assets, instances=instances)
 
 
 # --- the folder -------------------------------------------------------------------------------------------------------

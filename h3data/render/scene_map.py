@@ -148,7 +148,7 @@ def _shade(
     cv2.polylines(image, outlines, True, color, 1, cv2.LINE_AA)
 
 
-def _outline(image: NDArray[np.uint8], camera: Camera, corners: NDArray[np.float64], color: Color) -> None:
+def _outline(image: NDArray[np.uint8], camera: Camera, corners: ArrayLike, color: Color) -> None:
     import cv2
 
     cv2.polylines(image, [_pixels(camera, corners)], True, color, 1, cv2.LINE_AA)

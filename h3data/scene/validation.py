@@ -16,10 +16,18 @@ from shapely.geometry.base import BaseGeometry
 
 from h3data.geometry import transform_points
 from h3data.scene.freespace import FreeSpace
-from h3data.scene.records import Instance, Scene, instance_bounds, instance_matrix
+from h3data.scene.records import Asset, Hull, Instance, Scene, instance_bounds, instance_matrix
 
 Kind = Literal[
-    "missing_asset", "unreachable_room", "island", "tight_gap", "overlap", "floating", "sunk", "out_of_reach"
+    "missing_asset",
+    "no_floor",
+    "unreachable_room",
+    "island",
+    "tight_gap",
+    "overlap",
+    "floating",
+    "sunk",
+    "out_of_reach",
 ]
 
 GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
@@ -33,6 +41,7 @@ ROOM_MIN_M2 = 0.1
 FLOAT_M, SINK_M = 0.02, 0.01
 """A thing floats when nothing is this close below it, and is sunk when a surface is this far above its underside."""
 _SLACK_M = 0.004
+_HULL_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,6 +158,25 @@ def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
             )
 
 
+def stands_for_hollow(asset: Asset) -> bool:
+    """Whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may be none.
+
+    Told by the mesh: less than `_HULL_SHARE` of its surface lies within 1 cm of the hull's.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(asset.shapes) != 1 or not isinstance(asset.shapes[0], Hull):
+        return False
+    try:
+        planes = ConvexHull(asset.shapes[0].points).equations
+    except (QhullError, ValueError):
+        return False
+    corners = asset.mesh.vertices.astype(np.float64)[asset.mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    inside = np.concatenate([c @ planes[:, :3].T + planes[:, 3] for c in np.array_split(corners.mean(1), 64)]).max(1)
+    return float(area[inside > -0.01].sum()) < _HULL_SHARE * float(area.sum())
+
+
 # --- things that do not rest ------------------------------------------------------------------------------------------
 def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
     """Kinematic things with nothing below them, or partly below the surface of their receptacle."""
@@ -212,7 +240,7 @@ def _support(
     return best
 
 
-def _height_below(triangles: NDArray[np.float64], points: NDArray[np.float64], level: float) -> float:
+def _height_below(triangles: NDArray, points: NDArray, level: float) -> float:
     """Greatest height at most ``level`` at which triangles [F, 3, 3] are met straight below points [N, 2] (x, z)."""
     flat = triangles[..., [0, 2]]
     near = (flat.min(1) <= points.max(0)).all(1) & (flat.max(1) >= points.min(0)).all(1)

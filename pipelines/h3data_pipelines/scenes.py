@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import numpy as np
 import tyro
@@ -16,6 +16,9 @@ from h3data.errors import InputError, MissingAssetError, SceneError
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data_pipelines.generate import load_scene_by_name, scene_names
+
+if TYPE_CHECKING:
+    from h3data.scene.validation import Problem
 
 _SCENE_HELP = (
     "small:3 (built-in home), or the path of a Habitat scene (.scene_instance.json, .stage_config.json, .glb)."
@@ -271,22 +274,23 @@ def validate_scene(name: str, *, radius_m: float = AGENT_RADIUS_M, picture: Path
     from h3data.render import write_png
     from h3data.render.scene_map import scene_map
     from h3data.scene.validation import Problem, find_problems, free_space_for_validation
-    from sim_kinematic.collision import overlapping_instances
 
     scene, missing = load_as_far_as_possible(name)
     problems = [Problem(kind="missing_asset", subject=scene.name, text=missing)] if missing else []
-    loose = free_space_for_validation(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
-    problems += find_problems(scene, loose, radius_m=radius_m)
-    problems += [
-        Problem(
-            kind="overlap",
-            subject=f"{o.first} / {o.second}",
-            text=f"{100 * o.depth_m:.1f} cm inside each other",
-            position=o.point,
-        )
-        for o in overlapping_instances(scene)
-    ]
     notes = [str(w) for w in scene.source.get("warnings", ())]
+    try:
+        loose = free_space_for_validation(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
+    except SceneError as fault:
+        problems.append(Problem(kind="no_floor", subject=scene.name, text=str(fault)))
+        loose = picture = None
+    if loose is not None:
+        problems += find_problems(scene, loose, radius_m=radius_m)
+    overlaps, doubtful = _overlaps(scene)
+    problems += overlaps
+    if doubtful:
+        notes.append(
+            f"{doubtful} pairs overlap only as convex hulls, which fill the hollows of shelves and chairs: not counted"
+        )
     if picture is not None:
         free = FreeSpace.from_scene(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
         image = scene_map(scene, free, problems=problems)
@@ -300,8 +304,29 @@ def validate_scene(name: str, *, radius_m: float = AGENT_RADIUS_M, picture: Path
         }
         for p in problems
     ]
-    free_m2 = float(loose.polygon.buffer(loose.radius_m - radius_m).area)
+    free_m2 = 0.0 if loose is None else float(loose.polygon.buffer(loose.radius_m - radius_m).area)
     return {"scene": name, "problems": rows, "notes": notes, "free_m2": round(free_m2, 3)}
+
+
+def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
+    """Things inside each other, and the number of pairs that may be so only because one is a hull of a hollow thing."""
+    from h3data.scene.validation import Problem, stands_for_hollow
+    from sim_kinematic.collision import overlapping_instances
+
+    hollow = {name for name, asset in scene.assets.items() if stands_for_hollow(asset)}
+    asset_of = {i.name: i.asset for i in scene.instances}
+    found = overlapping_instances(scene)
+    sure = [o for o in found if not {asset_of[o.first], asset_of[o.second]} & hollow]
+    problems = [
+        Problem(
+            kind="overlap",
+            subject=f"{o.first} / {o.second}",
+            text=f"{100 * o.depth_m:.1f} cm inside each other",
+            position=o.point,
+        )
+        for o in sure
+    ]
+    return problems, len(found) - len(sure)
 
 
 # --- tables and files -------------------------------------------------------------------------------------------------
