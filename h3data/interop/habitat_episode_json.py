@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -24,7 +25,7 @@ from h3data.interop.habitat_episode_records import (
     Matrix,
     RearrangeEpisode,
     RigidObject,
-    instance_handles,
+    handles_of,
     is_rigid,
 )
 
@@ -52,6 +53,8 @@ KEYS: dict[str, Any] = {
 
 _DECODERS = {key: msgspec.json.Decoder(kind) for key, kind in KEYS.items()}
 _FIELDS = {"rigid_objs": "rigid_objects"}
+_OLDER = {"info": b"null", "markers": b"{"}
+"""How values start that other versions of Habitat wrote and nothing reads any more; they are kept in ``extra``."""
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _BLOCK = 1000
 """Episodes that are decoded at once: their matrices become one array, before the next block's numbers exist as objects."""
@@ -117,14 +120,15 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
     for key, text in found.items():
         decoder = _DECODERS.get(key)
         try:
-            if decoder is None or (bytes(text) == b"null" and key == "info") or _old_markers(key, text):
+            if decoder is None or (key in _OLDER and bytes(text).startswith(_OLDER[key])):
                 extra[key] = msgspec.json.decode(text)
             else:
                 values[key] = decoder.decode(text)
         except msgspec.DecodeError as fault:
-            raise FormatError(f"{_located(where, key, fault)}: {path}") from None
+            raise FormatError(f"{_located(where, key, fault, text)}: {path}") from None
         except RecursionError:
             raise FormatError(f"{where}.{key} is nested too deeply: {path}") from None
+    absent = _shared(frozenset(KEYS.keys() - values.keys()))
     objects = values.pop("rigid_objs", ())
     targets = values.pop("targets", {})
     if targets:
@@ -139,7 +143,7 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
         fields["markers"] = tuple(_marker(m, f"{where}.markers[{k}]", path) for k, m in enumerate(values["markers"]))
     if "info" in values:
         _check_labels(values["info"].get("object_labels"), f"{where}.info.object_labels", path)
-    fields |= {"extra": extra, "absent": _shared(frozenset(KEYS.keys() - found.keys()))}
+    fields |= {"extra": extra, "absent": absent}
     return _Draft(fields, [sys.intern(config) for config, _ in objects], list(targets))
 
 
@@ -147,11 +151,6 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
 def _shared(keys: frozenset[str]) -> frozenset[str]:
     """The first set that was equal to ``keys``: 37,000 episodes lack the same ones."""
     return keys
-
-
-def _old_markers(key: str, text: msgspec.Raw) -> bool:
-    """Before 2022 the markers were an object by name; nothing reads them any more."""
-    return key == "markers" and bytes(text)[:1] == b"{"
 
 
 def _finished(draft: _Draft, matrices: Matrix) -> RearrangeEpisode:
@@ -174,7 +173,7 @@ def _check(episode: RearrangeEpisode, draft: _Draft, rigid: NDArray[np.bool_], i
     if abs(math.hypot(*episode.start_rotation) - 1) > RIGID_TOLERANCE:
         notes.add("start_rotation is not a unit quaternion", where)
     if draft.handles and draft.configs:
-        strangers = set(draft.handles).difference(instance_handles(episode))
+        strangers = set(draft.handles).difference(handles_of(draft.configs))
         if strangers:
             notes.add("a target is no object of the episode", f"{where}.targets[{min(strangers)!r}]")
 
@@ -212,15 +211,27 @@ def _marker(content: dict[str, Any], where: str, path: Path) -> Marker:
         raise FormatError(f"{_located(where, '', fault)}: {path}") from None
 
 
-def _located(where: str, key: str, fault: Exception) -> str:
-    """``episodes[3].rigid_objs[0][1]: Expected ...`` from msgspec's words."""
-    text, _, place = str(fault).partition(" - at ")
-    inner = place.strip("`").removeprefix("key in ").strip("`").removeprefix("$")
-    head = f"{where}.{key}" if key else where
+def _located(where: str, key: str, fault: Exception, text: msgspec.Raw | None = None) -> str:
+    """``episodes[3].rigid_objs[0][1]: Expected ...`` from msgspec's words about the value ``text`` of ``key``."""
+    words, _, place = str(fault).partition(" - at ")
+    inner = match[0][1:] if (match := re.search(r"\$[^`]*", place)) else ""
+    if text is not None and inner.startswith("[...]"):
+        inner = f"[{_culprit(key, text)!r}]{inner[5:]}"
     hint = ""
-    if key == "rigid_objs" and "got `int`" in text:
+    if key == "rigid_objs" and "got `int`" in words:
         hint = " (a number in place of the matrix refers to a separate file of transformations, which is not supported)"
-    return f"{head}{inner}: {_reworded(text)}{hint}"
+    return f"{where}.{key}{inner}: {_reworded(words)}{hint}" if key else f"{where}{inner}: {_reworded(words)}"
+
+
+def _culprit(key: str, text: msgspec.Raw) -> str:
+    """Which entry of an object has the wrong type; msgspec does not say."""
+    decoder = msgspec.json.Decoder(get_args(KEYS[key])[1])
+    for name, entry in _OBJECT.decode(text).items():
+        try:
+            decoder.decode(entry)
+        except msgspec.DecodeError:
+            return name
+    return "..."
 
 
 def _reworded(fault: object) -> str:

@@ -7,8 +7,8 @@ and writing lose nothing; `object_poses` and `goal_poses` give them as pose7. An
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import msgspec
@@ -24,7 +24,7 @@ RIGID_TOLERANCE = 1e-3
 Matrix = NDArray[np.float64]
 
 
-class RigidObject(msgspec.Struct, frozen=True, eq=False):
+class RigidObject(msgspec.Struct, frozen=True, eq=False, gc=False):
     """An object that the episode adds to the scene."""
 
     config: str
@@ -36,12 +36,6 @@ class RigidObject(msgspec.Struct, frozen=True, eq=False):
     def pose(self) -> NDArray[np.float64]:
         """pose7 in the world."""
         return _pose(self.matrix, self.config)
-
-    @property
-    def stem(self) -> str:
-        """Name of the template, without folder and ending."""
-        name = self.config.rsplit("/", 1)[-1]
-        return name.removesuffix(".json").removesuffix(".object_config").removesuffix(".glb")
 
 
 class Marker(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,7 +81,7 @@ class RearrangeEpisode(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Every key of the file that we do not know, or that has an older form. The stock loader of habitat-lab refuses
     episodes with keys that its class lacks, as it refuses the file they came from."""
     absent: frozenset[str] = frozenset()
-    """Keys of Habitat that the file did not have; they are not written either."""
+    """Keys of Habitat that the file did not have (or that are in ``extra``); these fields are not written."""
 
     @property
     def object_labels(self) -> Mapping[str, str]:
@@ -134,14 +128,25 @@ def instance_handles(episode: RearrangeEpisode) -> list[str]:
 
     Habitat instances them in the order of their template names and counts per template (spec/habitat.md 6.5).
     """
-    objects = episode.rigid_objects
-    handles = [""] * len(objects)
-    counts: Counter[str] = Counter()
-    for k in sorted(range(len(objects)), key=lambda k: objects[k].config):
-        stem = objects[k].stem
-        handles[k] = f"{stem}_:{counts[stem]:04d}"
-        counts[stem] += 1
+    return handles_of([thing.config for thing in episode.rigid_objects])
+
+
+def handles_of(configs: Sequence[str]) -> list[str]:
+    """As `instance_handles`, of the template names alone."""
+    handles = [""] * len(configs)
+    counts: dict[str, int] = {}
+    for k in sorted(range(len(configs)), key=configs.__getitem__):
+        stem = template_name(configs[k])
+        counts[stem] = counts.get(stem, 0) + 1
+        handles[k] = f"{stem}_:{counts[stem] - 1:04d}"
     return handles
+
+
+@lru_cache(4096)
+def template_name(config: str) -> str:
+    """``024_bowl`` of ``configs/024_bowl.object_config.json``."""
+    name = config.rsplit("/", 1)[-1]
+    return name.removesuffix(".json").removesuffix(".object_config").removesuffix(".glb")
 
 
 def object_poses(episode: RearrangeEpisode) -> dict[str, NDArray[np.float64]]:
