@@ -11,10 +11,11 @@ import pytest
 import trimesh
 
 from h3data.errors import MissingAssetError, SceneError
-from h3data.interop.meshes import frame_rotation, linear_from_srgb, load_mesh, srgb_from_linear
+from h3data.interop.meshes import frame_rotation, load_mesh
 from h3data.interop.placeholders import placeholder_mesh, striped_box
 from h3data.interop.primitives import box_mesh, capsule_mesh, is_primitive, primitive_mesh
 from h3data.scene.records import Mesh
+from h3data.srgb import linear_to_srgb, srgb_to_linear
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real" / "habitat-sim" / "data" / "test_assets"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="habitat-sim's test assets are not on this machine")
@@ -119,8 +120,8 @@ def test_frames_that_are_none(axes: tuple) -> None:
 
 def test_srgb_round_trip() -> None:
     x = np.linspace(0, 1, 101)
-    np.testing.assert_allclose(linear_from_srgb(srgb_from_linear(x)), x, atol=1e-12)
-    assert np.rint(srgb_from_linear([0.2, 0.7]) * 255).tolist() == [124, 218]  # as habitat-sim wrote them into a replay
+    np.testing.assert_allclose(srgb_to_linear(linear_to_srgb(x)), x, atol=1e-12)
+    assert np.rint(linear_to_srgb([0.2, 0.7]) * 255).tolist() == [124, 218]  # as habitat-sim wrote them into a replay
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -169,7 +170,7 @@ def test_material_colour_vertex_colour_and_texture(brick: trimesh.Trimesh, tmp_p
     plain = brick.copy()
     plain.visual = TextureVisuals(material=PBRMaterial(baseColorFactor=[51, 128, 255, 255]))
     plain.export(tmp_path / "plain.glb")
-    expected = np.rint(srgb_from_linear(np.array([51, 128, 255]) / 255) * 255)
+    expected = np.rint(linear_to_srgb(np.array([51, 128, 255]) / 255) * 255)
     assert np.all(load_mesh(tmp_path / "plain.glb").colors == expected)
 
     painted = trimesh.Trimesh(vertices=brick.vertices, faces=brick.faces, process=False)

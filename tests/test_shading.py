@@ -21,8 +21,9 @@ from h3data.render import (
     normalize_depth,
     pinhole,
 )
-from h3data.render.shading import linear_to_srgb, srgb_to_linear, tone_map
+from h3data.render.shading import tone_map
 from h3data.scene.records import Mesh
+from h3data.srgb import linear_to_srgb, srgb_to_linear
 
 WHITE_ROOM = Light(
     sky=(0.5, 0.5, 0.5), ground=(0.5, 0.5, 0.5), sun=(0, 0, 0), fill=(0, 0, 0), headlight=(0, 0, 0)

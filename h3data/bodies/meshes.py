@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, SceneError
 from h3data.geometry import Array, normalized
 from h3data.scene.records import Mesh
+from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (176, 178, 182)
 """sRGB of things whose file gives no colour: light grey."""
@@ -87,7 +88,7 @@ def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
         position, normal = (_accessor(tree, binary, primitive["attributes"][key]) for key in ("POSITION", "NORMAL"))
         faces = _accessor(tree, binary, primitive["indices"]).reshape(-1, 3)
         linear = tree["materials"][primitive["material"]]["pbrMetallicRoughness"]["baseColorFactor"][:3]
-        parts.append((position, normal, faces, linear_to_srgb(np.array(linear))))
+        parts.append((position, normal, faces, linear_to_bytes(linear)))
     starts = np.cumsum([0, *(len(p[0]) for p in parts)])
     return Mesh(
         vertices=np.concatenate([p[0] for p in parts]).astype(np.float32),
@@ -108,18 +109,6 @@ def _accessor(tree: dict, binary: memoryview, index: int) -> NDArray:
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     flat = np.frombuffer(binary, dtype, accessor["count"] * width, start)
     return flat.reshape(-1, width) if width > 1 else flat
-
-
-def linear_to_srgb(linear: Array) -> NDArray[np.uint8]:
-    """sRGB bytes of linear colours in [0, 1] (IEC 61966-2-1)."""
-    c = np.clip(linear, 0, 1)
-    return np.round(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)).astype(np.uint8)
-
-
-def srgb_to_linear(srgb: Sequence[int]) -> Array:
-    """Linear colours in [0, 1] of sRGB bytes."""
-    c = np.asarray(srgb, np.float64) / 255
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def write_plain_glb(path: Path, mesh: Mesh) -> None:
@@ -160,7 +149,7 @@ def write_plain_glb(path: Path, mesh: Mesh) -> None:
         used, faces = np.unique(mesh.faces[face_color == k], return_inverse=True)
         if not len(used):
             continue
-        linear = [round(float(v), 6) for v in srgb_to_linear(color)]
+        linear = [round(float(v), 6) for v in bytes_to_linear(color)]
         tree["materials"].append(
             {"pbrMetallicRoughness": {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.6}}
         )

@@ -17,9 +17,10 @@ from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data.interop.assets import EMPTY_URI, clean_path
 from h3data.interop.gfx_agents import add_agents
 from h3data.interop.gfx_keyframes import Fold, Life, Load, Transform, fold_keyframes, read_keyframes
-from h3data.interop.meshes import frame_rotation, srgb_from_linear
+from h3data.interop.meshes import frame_rotation
 from h3data.interop.primitives import is_primitive
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
+from h3data.srgb import linear_to_bytes
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
@@ -159,7 +160,7 @@ def _color(filepath: str, loads: Sequence[Load]) -> tuple[int, int, int] | None:
     last = overrides[-1]
     assert last is not None
     assert last.diffuse is not None
-    r, g, b = (int(v) for v in np.rint(srgb_from_linear(last.diffuse[:3]) * 255))
+    r, g, b = (int(v) for v in linear_to_bytes(last.diffuse[:3]))
     return (r, g, b)
 
 

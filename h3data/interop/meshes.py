@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import normalized
 from h3data.scene.records import Mesh
+from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 DEFAULT_COLOR = (204, 204, 204)
@@ -115,18 +116,6 @@ def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
         raise SceneError(f"An asset frame needs two perpendicular axes. Got up {u.tolist()}, front {f.tolist()}.")
     u, f = u / lengths[0], f / lengths[1]
     return np.array([np.cross(f, u), u, -f], np.float64)
-
-
-def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float64]:
-    """sRGB-encoded values 0..1 of linear values 0..1 (IEC 61966-2-1)."""
-    x = np.clip(np.asarray(linear, np.float64), 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
-
-
-def linear_from_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
-    """Linear values 0..1 of sRGB-encoded values 0..1 (IEC 61966-2-1)."""
-    x = np.clip(np.asarray(encoded, np.float64), 0, 1)
-    return np.where(x <= 0.04045, x / 12.92, np.power((x + 0.055) / 1.055, 2.4))
 
 
 def recolored(mesh: Mesh, color: Sequence[int]) -> Mesh:
@@ -245,7 +234,7 @@ def _colors(geometry: Any, *, glb: bool) -> NDArray[np.uint8]:
     count, visual = len(geometry.vertices), geometry.visual
     if visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
-        return _to_uint8(srgb_from_linear(colors / 255)) if glb else colors
+        return linear_to_bytes(colors / 255) if glb else colors
     if visual.kind == "face":
         face_colors = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
         colors = np.full((count, 3), DEFAULT_COLOR, np.uint8)
@@ -259,12 +248,12 @@ def _colors(geometry: Any, *, glb: bool) -> NDArray[np.uint8]:
         texels = _sample(image, np.asarray(uv, np.float64))
         if factor is None or not glb or np.all(np.asarray(factor)[:3] == 255):
             return texels
-        linear = linear_from_srgb(texels / 255) * (np.asarray(factor, np.float64)[:3] / 255)
-        return _to_uint8(srgb_from_linear(linear))
+        linear = bytes_to_linear(texels) * (np.asarray(factor, np.float64)[:3] / 255)
+        return linear_to_bytes(linear)
     if factor is None:
         return np.full((count, 3), DEFAULT_COLOR, np.uint8)
     rgb = np.asarray(factor, np.float64)[:3] / 255
-    return np.broadcast_to(_to_uint8(srgb_from_linear(rgb) if glb else rgb), (count, 3)).copy()
+    return np.broadcast_to(linear_to_bytes(rgb) if glb else _to_uint8(rgb), (count, 3)).copy()
 
 
 def _first(material: Any, *names: str) -> Any:

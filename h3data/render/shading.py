@@ -32,6 +32,7 @@ from h3data.render.shading_simd import (
     light_block,
     sky_block,
 )
+from h3data.srgb import bytes_to_linear, linear_to_srgb
 
 Color = tuple[float, float, float]
 
@@ -69,23 +70,13 @@ _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
 """Samples are averaged up to this level, or one bright spot would eat an edge."""
 
 
-def srgb_to_linear(value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Linear light of sRGB values 0..1 (IEC 61966-2-1)."""
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """sRGB of linear values 0..1 (IEC 61966-2-1)."""
-    return np.where(value <= 0.0031308, value * 12.92, 1.055 * np.maximum(value, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear values, unchanged up to 0.75, above bent smoothly so that 1 is only reached at infinity."""
     rest = 1 - _SHOULDER
     return np.where(value <= _SHOULDER, value, 1 - rest * np.exp(-np.maximum(value - _SHOULDER, 0) / rest))
 
 
-_LINEAR_OF_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+_LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
 _BYTE_OF_LINEAR = np.round(
     255 * linear_to_srgb(tone_map((np.arange(TONE_SIZE) + 0.5) * (TONE_LIMIT / TONE_SIZE)))
 ).astype(np.uint8)

@@ -31,6 +31,7 @@ from h3data.scene.scene_json import (
     read_room,
     room_record,
 )
+from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME = "h3data.scene"
 FORMAT_VERSION = (1, 0)
@@ -43,10 +44,8 @@ _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 
 @cache
 def _linear_of_srgb() -> NDArray[np.uint16]:
-    """16-bit linear light of each 8-bit sRGB value, shape [256] (IEC 61966-2-1)."""
-    s = np.arange(256) / 255
-    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
-    return np.round(linear * 65535).astype(np.uint16)
+    """16-bit linear light of each 8-bit sRGB value, shape [256]."""
+    return np.round(bytes_to_linear(np.arange(256)) * 65535).astype(np.uint16)
 
 
 def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
