@@ -30,7 +30,14 @@ EDGE_BOUNDARY = 1
 
 _VERTEX = np.dtype("<f4")
 _POLYGON = np.dtype(
-    [("link", "<u4"), ("vertices", "<u2", 6), ("neighbours", "<u2", 6), ("flags", "<u2"), ("count", "u1"), ("kind", "u1")]
+    [
+        ("link", "<u4"),
+        ("vertices", "<u2", 6),
+        ("neighbours", "<u2", 6),
+        ("flags", "<u2"),
+        ("count", "u1"),
+        ("kind", "u1"),
+    ]
 )
 _DETAIL = np.dtype([("vertex", "<u4"), ("triangle", "<u4"), ("vertices", "u1"), ("triangles", "u1"), ("pad", "<u2")])
 _HEADER = np.dtype(
@@ -51,7 +58,8 @@ class _Cursor:
         kind = np.dtype(dtype)
         if count < 0 or count > (len(self.data) - self.offset) // kind.itemsize:
             raise self.error(
-                f"Expected {count} {what} of {kind.itemsize} bytes, but {len(self.data) - self.offset} bytes are left", self.offset
+                f"Expected {count} {what} of {kind.itemsize} bytes, but {len(self.data) - self.offset} bytes are left",
+                self.offset,
             )
         found = np.frombuffer(self.data, kind, count, self.offset)
         self.offset += count * kind.itemsize
@@ -149,7 +157,9 @@ def _read_tile(cursor: _Cursor, header: np.void, settings: NavMeshSettings | Non
     return NavMesh(
         settings=settings
         or NavMeshSettings(
-            agent_height=float(header["height"]), agent_radius=float(header["radius"]), agent_max_climb=float(header["climb"])
+            agent_height=float(header["height"]),
+            agent_radius=float(header["radius"]),
+            agent_max_climb=float(header["climb"]),
         ),
         vertices=vertices,
         polygon_start=start,
@@ -172,7 +182,9 @@ def _finite(cursor: _Cursor, count: int, what: str) -> NDArray[np.float32]:
     wrong = np.flatnonzero(~(np.abs(points) <= COORDINATE_MAX).all(1))
     if len(wrong):
         k = int(wrong[0])
-        raise cursor.error(f"Expected coordinates below {COORDINATE_MAX:g} m, got {points[k]} of {what} {k}", at + 12 * k)
+        raise cursor.error(
+            f"Expected coordinates below {COORDINATE_MAX:g} m, got {points[k]} of {what} {k}", at + 12 * k
+        )
     return points
 
 
@@ -235,7 +247,9 @@ def _read_details(
     wrong = np.flatnonzero((index >= corners + extra[owner][:, None]).any(1))
     if len(wrong):
         k = int(wrong[0])
-        raise cursor.error(f"Detail triangle {row[k]} names a vertex beyond those of polygon {owner[k]}", at[1] + 4 * int(row[k]))
+        raise cursor.error(
+            f"Detail triangle {row[k]} names a vertex beyond those of polygon {owner[k]}", at[1] + 4 * int(row[k])
+        )
     pool = np.concatenate([vertices[corner], detail_vertices])
     own = start[:-1][owner][:, None] + index
     other = len(corner) + base[owner][:, None] + index - corners
@@ -302,9 +316,10 @@ def _detail_sections(navmesh: NavMesh) -> tuple[NDArray, NDArray[np.float32], ND
             table.append([own[tuple(point)] for point in triangle])
         sides = [frozenset((t[i], t[(i + 1) % 3])) for t in table for i in range(3)]
         for t, triangle in enumerate(table):
-            rows.append([*triangle, sum(EDGE_BOUNDARY << 2 * i for i in range(3) if sides.count(sides[3 * t + i]) == 1)])
+            rows.append(
+                [*triangle, sum(EDGE_BOUNDARY << 2 * i for i in range(3) if sides.count(sides[3 * t + i]) == 1)]
+            )
         if len(extra) - base + corners > 255 or len(mine) > 255:
             raise InputError(f"A Detour polygon holds 255 detail vertices and triangles; polygon {p} has more.")
         details[p] = (base, len(rows) - len(mine), len(extra) - base, len(mine), 0)
     return details, np.array(extra, np.float32).reshape(-1, 3), np.array(rows, np.uint8).reshape(-1, 4)
-

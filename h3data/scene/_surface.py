@@ -18,6 +18,8 @@ SEARCH_SLACK_M = 0.001
 """A step looks this much beyond the circle around start and end, as Detour's moveAlongSurface."""
 TOUCH_M = 1e-6
 """A point this near to an edge is in the polygons of both sides."""
+ON_WALL_M = 1e-9
+"""A point this near to a wall lies on it."""
 ANGLE_EPS = 1e-9
 """Sine of the angle by which a corner may lie outside a cone of view and still be seen."""
 TAUT_EPS = 1e-9
@@ -171,14 +173,18 @@ def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tupl
 
 
 @kernel()
-def slide(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
+def slide(
+    surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float, rise: float
+) -> tuple[int, float, float]:
     """(polygon, x, z) of the point nearest to the target that can be reached from (x, z) within the circle over the way
-    there: the target itself, or a point of the walls around. As Detour's moveAlongSurface."""
+    there: the target itself, or a point of the walls around. As Detour's moveAlongSurface, whose circle has the length of
+    the way in space as diameter: a target that is ``rise`` [m] above the floor widens it (Habitat's base action does).
+    """
     visited = np.empty(VISITED_MAX, np.int32)
     visited[0] = polygon
     count = 1
     mx, mz = (x + tx) / 2, (z + tz) / 2
-    radius = np.hypot(tx - x, tz - z) / 2 + SEARCH_SLACK_M
+    radius = np.sqrt((tx - x) ** 2 + (tz - z) ** 2 + rise * rise) / 2 + SEARCH_SLACK_M
     best, found, fx, fz = np.inf, polygon, x, z
     head = 0
     while head < count:
@@ -212,7 +218,8 @@ def slide(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: flo
 
 @kernel()
 def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
-    """(polygon, x, z) where a straight way from (x, z) to the target ends: there, or at the first wall."""
+    """(polygon, x, z) where a straight way from (x, z) to the target ends: there, or at the first wall. As in habitat-sim, a
+    wall that it starts on counts, even where it leads away from the wall."""
     dx, dz = tx - x, tz - z
     reached = 0.0
     p = polygon
@@ -223,9 +230,14 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
             r = s + 1 if s + 1 < last else first
             ex, ez = surface.corner[r, 0] - surface.corner[s, 0], surface.corner[r, 2] - surface.corner[s, 2]
             out = _cross(dx, dz, ex, ez)  # positive: the way goes out through this edge
+            side = _cross(surface.corner[s, 0] - x, surface.corner[s, 2] - z, ex, ez)
+            if p == polygon and out != 0.0 and surface.neighbour[s] < 0 and abs(side) <= ON_WALL_M * np.hypot(ex, ez):
+                on = (x - surface.corner[s, 0]) * ex + (z - surface.corner[s, 2]) * ez
+                if 0.0 <= on <= ex * ex + ez * ez:
+                    return p, x, z
             if out <= 0.0:
                 continue
-            t = _cross(surface.corner[s, 0] - x, surface.corner[s, 2] - z, ex, ez) / out
+            t = side / out
             if t < leave:
                 leave, edge = t, s
         if edge < 0 or leave >= 1.0:
@@ -241,12 +253,12 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
 def try_step(surface: Surface, start: NDArray, end: NDArray, sliding: bool) -> NDArray:
     """Where a step from start [3] to end [3] ends [3]: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
     out = start.copy()
-    p, x, _, z = nearest(surface, start[0], start[1], start[2], -1)
+    p, x, y, z = nearest(surface, start[0], start[1], start[2], -1)
     q = nearest(surface, end[0], end[1], end[2], -1)[0]
-    if p < 0 or q < 0:
+    if p < 0 or q < 0 or surface.island[p] != surface.island[q]:
         return out
     if sliding:
-        last, fx, fz = slide(surface, p, x, z, end[0], end[2])
+        last, fx, fz = slide(surface, p, x, z, end[0], end[2], end[1] - y)
     else:
         last, fx, fz = straight(surface, p, x, z, end[0], end[2])
     fy = height(surface, last, fx, fz)

@@ -38,7 +38,9 @@ def build_surface(navmesh: NavMesh) -> Surface:
     triangles = np.diff(navmesh.detail_start)[kept]
     triangle_start = np.concatenate([[0], np.cumsum(triangles)]).astype(np.int32)
     low = np.minimum(np.minimum.reduceat(corner, start[:-1]), np.minimum.reduceat(triangle.min(1), triangle_start[:-1]))
-    high = np.maximum(np.maximum.reduceat(corner, start[:-1]), np.maximum.reduceat(triangle.max(1), triangle_start[:-1]))
+    high = np.maximum(
+        np.maximum.reduceat(corner, start[:-1]), np.maximum.reduceat(triangle.max(1), triangle_start[:-1])
+    )
     none = np.zeros(0, np.int32)
     return Surface(
         start=start,

@@ -216,7 +216,9 @@ class PathFinder:
 
         Corners count once per polygon that they belong to, as in habitat-sim.
         """
-        index = self._island(int(point)) if isinstance(point, int | np.integer) else self.get_island(cast(ArrayLike, point))
+        index = (
+            self._island(int(point)) if isinstance(point, int | np.integer) else self.get_island(cast(ArrayLike, point))
+        )
         own = np.repeat(self._surface.island == index, np.diff(self._surface.start))
         if not own.any():
             return 0.0
