@@ -46,7 +46,7 @@ class RobotHumanContact:
         return self._pair.collides()
 
 
-def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[NDArray[np.float64]], bool]:
+def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
 
     Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
@@ -56,7 +56,7 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[NDArray[np.float
     links = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
     shapes_at = links[[k for k, link in enumerate(robot.links) for _ in link.shapes]]
 
-    def is_clear(base: NDArray[np.float64]) -> bool:
+    def is_clear(base: Array) -> bool:
         raised = base + np.array([0, FLOOR_M, 0, 0, 0, 0, 0])
         shapes.set_transforms(pose_to_matrix(raised) @ shapes_at)
         return not collide(scenery, shapes)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
-from h3data.geometry import ground_pose
+from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
@@ -69,7 +69,7 @@ class SocialNavWorld:
 
 
 def draw_starts(
-    free: FreeSpace, seed: int, spec: SocialNavSpec, *, stands_free: Callable[[NDArray[np.float64]], bool] | None = None
+    free: FreeSpace, seed: int, spec: SocialNavSpec, *, stands_free: Callable[[Array], bool] | None = None
 ) -> Starts:
     """Random start poses at least ``spec.spawn_distance_m`` apart on one island, the robot's base free of obstacles
     (spec/habitat.md 1.2). ``stands_free`` may look closer at a pose7 of the robot.
