@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
+from h3data.files import part_file
 from h3data.recording.records import SCHEMA_VERSION
 from h3data.recording.schema import CONVENTIONS, Column, Layout, check_version, layout_from_json, layout_hash
 
@@ -56,12 +57,10 @@ def shard_number(path: Path) -> int:
 def write_atomic(path: Path, data: bytes) -> None:
     """Write a small file under its final name in one step."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    with open(part, "wb") as stream:
+    with part_file(path) as part, part.open("wb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
-    os.replace(part, path)
 
 
 # --- the declared schema -----------------------------------------------------------------------------------------------

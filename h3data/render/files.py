@@ -1,33 +1,16 @@
-"""Pictures in files. A file appears under its final name only when it is complete."""
+"""Pictures in files."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.files import part_file
 
 MAX_DEPTH_MM = 65535
-
-
-@contextmanager
-def part_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to; renamed to ``path`` on success, removed on any exception."""
-    final = Path(path)
-    if not final.parent.is_dir():
-        raise InputError(f"The folder to write to does not exist. Hint: create it first. Folder: {final.parent}")
-    part = final.with_name(final.name + ".part")
-    try:
-        yield part
-        part.replace(final)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.render.files import part_file
+from h3data.files import part_file
 
 
 class VideoWriter:

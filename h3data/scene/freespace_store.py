@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon
 
 from h3data.errors import FormatError, InputError
+from h3data.files import part_file
 from h3data.scene._lattice import Lattice
 from h3data.scene._visibility import Graph
 from h3data.scene.freespace import FreeSpace
@@ -44,14 +44,8 @@ def save(space: FreeSpace, path: Path) -> None:
     if "lattice" in space.__dict__:  # cached_property: only when it was built
         arrays |= {f"lattice.{name}": np.asarray(value) for name, value in space.lattice._asdict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, part = tempfile.mkstemp(prefix=path.name, suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-        os.replace(part, path)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    with part_file(path, shared=True) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def load(path: Path) -> FreeSpace:

@@ -11,7 +11,6 @@ import json
 import os
 import struct
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
+from h3data.files import part_file
 from h3data.geometry import normalized
 from h3data.scene.records import Asset, Instance, Mesh, Scene
 from h3data.scene.scene_json import (
@@ -168,13 +168,10 @@ def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) 
         path_or_buffer.write(data)
         return
     path = Path(path_or_buffer)
-    part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        with part_file(path) as part:
+            part.write_bytes(data)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise InputError(f"Cannot write the scene: {error.strerror or error}. Path: {path}") from error
 
 

@@ -7,7 +7,6 @@ Entities: ``world/scene/<name>`` what stands still (below its layer, if it has o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data.files import part_file
 from h3data.geometry import transform_points
 from h3data.recording.records import Recording
 from h3data_viewers.rerun_bodies import Drawable, Posed, entity_part, log_agents, log_rigid, log_skins
@@ -66,18 +66,15 @@ def write_rrd(
         raise InputError(f"Camera videos that do not exist: {'; '.join(faults)}.")
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.episode.uid, send_properties=False)
-    try:
-        stream.save(part)
-        _write(stream, recording, replay, cameras, pictures, skin_every)
-        stream.disconnect()
+    with part_file(path) as part:
+        try:
+            stream.save(part)
+            _write(stream, recording, replay, cameras, pictures, skin_every)
+        finally:
+            stream.disconnect()
         if not part.is_file() or part.stat().st_size == 0:
             raise H3DataError("Rerun wrote nothing. Hint: is it switched off by the environment variable RERUN?")
-        os.replace(part, path)
-    finally:
-        stream.disconnect()
-        part.unlink(missing_ok=True)
     return path
 
 

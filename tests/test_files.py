@@ -1,0 +1,47 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from h3data.errors import InputError
+from h3data.files import part_file
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_file_appears_when_it_is_complete(tmp_path: Path, shared: bool):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with part_file(path, shared=shared) as part:
+        part.write_bytes(b"new")
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_failure_leaves_what_was_there(tmp_path: Path, shared: bool, error: type[BaseException]):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(error), part_file(path, shared=shared) as part:  # noqa: PT012
+        part.write_bytes(b"half")
+        raise error
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.bin", b"old")]
+
+
+def test_two_writers_of_a_shared_file_do_not_meet(tmp_path: Path):
+    path = tmp_path / "cache"
+    with part_file(path, shared=True) as first:
+        with part_file(path, shared=True) as second:
+            assert first != second
+            second.write_text("second")
+        first.write_text("first")
+    assert path.read_text() == "first"
+
+
+def test_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(InputError, match=r"folder does not exist.*nowhere"), part_file(tmp_path / "nowhere" / "a"):
+        pass
