@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import struct
 from pathlib import Path
@@ -119,11 +120,10 @@ polygons = st.lists(st.integers(1, 4), min_size=1, max_size=5)
 @given(widths=polygons, radius=st.floats(0.0, 1.0, width=32), y=st.floats(-3, 3, width=32))
 def test_any_row_of_rectangles_survives_a_round_trip(widths, radius, y, tmp_path_factory):
     x = np.concatenate([[0], np.cumsum(widths)])
-    row = [rect(a, 0, b, 1) for a, b in zip(x[:-1], x[1:], strict=True)]
+    row = [rect(a, 0, b, 1) for a, b in itertools.pairwise(x)]
     navmesh = mesh_of(row, heights=[[y] * 4] * len(row), agent_radius=radius)
-    settings = NavMeshSettings(
-        **{k: np.float32(v).item() if isinstance(v, float) else v for k, v in vars(navmesh.settings).items()}
-    )
+    stored = {k: np.float32(v).item() for k, v in vars(navmesh.settings).items() if isinstance(v, float)}
+    settings = dataclasses.replace(navmesh.settings, **stored)
     navmesh = dataclasses.replace(navmesh, settings=settings)
     path = tmp_path_factory.mktemp("row") / "a.navmesh"
     write_navmesh(navmesh, path)

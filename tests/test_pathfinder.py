@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -205,7 +204,7 @@ def test_every_recorded_step_of_the_real_base_action_from_its_recorded_pose():
     finder = PathFinder(read_navmesh(REAL / "habitat-lab" / "reference" / "navmesh" / "flat.navmesh"))
     steps = collisions = slid = 0
     for file in sorted((REAL / "habitat-lab" / "reference" / "basemotion").glob("*.npz")):
-        data = np.load(file)
+        data = dict(np.load(file))
         if data["enable_lateral_move"]:
             continue
         stops = not data["sim_allow_sliding"]
@@ -295,6 +294,7 @@ def test_distances_are_a_metric_and_paths_stay_inside(draws, grid):
 @given(unit, unit, st.floats(-20, 20), st.floats(-20, 20))
 def test_no_step_leaves_the_floor_or_its_island(u, v, dx, dz):
     finder = maze()
+    assert finder.free_space is not None
     start = finder.snap_point([u * 9, 0.5, v * 4])
     if np.isnan(start).any():
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import astuple
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +108,8 @@ def _read_set_header(cursor: _Cursor) -> NavMeshSettings | None:
     if not np.isfinite(numbers).all() or numbers[3] < 0 or numbers[2] <= 0:
         raise cursor.error(f"Expected finite settings and a positive agent, got {numbers}", at)
     names = NavMeshSettings.__dataclass_fields__
-    return NavMeshSettings(**dict(zip(names, [*numbers, *switches], strict=True)))
+    values: dict[str, Any] = dict(zip(names, [*numbers, *switches], strict=True))
+    return NavMeshSettings(**values)
 
 
 def _read_tile_header(cursor: _Cursor) -> tuple[np.void, int]:
@@ -262,7 +264,8 @@ def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
     count = np.diff(navmesh.polygon_start)
     if len(navmesh.vertices) > 0xFFFE or len(count) > 0x7FFE or count.max(initial=0) > 6:
         raise InputError(
-            f"A Detour tile holds 65534 vertices and 32766 polygons of up to 6 corners, got {len(navmesh.vertices)}, {len(count)}."
+            "A Detour tile holds 65534 vertices and 32766 polygons of up to 6 corners, "
+            f"got {len(navmesh.vertices)} and {len(count)} of up to {count.max(initial=0)}."
         )
     polygons = np.zeros(len(count), _POLYGON)
     used = np.arange(6) < count[:, None]

@@ -190,7 +190,7 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
                 parent[j] = i
                 if rest[j] == np.inf:
                     rest[j] = np.sqrt(((surface.node[j] - end) ** 2).sum())
-                heappush(heap, (length + rest[j], np.int64(j)))
+                heappush(heap, (length + rest[j], int(j)))
     if parent[n] < 0:
         return np.inf, np.empty((0, 3))
     count = 2

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import InputError, SceneError
 from h3data.scene._sdf import sdf_from_edges
@@ -121,7 +122,7 @@ class NavMesh:
     @property
     def island_areas(self) -> NDArray[np.float64]:
         """Area of each island [K] [m2]."""
-        return np.bincount(self.islands[self.enabled], self.polygon_areas[self.enabled])
+        return np.bincount(self.islands[self.enabled], self.polygon_areas[self.enabled]).astype(np.float64)
 
     def island_polygons(self, island: int) -> NDArray[np.int64]:
         """Indices of the polygons of an island."""
@@ -253,14 +254,14 @@ def _island_height(navmesh: NavMesh, island: int) -> float:
     return float(np.average(t[:, :, 1].mean(1), weights=weight))
 
 
-def _island_outline(navmesh: NavMesh, island: int) -> shapely.Geometry:
+def _island_outline(navmesh: NavMesh, island: int) -> BaseGeometry:
     """Floor area (x, z) of an island, walls without thickness cut out of it as slits of 0.6 mm."""
     polygons, walls = [], []
     for p in navmesh.island_polygons(island):
         corners = navmesh.corners(p)[:, [0, 2]].astype(np.float64)
         polygons.append(Polygon(corners))
         wall = navmesh.polygon_neighbours[navmesh.polygon_start[p] : navmesh.polygon_start[p + 1]] < 0
-        walls += list(shapely.linestrings(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)[wall]))
+        walls += [LineString(ends) for ends in np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)[wall]]
     area = shapely.union_all(polygons)
     overlap = sum(p.area for p in polygons) - area.area
     if overlap > max(1e-3 * area.area, 0.01):
