@@ -35,6 +35,7 @@ _CUT_M = 2.2
 """Triangles wholly above this height over the floor are left out where a scene has no layer for its ceiling."""
 _EYE_M = 1.55
 _EYE_CANDIDATES = 12
+_DOORWAY_M = 0.32
 
 
 def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
@@ -254,6 +255,8 @@ def eye_level_camera(
         raise InputError(f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {known}.")
     chosen = room or max(rooms, key=lambda name: rooms[name].area, default="")
     area = main.intersection(rooms[chosen]) if chosen else main
+    inside = area.intersection(rooms[chosen].buffer(-_DOORWAY_M)) if chosen else area
+    area = area if inside.is_empty else inside  # not from a doorway
     corners = shapely.get_coordinates(area.simplify(0.1))
     if not len(corners):
         raise InputError(f"Nobody can stand in room {chosen!r} of scene {scene.name!r}.")

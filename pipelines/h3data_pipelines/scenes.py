@@ -186,12 +186,12 @@ class ScenesValidate:
         reports = [validate_scene(name, radius_m=self.radius, picture=targets.get(name)) for name in names]
         faults = sum(len(r["problems"]) for r in reports)
         cells = [
-            [r["scene"], p["kind"].replace("_", " "), p["subject"], p["text"]] for r in reports for p in r["problems"]
+            [_short(r["scene"]), p["kind"].replace("_", " "), p["subject"], p["text"]] for r in reports for p in r["problems"]
         ]
-        lines = [f"{r['scene']}: {'ok' if not r['problems'] else len(r['problems'])}" for r in reports]
+        lines = [f"{_short(r['scene'])}: {'ok' if not r['problems'] else len(r['problems'])}" for r in reports]
         lines = [line if line.endswith("ok") else f"{line} problems" for line in lines]
         lines += ["", _table(("scene", "problem", "where", "what"), cells)] if cells else []
-        lines += [f"note: {r['scene']}: {note}" for r in reports for note in r["notes"]]
+        lines += [f"note: {_short(r['scene'])}: {note}" for r in reports for note in r["notes"]]
         lines += [f"wrote {target}" for target in targets.values()]
         data = {"faults": faults, "scenes": reports}
         return Outcome(text="\n".join(lines), data=data, exit_code=1 if faults else 0)
@@ -327,6 +327,11 @@ def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
         for o in sure
     ]
     return problems, len(found) - len(sure)
+
+
+def _short(name: str) -> str:
+    """How tables name a scene: a path by its last part."""
+    return Path(name).name if "/" in name else name
 
 
 # --- tables and files -------------------------------------------------------------------------------------------------

@@ -1,0 +1,408 @@
+"""Homes in Habitat's formats: what our reader gets back, what habitat-sim needs, and folders that must not be harmed."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull, cKDTree
+
+from h3data.errors import InputError, SceneError
+from h3data.geometry import quat_from_axis_angle, transform_points
+from h3data.interop import habitat_export as export_module
+from h3data.interop import load_habitat_scene, load_mesh
+from h3data.interop.glb_write import glb_bytes
+from h3data.interop.habitat_colliders import part_mesh, part_points
+from h3data.interop.habitat_export import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data.scene import (
+    Asset,
+    Box,
+    Capsule,
+    Cylinder,
+    HomeSpec,
+    Hull,
+    Instance,
+    Mesh,
+    Receptacle,
+    Room,
+    Scene,
+    build_home,
+    instance_matrix,
+)
+
+S = 0.5**0.5
+
+
+def brick(low: tuple[float, ...], high: tuple[float, ...], color: tuple[int, int, int] = (10, 120, 250)) -> Mesh:
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    hull = ConvexHull(corners)
+    faces = hull.simplices.astype(np.int32)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    wrong = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[wrong] = faces[wrong][:, ::-1]
+    return Mesh(
+        vertices=corners.astype(np.float32), faces=faces, colors=np.tile(np.array(color, np.uint8), (8, 1))
+    )  # fmt: skip
+
+
+def pose(x: float, y: float, z: float, axis: tuple[float, ...] = (0, 1, 0), angle: float = 0.0) -> np.ndarray:
+    return np.concatenate([[x, y, z], quat_from_axis_angle(np.array(axis, float), np.array(angle))])
+
+
+def small_scene(*more: Instance, name: str = "tiny") -> Scene:
+    """A floor with a window sill, and things of every collision shape."""
+    sill = Receptacle(name="sill", center=np.array([0.0, 1.0, 0.0]), half_size=np.array([0.5, 0.1]), clearance_m=0.4)
+    top = Receptacle(name="top", center=np.array([0.1, 0.5, 0.0]), half_size=np.array([0.3, 0.2]), clearance_m=0.7)
+    shapes = (
+        Box(pose=pose(0, 0.25, 0, (0, 1, 0), 0.3), half_extents=np.array([0.3, 0.25, 0.2])),
+        Cylinder(pose=pose(0.3, 0.25, 0), radius=0.1, half_height=0.2),
+        Capsule(start=np.array([0.0, 0.1, 0.0]), end=np.array([0.0, 0.4, 0.1]), radius=0.1),
+        Hull(points=np.random.default_rng(0).normal(size=(12, 3)) * 0.2),
+    )
+    assets = {
+        "ground": Asset(name="ground", mesh=brick((-3, -0.1, -3), (3, 0, 3)), category="floor"),
+        "window": Asset(name="window", mesh=brick((-0.5, 0, -0.1), (0.5, 1, 0.1)), category="window", receptacles=(sill,)),
+        "table": Asset(name="table", mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)), category="table",
+                       shapes=shapes, receptacles=(top,)),
+        "twin": Asset(name="twin", mesh=brick((-0.4, 0, -0.3), (0.5, 0.5, 0.3), (200, 3, 77)), category="table",
+                      shapes=shapes, receptacles=(top,)),
+        "rug": Asset(name="rug", mesh=brick((-1, 0, -1), (1, 0.01, 1)), category="rug"),
+    }  # fmt: skip
+    instances = (
+        Instance(name="floor", asset="ground", pose=pose(0, 0, 0), semantic_id=2),
+        Instance(name="window_0", asset="window", pose=pose(2.9, 0, 0, (0, 1, 0), 0.5 * np.pi), semantic_id=5),
+        Instance(name="table_0", asset="table", pose=pose(1, 0, 1, (0, 1, 0), 0.5 * np.pi), semantic_id=20),
+        Instance(
+            name="table_1", asset="twin", pose=pose(-1, 0.2, 1, (1, 2, 3), 1.0), semantic_id=20, motion="kinematic"
+        ),
+        Instance(name="table_2", asset="table", pose=pose(-1, 0, -1), semantic_id=21),
+        Instance(name="rug_0", asset="rug", pose=pose(0, 0, 0), semantic_id=30),
+        *more,
+    )
+    rooms = (Room(name="only", category="living", rectangles=np.array([[-3.0, -3, 0, 3], [0, -3, 3, 3]])),)
+    return Scene(name=name, assets=assets, instances=instances, rooms=rooms)
+
+
+def triangles(scene: Scene) -> np.ndarray:
+    """Middle, area vector and spread of every world triangle, shape [F, 7]: the same whichever corner comes first."""
+    found = []
+    for instance in scene.instances:
+        mesh, matrix = scene.assets[instance.asset].mesh, instance_matrix(instance)
+        faces = mesh.faces if np.linalg.det(matrix[:3, :3]) > 0 else mesh.faces[:, ::-1]
+        found.append(transform_points(matrix, mesh.vertices.astype(np.float64))[faces])
+    corners = np.concatenate(found)
+    middle = corners.mean(1)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    spread = np.linalg.norm(corners - middle[:, None], axis=2).sum(1)
+    return np.concatenate([middle, area, spread[:, None]], axis=1)
+
+
+def surfaces(scene: Scene) -> np.ndarray:
+    """World corner, opposite corner and clearance of every receptacle, sorted, shape [R, 7]."""
+    rows = []
+    for instance, r in scene.receptacles():
+        half = np.array([r.half_size[0], 0, r.half_size[1]])
+        ends = transform_points(instance_matrix(instance), np.stack([r.center - half, r.center + half]))
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        rows.append([*low, *high, r.clearance_m])
+    out = np.round(np.array(rows), 6)
+    return out[np.lexsort(out.T)]
+
+
+def same_triangles(a: Scene, b: Scene) -> None:
+    """Every triangle of each scene is one of the other, within 20 micrometres (float32 poses of the stage's corners)."""
+    first, second = triangles(a), triangles(b)
+    assert first.shape == second.shape
+    assert cKDTree(second).query(first)[0].max() < 2e-5
+    assert cKDTree(first).query(second)[0].max() < 2e-5
+    np.testing.assert_allclose(first.sum(0), second.sum(0), atol=0.05)
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=3))
+
+
+@pytest.fixture(scope="module")
+def exported(home: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_habitat(home, tmp_path_factory.mktemp("export") / "small_3")
+
+
+# --- round trip -------------------------------------------------------------------------------------------------------
+def test_a_home_comes_back(home: Scene, exported: Path) -> None:
+    again = load_habitat_scene(exported)
+    assert again.source["warnings"] == []
+    same_triangles(home, again)
+    np.testing.assert_allclose(surfaces(again), surfaces(home), atol=2e-6)
+
+    def things(scene: Scene) -> Counter:
+        return Counter(
+            (i.semantic_id, i.motion, *np.round(i.pose[:3], 9) + 0.0)
+            for i in scene.instances if scene.assets[i.asset].category not in export_module.STAGE_CATEGORIES
+        )  # fmt: skip
+
+    assert things(again) == things(home)
+    assert again.instances[0].name == "stage"
+
+
+def test_colours_come_back_exactly(home: Scene, exported: Path) -> None:
+    """Whatever happens to vertex colours elsewhere: they travel as a texture."""
+    again = load_habitat_scene(exported)
+    for scene_asset in ("sofa", "bed"):
+        ours = next(a for a in home.assets.values() if a.category == scene_asset).mesh
+        theirs = next(a for n, a in again.assets.items() if n.startswith(f"{scene_asset}_")).mesh
+        uniform = (ours.colors[ours.faces] == ours.colors[ours.faces][:, :1]).all((1, 2))
+        assert uniform.mean() > 0.9
+        np.testing.assert_array_equal(theirs.colors[theirs.faces][uniform], ours.colors[ours.faces][uniform])
+
+
+def test_shapes_scales_and_a_sill_come_back(tmp_path: Path) -> None:
+    more = (
+        Instance(name="tall", asset="table", pose=pose(1, 0, -1, (0, 1, 0), 0.3), scale=np.array([1.0, 2.0, 0.5])),
+        Instance(name="mirror", asset="table", pose=pose(2, 0, -2), scale=np.array([-1.0, 1.0, 1.0])),
+        Instance(name="big", asset="twin", pose=pose(2, 0, 2), scale=np.full(3, 1.5)),
+    )
+    scene = small_scene(*more)
+    again = load_habitat_scene(export_habitat(scene, tmp_path / "x"))
+    same_triangles(scene, again)
+    ours = {tuple(r[:6]): r[6] for r in surfaces(scene)}
+    theirs = {tuple(r[:6]): r[6] for r in surfaces(again)}
+    assert len(ours) == len(theirs) == 6
+    near = [min(theirs, key=lambda k, o=o: np.abs(np.array(k) - o).max()) for o in ours]
+    np.testing.assert_allclose(np.array(near), np.array(list(ours)), atol=2e-6)
+    tall = next(r for i, r in again.receptacles() if np.allclose(i.pose[:3], [1, 0, -1]))
+    assert tall.clearance_m == pytest.approx(1.4)  # scaled with the table: habitat-lab scales no receptacle itself
+    assert [tuple(i.scale) for i in again.instances] == [(1.0, 1.0, 1.0)] * 8
+
+
+def test_poses_are_written_as_habitat_reads_them(tmp_path: Path) -> None:
+    folder = export_habitat(small_scene(), tmp_path / "x").parent
+    content = json.loads((folder / "scenes/tiny.scene_instance.json").read_text())
+    table = next(o for o in content["object_instances"] if o["user_defined"]["h3data"]["name"] == "table_0")
+    np.testing.assert_allclose(table["rotation"], [S, 0, S, 0], atol=1e-12)  # w x y z
+    assert table["translation"] == [1, 0, 1]
+    assert table["translation_origin"] == content["translation_origin"] == "asset_local"
+    assert [o["motion_type"] for o in content["object_instances"]] == ["STATIC", "KINEMATIC", "STATIC", "STATIC"]
+    config = json.loads((folder / "objects" / f"{table['template_name']}.object_config.json").read_text())
+    assert config["COM"] == [0, 0, 0]  # so that both of Habitat's origins are the asset's
+    assert config["compute_COM_from_shape"] is False
+    assert config["use_bounding_box_for_collision"] is False  # habitat-sim would put that box around the COM
+    assert config["semantic_id"] == 20
+    top = config["user_defined"]["receptacle_aabb_top"]
+    assert top["scale"] == [0.3, 0.35, 0.2]  # half extents of the free volume,
+    assert top["position"] == pytest.approx([0.1, 0.85, 0.0])  # whose bottom is the surface
+    stage = json.loads((folder / "stages/tiny.stage_config.json").read_text())
+    assert (stage["up"], stage["front"]) == ([0, 1, 0], [0, 0, -1])  # or habitat-sim takes it as Z-up
+    regions = json.loads((folder / "semantics/scenes/tiny.semantic_config.json").read_text())["region_annotations"]
+    assert [r["name"] for r in regions] == ["only.0", "only.1"]
+    assert regions[0]["label"] == "living"
+    rug = next(o for o in content["object_instances"] if o["user_defined"]["h3data"]["name"] == "rug_0")
+    assert (
+        json.loads((folder / "objects" / f"{rug['template_name']}.object_config.json").read_text())["is_collidable"]
+        is False
+    )
+
+
+# --- what habitat-sim needs of a dataset ------------------------------------------------------------------------------
+def test_every_reference_leads_to_a_file(exported: Path) -> None:
+    folder = exported.parent
+    for file in folder.rglob("*.json"):
+        content = json.loads(file.read_text(), parse_constant=pytest.fail)
+        for key in ("render_asset", "collision_asset"):
+            if key in content:
+                assert (file.parent / content[key]).is_file(), (file.name, key)
+    instance = json.loads((folder / "scenes/home_small_3.scene_instance.json").read_text())
+    for path in (instance["stage_instance"]["template_name"], instance["default_lighting"],
+                 instance["user_defined"]["scene_filter_file"]):  # fmt: skip
+        assert (folder / path).is_file()
+    assert (folder / "semantics/scenes" / instance["semantic_scene_instance"]).is_file()
+    config = json.loads(exported.read_text())
+    lexicon = config["semantic_scene_descriptor_instances"]["default_attributes"]["semantic_descriptor_filename"]
+    assert (folder / "semantics/scenes" / lexicon).resolve().is_file()
+    endings = {"stages": "stage_config", "objects": "object_config", "light_setups": "lighting_config"}
+    for section, ending in {**endings, "scene_instances": "scene_instance"}.items():
+        (where,) = config[section]["paths"][".json"]
+        assert list((folder / where).glob(f"*.{ending}.json")), section
+
+
+def test_no_handle_is_a_part_of_another(exported: Path) -> None:
+    """habitat-sim takes the first template whose handle contains the name that a scene gives."""
+    folder = exported.parent
+    handles = [str(p.relative_to(folder)) for p in folder.rglob("*_config.json")]
+    instance = json.loads((folder / "scenes/home_small_3.scene_instance.json").read_text())
+    for name in {o["template_name"] for o in instance["object_instances"]}:
+        assert sum(name in handle for handle in handles) == 1
+
+
+def test_filter_names_receptacles_as_habitat_does(exported: Path) -> None:
+    content = json.loads((exported.parent / "scene_filter_files/home_small_3.rec_filter.json").read_text())
+    again = load_habitat_scene(exported)
+    assert sorted(content["active"]) == sorted(f"{i.name}|{r.name}" for i, r in again.receptacles())
+    assert len(content["active"]) == 25
+    assert {"manually_filtered", "access_filtered", "stability_filtered", "height_filtered"} < set(content)
+
+
+def test_equal_assets_are_written_once(tmp_path: Path) -> None:
+    folder = export_habitat(small_scene(), tmp_path / "x").parent
+    meshes = [p.name for p in (folder / "objects").glob("*.glb") if not p.name.endswith(".collider.glb")]
+    assert len(meshes) == 2  # the table with its twin, the rug
+    handles = {
+        o["template_name"]
+        for o in json.loads((folder / "scenes/tiny.scene_instance.json").read_text())["object_instances"]
+    }
+    assert len(handles) == 3  # the table has two semantic ids
+
+
+def test_scenes_share_the_objects_of_a_dataset(tmp_path: Path) -> None:
+    config = export_habitat_dataset([small_scene(), small_scene(name="tiny_1")], tmp_path / "both")
+    assert config.name == "both.scene_dataset_config.json"
+    objects = sorted(p.name for p in (tmp_path / "both/objects").iterdir())
+    alone = export_habitat(small_scene(), tmp_path / "one").parent
+    assert objects == sorted(p.name for p in (alone / "objects").iterdir())
+    for name in ("tiny", "tiny_1"):
+        same_triangles(load_habitat_scene(tmp_path / "both/scenes" / f"{name}.scene_instance.json"), small_scene())
+    with pytest.raises(InputError, match="different names"):
+        export_habitat_dataset([small_scene(), small_scene()], tmp_path / "twice")
+    with pytest.raises(InputError, match="at least one"):
+        export_habitat_dataset([], tmp_path / "none")
+
+
+def test_navmesh_settings_have_habitats_keys(real: Path) -> None:
+    theirs = json.loads((real / "habitat-sim/data/test_assets/test_navmeshsettings.json").read_text())
+    assert set(theirs) <= set(NAVMESH_SETTINGS)
+    assert (NAVMESH_SETTINGS["agentRadius"], NAVMESH_SETTINGS["includeStaticObjects"]) == (0.25, True)
+
+
+# --- colliders and GLB ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("k", range(4))
+def test_collider_parts_enclose_their_shapes_tightly(k: int) -> None:
+    shape = small_scene().assets["table"].shapes[k]
+    mesh = part_mesh(shape)
+    hull = ConvexHull(mesh.vertices)
+    corners = mesh.vertices.astype(np.float64)[mesh.faces]
+    volume = float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+    assert volume == pytest.approx(hull.volume, rel=1e-4)  # closed, faces outwards
+    exact = {0: 0.6 * 0.5 * 0.4, 1: np.pi * 0.01 * 0.4, 3: ConvexHull(part_points(shape)).volume}
+    length = float(np.hypot(0.3, 0.1))
+    exact[2] = np.pi * 0.01 * length + 4 / 3 * np.pi * 0.001
+    assert exact[k] * 0.999 <= volume <= exact[k] * 1.08
+
+
+def test_collider_file_keeps_its_parts_apart(tmp_path: Path) -> None:
+    import trimesh
+
+    folder = export_habitat(small_scene(), tmp_path / "x").parent
+    colliders = list((folder / "objects").glob("table_*.collider.glb"))
+    assert len(colliders) == 2
+    assert len(trimesh.load_scene(colliders[0]).geometry) == 4
+
+
+def test_triangles_of_several_colours_get_their_mean(tmp_path: Path) -> None:
+    mesh = brick((0, 0, 0), (1, 1, 1))
+    colors = np.zeros((8, 3), np.uint8)
+    colors[0] = (90, 30, 0)
+    (tmp_path / "m.glb").write_bytes(glb_bytes([replace(mesh, colors=colors)]))
+    again = load_mesh(tmp_path / "m.glb")
+    seen = {tuple(c) for c in again.colors[again.faces].reshape(-1, 3).tolist()}
+    assert seen == {(0, 0, 0), (30, 10, 0)}
+    np.testing.assert_allclose(np.ptp(again.vertices, axis=0), 1)
+
+
+def test_the_stage_names_its_parts(exported: Path) -> None:
+    data = (exported.parent / "stages/home_small_3.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    walls = next(n for n in document["nodes"] if n["name"] == "walls")
+    assert walls["extras"]["h3data"] == {"category": "wall", "semantic_id": 1, "layer": ""}
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_same_scene_same_bytes(home: Scene, exported: Path, tmp_path: Path) -> None:
+    again = export_habitat(build_home(HomeSpec(preset="small", seed=3)), tmp_path / "elsewhere")
+    assert contents(again.parent) == contents(exported.parent)
+
+
+def test_a_folder_with_something_in_it_is_refused(tmp_path: Path) -> None:
+    target = tmp_path / "x"
+    export_habitat(small_scene(), target)
+    before = contents(target)
+    with pytest.raises(InputError, match="not empty"):
+        export_habitat(small_scene(), target)
+    (target / "stray.txt").write_text("old")
+    export_habitat(small_scene(), target, force=True)
+    assert contents(target) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["x"]
+    (tmp_path / "empty").mkdir()
+    export_habitat(small_scene(), tmp_path / "empty")
+
+
+def test_force_deletes_nothing_that_it_did_not_write(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis/chapter_1.tex").write_text("dear reader")
+    (tmp_path / "thesis/hssd.scene_dataset_config.json").write_text('{"stages": {}}')
+    with pytest.raises(InputError, match="did not export it"):
+        export_habitat(small_scene(), tmp_path / "thesis", force=True)
+    assert (tmp_path / "thesis/chapter_1.tex").read_text() == "dear reader"
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="this is a file"):
+        export_habitat(small_scene(), tmp_path / "file", force=True)
+    with pytest.raises(InputError, match="Cannot"):
+        export_habitat(small_scene(), tmp_path / "file" / "below")
+
+
+def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "x"
+    export_habitat(small_scene(), target)
+    before = contents(target)
+    write = Path.write_bytes
+
+    def full(self: Path, data: bytes) -> int:
+        if "scenes" in self.parts:
+            raise OSError(28, "No space left on device")
+        return write(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match="No space left"):
+        export_habitat(small_scene(), target, force=True)
+    assert contents(target) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"pose": np.full(7, np.nan)}, "cannot be written"),
+        ({"scale": np.array([1.0, 0.0, 1.0])}, "cannot be written"),
+    ],
+)
+def test_poses_that_are_none_are_refused(tmp_path: Path, change: dict[str, Any], says: str) -> None:
+    scene = small_scene()
+    broken = replace(scene, instances=(*scene.instances[:-1], replace(scene.instances[-1], **change)))
+    with pytest.raises(SceneError, match=says):
+        export_habitat(broken, tmp_path / "x")
+    assert not list(tmp_path.iterdir())
+
+
+def test_meshes_with_nan_and_scenes_without_a_building_are_refused(tmp_path: Path) -> None:
+    scene = small_scene()
+    bad = brick((0, 0, 0), (1, 1, 1))
+    bad.vertices[0, 0] = np.nan
+    with pytest.raises(SceneError, match="not finite"):
+        export_habitat(replace(scene, assets={**scene.assets, "rug": Asset(name="rug", mesh=bad)}), tmp_path / "x")
+    with pytest.raises(SceneError, match="no building"):
+        export_habitat(replace(scene, instances=scene.instances[2:]), tmp_path / "x")
+
+
+def test_names_become_file_names(tmp_path: Path) -> None:
+    config = export_habitat(small_scene(name="../../my home: 1"), tmp_path / "x")
+    assert config.parent == tmp_path / "x"
+    assert config.name == "_my_home_1.scene_dataset_config.json"
+    assert load_habitat_scene(config).name == "_my_home_1"
