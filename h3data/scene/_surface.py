@@ -62,7 +62,7 @@ class Surface(NamedTuple):
     """The wall corners (x, z) before and after each node, shape [n, 4]."""
     link_start: NDArray[np.int64]
     """Links of node i are ``link_start[i]:link_start[i + 1]``, shape [n + 1]."""
-    link_node: NDArray[np.int32]
+    link_node: NDArray[np.int64]
     link_length: NDArray[np.float64]
     """Length in space [m]."""
 

@@ -57,7 +57,7 @@ def build_surface(navmesh: NavMesh) -> Surface:
         node_polygon=none,
         node_side=np.zeros((0, 4)),
         link_start=np.zeros(1, np.int64),
-        link_node=none,
+        link_node=np.zeros(0, np.int64),
         link_length=np.zeros(0),
     )
 

@@ -123,10 +123,10 @@ def _taut(surface: Surface, node: int, x: float, z: float) -> bool:
 
 @kernel()
 def link_nodes(surface: Surface) -> tuple[NDArray, NDArray]:
-    """Links between nodes that see each other and are taut at both ends: (start int64 [n + 1], node int32 [links])."""
+    """Links between nodes that see each other and are taut at both ends: (start int64 [n + 1], node int64 [links])."""
     n = len(surface.node)
     start = np.zeros(n + 1, np.int64)
-    links = np.empty(max(16 * n, 1), np.int32)
+    links = np.empty(max(16 * n, 1), np.int64)
     count = 0
     seen = np.zeros(n, np.bool_)
     for i in range(n):
