@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,14 +11,14 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, SceneError
 from h3data.geometry import Array, normalized
+from h3data.scene.glb import FLOAT32, INDICES, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
 from h3data.scene.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (176, 178, 182)
 """sRGB of things whose file gives no colour: light grey."""
 
-_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
-_COMPONENT = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_COMPONENT = {5121: np.uint8, UINT16: np.uint16, UINT32: np.uint32, FLOAT32: np.float32}
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -63,20 +61,14 @@ def _load_with_trimesh(path: Path) -> Mesh:
 def read_plain_glb(path: Path) -> Mesh | None:
     """The mesh of a GLB that holds only triangles with normals and untextured materials in one unmoved node, as
     `write_plain_glb` makes it; None if there is anything more in it (then trimesh reads it)."""
-    data = path.read_bytes()
+    tree, binary = unpack_glb(path.read_bytes(), str(path), what="a mesh as GLB")
     try:
-        magic, _, total = struct.unpack_from("<III", data)
-        length, kind = struct.unpack_from("<II", data, 12)
-        if magic != _GLB_MAGIC or kind != _JSON_CHUNK or total > len(data):
-            raise ValueError("it is cut off or of another kind")
-        tree = json.loads(data[20 : 20 + length])
-        binary = memoryview(data)[28 + length :]
         return _plain_mesh(tree, binary)
-    except (struct.error, ValueError, KeyError, IndexError, TypeError) as error:
+    except (ValueError, KeyError, IndexError, TypeError) as error:
         raise FormatError(f"Expected a GLB file, could not read this one ({error}): {path}") from error
 
 
-def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
+def _plain_mesh(tree: dict, binary: bytes) -> Mesh | None:
     nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
     moved = any(key in node for node in nodes for key in ("matrix", "translation", "rotation", "scale", "children"))
     if len(nodes) != 1 or len(meshes) != 1 or moved or tree.get("textures") or tree.get("extensionsUsed"):
@@ -100,7 +92,7 @@ def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
     )
 
 
-def _accessor(tree: dict, binary: memoryview, index: int) -> NDArray:
+def _accessor(tree: dict, binary: bytes, index: int) -> NDArray:
     accessor = tree["accessors"][index]
     view = tree["bufferViews"][accessor["bufferView"]]
     dtype, width = _COMPONENT[accessor["componentType"]], _WIDTH[accessor["type"]]
@@ -116,7 +108,7 @@ def write_plain_glb(path: Path, mesh: Mesh) -> None:
     assert mesh.normals is not None
     palette, index = np.unique(mesh.colors, axis=0, return_inverse=True)
     face_color = index.ravel()[mesh.faces[:, 0]]
-    chunks: list[bytes] = []
+    chunk = GlbChunk()
     tree: dict = {
         "asset": {"version": "2.0", "generator": "h3data"},
         "scene": 0,
@@ -124,26 +116,13 @@ def write_plain_glb(path: Path, mesh: Mesh) -> None:
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": []}],
         "materials": [],
-        "accessors": [],
-        "bufferViews": [],
+        "accessors": chunk.accessors,
+        "bufferViews": chunk.views,
     }
 
-    def add(array: NDArray, kind: str, component: int, target: int) -> int:
-        raw = array.tobytes()
-        tree["bufferViews"].append(
-            {"buffer": 0, "byteOffset": sum(map(len, chunks)), "byteLength": len(raw), "target": target}
-        )
-        chunks.append(raw + b"\0" * (-len(raw) % 4))
-        accessor = {
-            "bufferView": len(tree["bufferViews"]) - 1,
-            "componentType": component,
-            "count": len(array),
-            "type": kind,
-        }
-        if target == 34962 and kind == "VEC3":
-            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
-        tree["accessors"].append(accessor)
-        return len(tree["accessors"]) - 1
+    def vectors(values: NDArray) -> int:
+        low, high = values.min(0).tolist(), values.max(0).tolist()
+        return chunk.array(values, "VEC3", FLOAT32, VERTICES, min=low, max=high)
 
     for k, color in enumerate(palette):
         used, faces = np.unique(mesh.faces[face_color == k], return_inverse=True)
@@ -156,20 +135,15 @@ def write_plain_glb(path: Path, mesh: Mesh) -> None:
         tree["meshes"][0]["primitives"].append(
             {
                 "attributes": {
-                    "POSITION": add(mesh.vertices[used], "VEC3", 5126, 34962),
-                    "NORMAL": add(mesh.normals[used], "VEC3", 5126, 34962),
+                    "POSITION": vectors(mesh.vertices[used]),
+                    "NORMAL": vectors(mesh.normals[used]),
                 },
-                "indices": add(faces.ravel().astype(np.uint16), "SCALAR", 5123, 34963),
+                "indices": chunk.array(faces.ravel().astype(np.uint16), "SCALAR", UINT16, INDICES),
                 "material": len(tree["materials"]) - 1,
             }
         )
-    binary = b"".join(chunks)
-    tree["buffers"] = [{"byteLength": len(binary)}]
-    text = json.dumps(tree, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack("<III", _GLB_MAGIC, 2, size) + struct.pack("<II", len(text), _JSON_CHUNK)
-    path.write_bytes(head + text + struct.pack("<II", len(binary), _BIN_CHUNK) + binary)
+    tree["buffers"] = [{"byteLength": chunk.size}]
+    path.write_bytes(pack_glb(tree, chunk))
 
 
 # --- simple shapes, flat-shaded where they have edges ------------------------------------------------------------------

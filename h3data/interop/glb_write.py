@@ -6,8 +6,6 @@ material (habitat-sim's PBR shader among them), so what is meant for others come
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,10 +15,9 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, normalized
+from h3data.scene.glb import FLOAT32, INDICES, UINT32, VERTICES, GlbChunk, pack_glb
 from h3data.scene.records import Mesh
 
-_FLOAT32, _UINT32 = 5126, 5125
-_VERTICES, _INDICES = 34962, 34963
 _NEAREST, _CLAMP = 9728, 33071
 _BLOCK_PX = 4
 """Side of the square of one colour in the palette: the first two mipmaps of a viewer that makes some are still clean."""
@@ -50,7 +47,7 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
     meshes = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
     palette = np.unique(np.concatenate([m.colors for m in meshes]), axis=0)
     side = int(np.ceil(np.sqrt(len(palette))))
-    chunk = _Chunk()
+    chunk = GlbChunk()
     image = chunk.view(_palette_png(palette, side))
     records = [
         {"name": f"mesh_{k}", "primitives": [_primitive(chunk, mesh, palette, side)]} for k, mesh in enumerate(meshes)
@@ -76,46 +73,19 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": chunk.size}],
     }  # fmt: skip
-    text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
-    chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\x00", b"".join(chunk.parts))]
-    body = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
-    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
+    return pack_glb(document, chunk)
 
 
-class _Chunk:
-    """The binary chunk that is being filled."""
-
-    def __init__(self) -> None:
-        self.parts: list[bytes] = []
-        self.size = 0
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def view(self, data: bytes, **more: Any) -> int:
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **more})
-        padded = data + bytes(-len(data) % 4)
-        self.parts.append(padded)
-        self.size += len(padded)
-        return len(self.views) - 1
-
-    def array(self, values: NDArray[Any], kind: str, component: int, target: int, **more: Any) -> int:
-        view = self.view(values.tobytes(), target=target)
-        self.accessors.append(
-            {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
-        )
-        return len(self.accessors) - 1
-
-
-def _primitive(chunk: _Chunk, mesh: Mesh, palette: NDArray[np.uint8], side: int) -> dict[str, Any]:
+def _primitive(chunk: GlbChunk, mesh: Mesh, palette: NDArray[np.uint8], side: int) -> dict[str, Any]:
     low, high = mesh.bounds.tolist()
-    attributes = {"POSITION": chunk.array(mesh.vertices.astype("<f4"), "VEC3", _FLOAT32, _VERTICES, min=low, max=high)}
+    attributes = {"POSITION": chunk.array(mesh.vertices.astype("<f4"), "VEC3", FLOAT32, VERTICES, min=low, max=high)}
     if mesh.normals is not None:
-        attributes["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", _FLOAT32, _VERTICES)
+        attributes["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
     codes, wanted = _codes(palette), _codes(mesh.colors)
     index = np.searchsorted(codes, wanted)  # np.unique sorts rows as the codes do
     uv = np.stack([index % side + 0.5, index // side + 0.5], -1) / side
-    attributes["TEXCOORD_0"] = chunk.array(uv.astype("<f4"), "VEC2", _FLOAT32, _VERTICES)
-    faces = chunk.array(mesh.faces.astype("<u4").ravel(), "SCALAR", _UINT32, _INDICES)
+    attributes["TEXCOORD_0"] = chunk.array(uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
+    faces = chunk.array(mesh.faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
     return {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
 
 

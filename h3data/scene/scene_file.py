@@ -7,9 +7,7 @@ sRGB colours survive exactly: 16-bit linear values are at least 19 steps apart f
 
 from __future__ import annotations
 
-import json
 import os
-import struct
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.geometry import normalized
+from h3data.scene.glb import FLOAT32, INDICES, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
 from h3data.scene.records import Asset, Instance, Mesh, Scene
 from h3data.scene.scene_json import (
     asset_record,
@@ -37,10 +36,6 @@ FORMAT_NAME = "h3data.scene"
 FORMAT_VERSION = (1, 0)
 """Major, minor. A reader refuses a newer major version and ignores fields that it does not know."""
 
-_MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
-_FLOAT32, _UINT16, _UINT32 = 5126, 5123, 5125
-_VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
-
 
 @cache
 def _linear_of_srgb() -> NDArray[np.uint16]:
@@ -56,46 +51,25 @@ def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
-class _Buffer:
-    """The binary chunk that is being filled, with its buffer views and accessors."""
-
-    def __init__(self) -> None:
-        self.parts: list[bytes] = []
-        self.size = 0
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, array: NDArray[Any], kind: str, component: int, target: int, **more: Any) -> int:
-        """Appends one accessor and gives its index."""
-        data = array.tobytes()
-        padding = -len(data) % 4
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), "target": target})
-        self.accessors.append(
-            {"bufferView": len(self.views) - 1, "componentType": component, "count": len(array), "type": kind, **more}
-        )
-        self.parts.append(data + bytes(padding))
-        self.size += len(data) + padding
-        return len(self.accessors) - 1
-
-    def add_mesh(self, asset: Asset) -> dict[str, int] | None:
-        """Accessors of a mesh; None if it has no triangles and no vertices."""
-        mesh = asset.mesh
-        if not len(mesh.vertices):
-            return None
-        for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
-            if values is not None and not np.isfinite(values).all():
-                raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot hold them.")
-        low, high = mesh.bounds.tolist()
-        vertices = mesh.vertices.astype("<f4")
-        out = {"POSITION": self.add(vertices, "VEC3", _FLOAT32, _VERTEX_BUFFER, min=low, max=high)}
-        if mesh.normals is not None:
-            out["NORMAL"] = self.add(mesh.normals.astype("<f4"), "VEC3", _FLOAT32, _VERTEX_BUFFER)
-        rgba = np.full((len(vertices), 4), 65535, "<u2")  # four components keep every vertex on a 4-byte border
-        rgba[:, :3] = _linear_of_srgb()[mesh.colors]
-        out["COLOR_0"] = self.add(rgba, "VEC4", _UINT16, _VERTEX_BUFFER, normalized=True)
-        if len(mesh.faces):
-            out["indices"] = self.add(mesh.faces.astype("<u4").ravel(), "SCALAR", _UINT32, _INDEX_BUFFER)
-        return out
+def _add_mesh(chunk: GlbChunk, asset: Asset) -> dict[str, int] | None:
+    """Accessors of a mesh; None if it has no triangles and no vertices."""
+    mesh = asset.mesh
+    if not len(mesh.vertices):
+        return None
+    for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
+        if values is not None and not np.isfinite(values).all():
+            raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot hold them.")
+    low, high = mesh.bounds.tolist()
+    vertices = mesh.vertices.astype("<f4")
+    out = {"POSITION": chunk.array(vertices, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+    if mesh.normals is not None:
+        out["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
+    rgba = np.full((len(vertices), 4), 65535, "<u2")  # four components keep every vertex on a 4-byte border
+    rgba[:, :3] = _linear_of_srgb()[mesh.colors]
+    out["COLOR_0"] = chunk.array(rgba, "VEC4", UINT16, VERTICES, normalized=True)
+    if len(mesh.faces):
+        out["indices"] = chunk.array(mesh.faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+    return out
 
 
 def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
@@ -111,10 +85,10 @@ def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
 
 def scene_bytes(scene: Scene) -> bytes:
     """The scene as the bytes of one GLB; the same scene gives the same bytes."""
-    buffer = _Buffer()
+    chunk = GlbChunk()
     records, meshes, mesh_of = [], [], {}
     for key, asset in scene.assets.items():
-        accessors = buffer.add_mesh(asset)
+        accessors = _add_mesh(chunk, asset)
         records.append({"key": key, **asset_record(asset, accessors)})
         if accessors is not None and "indices" in accessors:
             attributes = {name: index for name, index in accessors.items() if name != "indices"}
@@ -143,22 +117,17 @@ def scene_bytes(scene: Scene) -> bytes:
         "nodes": nodes,
         "meshes": meshes,
         "materials": [material] if meshes else [],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": buffer.size}] if buffer.size else [],
+        "accessors": chunk.accessors,
+        "bufferViews": chunk.views,
+        "buffers": [{"byteLength": chunk.size}] if chunk.size else [],
     }
     document |= {name: value for name, value in more.items() if value}
     try:
-        text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+        return pack_glb(document, chunk)
     except (TypeError, ValueError) as error:
         raise SceneError(
             f"Scene {scene.name!r} cannot be written: {error}. Poses, shapes and `source` must be finite and plain JSON."
         ) from error
-    chunks = [(_JSON, text + b" " * (-len(text) % 4))]
-    if buffer.size:
-        chunks.append((_BIN, b"".join(buffer.parts)))
-    body = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
-    return _MAGIC + struct.pack("<II", 2, 12 + len(body)) + body
 
 
 def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) -> None:
@@ -188,7 +157,7 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
             raise InputError(f"Cannot read a scene: {error.strerror or error}. Path: {where}") from error
     else:
         data, where = path_or_bytes.read(), getattr(path_or_bytes, "name", "the given file")
-    document, binary = _chunks(data, where)
+    document, binary = unpack_glb(data, where, what="a scene as GLB")
     extras = document.get("extras")
     record = extras.get("h3data") if isinstance(extras, dict) else None
     if not isinstance(record, dict) or record.get("format") != FORMAT_NAME:
@@ -208,36 +177,8 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
         raise FormatError(f"Damaged scene file ({type(error).__name__}: {error}). File: {where}") from error
 
 
-def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
-    """JSON document and binary chunk of a GLB."""
-    if data[:4] != _MAGIC:
-        raise FormatError(f"Expected a scene as GLB (first bytes 'glTF'), got {data[:4]!r}. File: {where}")
-    if len(data) < 20:
-        raise FormatError(f"Truncated GLB: a header needs 20 bytes, there are {len(data)}. File: {where}")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise FormatError(f"Expected glTF version 2, got {version}. File: {where}")
-    if length > len(data):
-        raise FormatError(f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}")
-    chunks: dict[bytes, bytes] = {}
-    at = 12
-    while at + 8 <= length:
-        (size,), kind = struct.unpack_from("<I", data, at), data[at + 4 : at + 8]
-        if at + 8 + size > length:
-            raise FormatError(f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}")
-        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
-        at += 8 + size
-    try:
-        document = json.loads(chunks[_JSON])
-    except (KeyError, ValueError, RecursionError) as error:
-        raise FormatError(f"Damaged GLB: it has no readable JSON chunk. File: {where}") from error
-    if not isinstance(document, dict):
-        raise FormatError(f"Damaged GLB: its JSON is not an object. File: {where}")
-    return document, chunks.get(_BIN, b"")
-
-
 _WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-_DTYPE = {_FLOAT32: "<f4", _UINT16: "<u2", _UINT32: "<u4"}
+_DTYPE = {FLOAT32: "<f4", UINT16: "<u2", UINT32: "<u4"}
 
 
 def _accessor(document: dict[str, Any], binary: bytes, index: int, kind: str, component: int) -> NDArray[Any]:
@@ -262,13 +203,13 @@ def _mesh(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> Me
         return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8), normals=normals)
     normals = None
     if "NORMAL" in accessors:
-        normals = _accessor(document, binary, accessors["NORMAL"], "VEC3", _FLOAT32).astype(np.float32)
+        normals = _accessor(document, binary, accessors["NORMAL"], "VEC3", FLOAT32).astype(np.float32)
     faces = np.zeros((0, 3), np.int32)
     if "indices" in accessors:
-        faces = _accessor(document, binary, accessors["indices"], "SCALAR", _UINT32).reshape(-1, 3).astype(np.int32)
-    color = _accessor(document, binary, accessors["COLOR_0"], "VEC4", _UINT16)
+        faces = _accessor(document, binary, accessors["indices"], "SCALAR", UINT32).reshape(-1, 3).astype(np.int32)
+    color = _accessor(document, binary, accessors["COLOR_0"], "VEC4", UINT16)
     return Mesh(
-        vertices=_accessor(document, binary, accessors["POSITION"], "VEC3", _FLOAT32).astype(np.float32),
+        vertices=_accessor(document, binary, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),
         faces=faces,
         colors=_srgb_of_linear(color[:, :3]),
         normals=normals,
