@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import FormatError, SceneError
 from h3data.geometry import Array, normalized
 from h3data.scene.glb import FLOAT32, INDICES, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
+from h3data.scene.meshes import joined, painted
 from h3data.scene.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
@@ -27,12 +28,7 @@ def load_mesh(path: Path, *, color: tuple[int, int, int] | None = None) -> Mesh:
     mesh = read_plain_glb(path) if path.suffix.lower() == ".glb" else None
     if mesh is None:
         mesh = _load_with_trimesh(path)
-    return mesh if color is None else _painted(mesh, color)
-
-
-def _painted(mesh: Mesh, color: tuple[int, int, int]) -> Mesh:
-    colors = np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1))
-    return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
+    return mesh if color is None else painted(mesh, color)
 
 
 def _load_with_trimesh(path: Path) -> Mesh:
@@ -80,16 +76,8 @@ def _plain_mesh(tree: dict, binary: bytes) -> Mesh | None:
         position, normal = (_accessor(tree, binary, primitive["attributes"][key]) for key in ("POSITION", "NORMAL"))
         faces = _accessor(tree, binary, primitive["indices"]).reshape(-1, 3)
         linear = tree["materials"][primitive["material"]]["pbrMetallicRoughness"]["baseColorFactor"][:3]
-        parts.append((position, normal, faces, linear_to_bytes(linear)))
-    starts = np.cumsum([0, *(len(p[0]) for p in parts)])
-    return Mesh(
-        vertices=np.concatenate([p[0] for p in parts]).astype(np.float32),
-        faces=np.concatenate([p[2].astype(np.int32) + s for p, s in zip(parts, starts[:-1], strict=True)]).astype(
-            np.int32
-        ),
-        colors=np.concatenate([np.tile(p[3], (len(p[0]), 1)) for p in parts]),
-        normals=np.concatenate([p[1] for p in parts]).astype(np.float32),
-    )
+        parts.append(_mesh(position, faces, normal, linear_to_bytes(linear)))
+    return joined(parts)
 
 
 def _accessor(tree: dict, binary: bytes, index: int) -> NDArray:
@@ -188,7 +176,7 @@ def round_mesh(
     return _mesh(swept(profile), quads.reshape(-1, 3), normalized(swept(slope)), color)
 
 
-def _mesh(vertices: Array, faces: NDArray, normals: Array, color: tuple[int, int, int]) -> Mesh:
+def _mesh(vertices: Array, faces: NDArray, normals: Array, color: ArrayLike) -> Mesh:
     return Mesh(
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
@@ -208,18 +196,4 @@ def moved(mesh: Mesh, matrix: Array, scale: Sequence[float] = (1.0, 1.0, 1.0)) -
     vertices = (mesh.vertices * stretch) @ rotation.T + matrix[:3, 3]
     return Mesh(
         vertices=vertices.astype(np.float32), faces=np.ascontiguousarray(faces), colors=mesh.colors, normals=normals
-    )
-
-
-def joined(meshes: Sequence[Mesh]) -> Mesh | None:
-    """All meshes as one (None for none); those without normals get those of their faces' mean."""
-    if len(meshes) < 2:
-        return meshes[0] if meshes else None
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    keep_normals = all(m.normals is not None for m in meshes)
-    return Mesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        faces=np.concatenate([m.faces + np.int32(s) for m, s in zip(meshes, starts[:-1], strict=True)]),
-        colors=np.concatenate([m.colors for m in meshes]),
-        normals=np.concatenate([m.normals for m in meshes if m.normals is not None]) if keep_normals else None,
     )

@@ -15,11 +15,12 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.meshes import DEFAULT_COLOR, box_mesh, joined, load_mesh, moved, round_mesh
+from h3data.bodies.meshes import DEFAULT_COLOR, box_mesh, load_mesh, moved, round_mesh
 from h3data.bodies.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, normalized, pose_from_matrix, pose_to_matrix
+from h3data.scene.meshes import joined
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Mesh, Shape
 
 Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -262,7 +263,9 @@ def _parents_first(urdf: Urdf) -> list[UrdfLink]:
 def _robot_link(link: UrdfLink, parent: int) -> RobotLink:
     meshes = [_visual(part) for part in link.visuals]
     shapes = tuple(_shape(part) for part in link.collisions)
-    return RobotLink(name=link.name, parent=parent, mesh=joined(meshes), shapes=shapes, inertial=link.inertial)
+    return RobotLink(
+        name=link.name, parent=parent, mesh=joined(meshes) if meshes else None, shapes=shapes, inertial=link.inertial
+    )
 
 
 def _visual(part: UrdfPart) -> Mesh:

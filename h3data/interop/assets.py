@@ -10,10 +10,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.interop.meshes import MESH_SUFFIXES, is_file, load_mesh, recolored
+from h3data.interop.meshes import MESH_SUFFIXES, is_file, load_mesh
 from h3data.interop.placeholders import placeholder_mesh
 from h3data.interop.primitives import box_mesh, is_primitive, primitive_mesh
 from h3data.recording.records import AssetRef, Body
+from h3data.scene.meshes import painted
 from h3data.scene.records import Mesh, Scene
 
 _log = logging.getLogger(__name__)
@@ -90,7 +91,7 @@ class AssetLibrary:
         """The mesh of an asset in our frame and metres; None if it is missing or unreadable."""
         mesh = self._mesh(ref)
         if mesh is not None and ref.color is not None:
-            mesh = recolored(mesh, ref.color)
+            mesh = painted(mesh, ref.color)
         return mesh
 
     def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:

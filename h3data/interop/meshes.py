@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import normalized
+from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
@@ -118,24 +119,6 @@ def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
     return np.array([np.cross(f, u), u, -f], np.float64)
 
 
-def recolored(mesh: Mesh, color: Sequence[int]) -> Mesh:
-    """The same mesh in one sRGB colour 0..255."""
-    colors = np.broadcast_to(np.asarray(color, np.uint8), mesh.vertices.shape).copy()
-    return Mesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors, normals=mesh.normals)
-
-
-def merged(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one. Normals survive only if every part has them."""
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    normals = [m.normals for m in meshes if m.normals is not None]
-    return Mesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        faces=np.concatenate([m.faces + np.int32(s) for m, s in zip(meshes, starts, strict=False)]),
-        colors=np.concatenate([m.colors for m in meshes]),
-        normals=np.concatenate(normals) if len(normals) == len(meshes) else None,
-    )
-
-
 def _vector3(value: Sequence[float]) -> Vector3:
     x, y, z = (float(v) for v in value)
     return (x, y, z)
@@ -151,7 +134,7 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
     parts = [p for p in parts if len(p.faces)]
     if not parts:
         raise SceneError(f"A mesh file without triangles: {path}")
-    mesh = merged(parts)
+    mesh = joined(parts)
     with np.errstate(over="ignore", invalid="ignore"):
         vertices = (mesh.vertices @ rotation.T * units_m).astype(np.float32)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(vertices):

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.interop.meshes import merged
 from h3data.interop.primitives import capsule_mesh
+from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
 
 PlaceholderKind = Literal["stage", "human", "robot_link", "small_object", "furniture"]
@@ -131,4 +131,4 @@ def _figure(color: Sequence[int]) -> Mesh:
             ((0.24 * side, 0.18, 0), (0.26 * side, -0.06, 0.04), 0.038),
         ]
     parts = [capsule_mesh(a, b, r, color=MAGENTA if i in _MARKED else color) for i, (a, b, r) in enumerate(limbs)]
-    return merged(parts)
+    return joined(parts)

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from h3data.bodies.meshes import joined, write_plain_glb
+from h3data.bodies.meshes import write_plain_glb
 from h3data.bodies.robot import Robot, load_robot
 from h3data.builtin import builtin_root
+from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
 from h3data_pipelines.bake.solids import ball_points, box_points, disc_points, solid
 
@@ -299,9 +300,7 @@ def main(folder: Path | None = None) -> None:
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     parts = links()
     for part in parts:
-        mesh = joined(part.mesh)
-        assert mesh is not None
-        write_plain_glb(folder / "meshes" / f"{part.name}.glb", mesh)
+        write_plain_glb(folder / "meshes" / f"{part.name}.glb", joined(part.mesh))
     (folder / "robot.urdf").write_text(urdf_text(parts))
     (folder / "robot.toml").write_text(settings_text(0.5))
     load_robot.cache_clear()
