@@ -63,6 +63,8 @@ class Shard:
         self.sidecars: dict[str, list[dict[str, Any]]] = {kind: [] for kind in SIDECARS}
         self.moments: dict[str, Moments] = {}
         self.parts: list[tuple[Path, Path]] = []
+        self.spoiled = False
+        """A row group was begun and not finished: nothing of this file can be used."""
         self._arrow = _data_schema(schema)
         self._stream = self._open("data")
         self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))
@@ -92,22 +94,24 @@ class Shard:
             "task_index": np.full(steps, task, np.int64),
         }
         arrays |= {name: values[:, None] for name, values in standard.items()}
-        if steps:
-            table = pa.Table.from_arrays([_to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
-            self._writer.write_table(table, row_group_size=steps)
+        table = pa.Table.from_arrays([_to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
+        moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
         place |= {"data/chunk_index": chunk, "data/file_index": file}
         place |= {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
         place |= {"dataset_from_index": start, "dataset_to_index": start + steps}
+        self.spoiled = True  # from here to the end all or nothing
+        if steps:
+            self._writer.write_table(table, row_group_size=steps)
+            merge_into(self.moments, moments)
         self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
         for kind, records in sidecars.items():
             self.sidecars[kind] += [{"episode_index": index, **record} for record in records]
-        if steps:
-            merge_into(self.moments, {name: moments_of(a) for name, a in arrays.items()})
         self.row_groups += steps > 0
         self.episodes += 1
         self.frames += steps
+        self.spoiled = False
 
     def commit(self) -> None:
         self._writer.close()

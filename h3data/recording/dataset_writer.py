@@ -105,8 +105,9 @@ class DatasetWriter:
             try:
                 self._shard.add(recording, row, sidecars, index=index, start=start, task=task)
             except BaseException:
-                shard, self._shard = self._shard, None  # a half-written row group spoils its file: drop the shard
-                shard.discard()
+                if self._shard.spoiled:  # a half-written row group spoils its file: drop the shard
+                    shard, self._shard = self._shard, None
+                    shard.discard()
                 raise
         if self._shard.episodes >= self._episodes_per_file or self._shard.bytes >= self._file_bytes:
             self.commit()

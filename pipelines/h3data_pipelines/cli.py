@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import inspect
+import io
 import json
 import logging
 import math
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any, Union
@@ -65,25 +68,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = _parse(args or ["--help"])
     try:
         outcome = command.run()
-    except H3DataError as error:
-        if command.json:
-            sys.stdout.write(json.dumps({"error": str(error)}) + "\n")
-        sys.stderr.write(f"error: {error}\n")
-        return 2
+        _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
+        return outcome.exit_code
     except KeyboardInterrupt:
         sys.stderr.write("interrupted; finished files are kept\n")
         return 130
-    except BrokenPipeError:
-        return 0
-    if command.json:
-        sys.stdout.write(json.dumps(jsonable(outcome.data), indent=2) + "\n")
-    else:
-        sys.stdout.write(outcome.text.rstrip() + "\n")
-    return outcome.exit_code
+    except (H3DataError, OSError, MemoryError) as error:
+        message = _message(error)
+        sys.stderr.write(f"error: {message}\n")
+        if command.json:
+            _print(json.dumps({"error": message}))
+        return 2
+
+
+def _message(error: BaseException) -> str:
+    """One line. What the operating system refuses (rights, full disks, names too long) is the user's to mend as well."""
+    if isinstance(error, MemoryError):
+        return f"Out of memory ({error})." if str(error) else "Out of memory."
+    if isinstance(error, OSError):
+        where = f": {error.filename}" if error.filename is not None else ""
+        return f"The operating system refused ({error.strerror or error}){where}"
+    return str(error)
+
+
+def _print(text: str) -> None:
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has seen enough (| head); what Python flushes at its end goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry() -> None:
     """Console entry point."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is finished is kept
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text in the terminal's encoding
     sys.exit(main())
 
 

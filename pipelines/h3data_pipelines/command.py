@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -10,6 +15,7 @@ from typing import Annotated, Any, Protocol
 import tyro
 
 from h3data.errors import InputError
+from h3data.render.files import part_file
 
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
 ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
@@ -61,12 +67,43 @@ def claim_file(path: Path, *, force: bool) -> Path:
 
 
 def remove_dataset(root: Path) -> None:
-    """Delete a dataset folder of ours; anything else is left alone with an error."""
-    if not root.exists():
+    """Delete the dataset in a folder, if it is ours and nothing else lies there; else an error, and nothing is deleted."""
+    if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
-    if not root.is_dir() or (any(root.iterdir()) and not any((root / n).exists() for n in ("meta", "_commits", "h3"))):
+    if not (root / "h3" / "schema.json").is_file():
         raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
-    shutil.rmtree(root)
+    strangers = [p for p in root.iterdir() if p.name not in ("meta", "data", "h3", "mcap")]
+    strangers += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
+    if strangers:
+        raise InputError(
+            f"--force would replace this dataset, but {len(strangers)} other things lie in its folder. Remove them "
+            f"yourself. The first: {min(strangers)}"
+        )
+    for folder in root.iterdir():
+        shutil.rmtree(folder)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file; it gets its name when it is complete."""
+    with part_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM take effect at the end of the block: what is being written is finished first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {s: signal.signal(s, lambda number, _: came.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in came[:1]:
+            signal.raise_signal(number)
 
 
 def require_file(path: Path, what: str) -> Path:

@@ -18,7 +18,7 @@ from h3data.metrics import measure_many
 from h3data.recording import DatasetWriter, Recording, RecordingWriter, open_recording
 from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, write_text
 from h3data_pipelines.rerender import render_videos
 from h3data_viewers import write_rrd
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
@@ -72,7 +72,7 @@ class Demo:
             writer.add(recording)
         with clock.part("metrics"):
             table = measure_many([recording])
-            (out / "metrics.json").write_text(table.to_json() + "\n")
+            write_text(out / "metrics.json", table.to_json() + "\n")
         with clock.part("render"):
             videos = _videos(recording, out)
         with clock.part("rerun"):
@@ -85,7 +85,7 @@ class Demo:
             "ended": recording.episode.info["ended"],
             "files": {name: _size(out / name) for name in (*FILES[:-1], "dataset")},
         }
-        (out / "summary.json").write_text(jsonlib.dumps(summary, indent=2) + "\n")
+        write_text(out / "summary.json", jsonlib.dumps(summary, indent=2) + "\n")
         return Outcome(
             text=_text(out, summary, table.to_text()), data=summary | {"out": str(out), "metrics": table.to_dict()}
         )
@@ -96,7 +96,10 @@ class Demo:
         world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
         with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
             simulate_social_nav(
-                world, episode_id="demo", sink=lambda header: RecordingWriter(path, header), progress=bar.update
+                world,
+                episode_id="demo",
+                progress=bar.update,
+                sink=lambda header: RecordingWriter(path, header, overwrite=self.force),
             )
         recording = open_recording(path)  # from the file: what follows uses nothing but the recording
         assert isinstance(recording, Recording)

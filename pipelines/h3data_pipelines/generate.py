@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections.abc import Iterator
+import signal
+import threading
+import time
+from collections.abc import Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.interop import load_habitat_scene
 from h3data.metrics import measure_many
 from h3data.recording import Dataset, DatasetWriter, Recording, write_mcap
 from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.homes.spec import Preset
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, uninterrupted
 from sim_kinematic.policies import policy_by_name
 from sim_kinematic.randomness import episode_seed
 from sim_kinematic.social_nav import SocialNavWorld, require_task, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+COMMIT_S = 60.0
+"""At most the work of this time is lost when the process is killed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +47,10 @@ class Job:
     policy: str
     human: str
     spec: SocialNavSpec
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON gives it back."""
+        return json.loads(json.dumps(asdict(self)))
 
 
 @dataclass(frozen=True)
@@ -75,40 +88,47 @@ class Generate:
     workers: int = 1
     """Processes."""
     mcap: bool = False
-    """Also write each episode as <out>/mcap/<episode>.mcap."""
+    """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
     resume: bool = False
     """Go on with an interrupted dataset that was started with the same options."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        if self.force and self.resume:
+            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
         jobs = self.jobs()
-        if self.force and not self.resume:
+        if self.force:
             remove_dataset(self.out)
-        if not (self.resume and self.out.is_dir()):
+        if self.resume:
+            require_same_options(self.out, jobs)
+        else:
             claim_folder(self.out, force=False)
-        done = 0
         with DatasetWriter(self.out, resume=self.resume) as writer:
             done = len(writer)
-            bar = tqdm(total=len(jobs), initial=done, desc="simulate", unit="episode", disable=None)
-            for recording in simulate_jobs(jobs[done:], workers=self.workers):
-                if self.mcap:
-                    folder = self.out / "mcap"
-                    folder.mkdir(exist_ok=True)
-                    write_mcap(recording, folder / f"{recording.episode.episode_id}.mcap", overwrite=True)
-                writer.add(recording)
-                bar.update()
-            bar.close()
-        dataset = Dataset(self.out)
-        table = measure_many(dataset.recording(i) for i in range(len(dataset)))
-        hashes = [str(dataset.recording(i).columns["state_hash"][-1]) for i in range(len(dataset))]
-        steps = int(sum(len(dataset.recording(i)) for i in range(len(dataset))))
-        text = f"{len(dataset)} episodes, {steps} steps in {self.out}\n\n{table.to_text()}"
+            self._simulate(jobs[done:], writer)
+        recordings = _ReadBack(Dataset(self.out), self.out / "mcap" if self.mcap else None)
+        table = measure_many(recordings)
+        text = f"{len(table)} episodes, {recordings.steps} steps in {self.out}\n\n{table.to_text()}"
         data: dict[str, Any] = {
-            "dataset": str(self.out), "episodes": len(dataset), "new": len(dataset) - done, "steps": steps,
-            "state_hashes": hashes, "metrics": table.to_dict(),
+            "dataset": str(self.out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
+            "state_hashes": recordings.hashes, "metrics": table.to_dict(),
         }  # fmt: skip
         return Outcome(text=text, data=data)
+
+    def _simulate(self, jobs: list[Job], writer: DatasetWriter) -> None:
+        committed = time.monotonic()
+        bar = tqdm(total=self.episodes, initial=len(writer), desc="simulate", unit="episode", disable=None)
+        with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
+            for recording in recordings:
+                with uninterrupted():
+                    writer.add(recording)
+                    if time.monotonic() - committed > COMMIT_S:
+                        writer.commit()
+                        committed = time.monotonic()
+                bar.update()
+        with uninterrupted():
+            writer.commit()
 
     def jobs(self) -> list[Job]:
         """All episodes, or an `InputError` that names the bad option."""
@@ -122,7 +142,7 @@ class Generate:
                 raise InputError(f"{name} must be at least {least}, got {value}.")
         if not 0 < self.human_speed <= 4:
             raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
-        if self.spawn_distance < 0:
+        if not self.spawn_distance >= 0:  # also NaN
             raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
         names = scene_names(self.scenes, self.homes)
         spec = SocialNavSpec(
@@ -135,6 +155,42 @@ class Generate:
             )
             for i in range(self.episodes)
         ]  # fmt: skip
+
+
+class _ReadBack:
+    """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
+
+    def __init__(self, dataset: Dataset, mcap: Path | None) -> None:
+        self.dataset, self.mcap = dataset, mcap
+        self.hashes: list[str] = []
+        self.steps = 0
+
+    def __iter__(self) -> Iterator[Recording]:
+        for index in range(len(self.dataset)):
+            recording = self.dataset.recording(index)
+            if self.mcap is not None:
+                log = self.mcap / f"{recording.episode.episode_id}.mcap"
+                if not log.exists():
+                    write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
+            self.hashes.append(str(recording.columns["state_hash"][-1]))
+            self.steps += len(recording)
+            yield recording
+
+
+def require_same_options(folder: Path, jobs: list[Job]) -> None:
+    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    for job, row in zip(jobs, Dataset(folder).episodes.to_pylist(), strict=False):
+        was, wanted = json.loads(row["info"]).get("job", {}), job.to_json()
+        differs = [
+            f"{name} was {was.get(name)}, is {value}" for name, value in wanted.items() if was.get(name) != value
+        ]
+        if differs:
+            raise InputError(
+                f"Cannot resume with other options: episode {job.index} of the dataset was made differently "
+                f"({'; '.join(differs)}). Use the options it was started with, or another -o: {folder}"
+            )
 
 
 def scene_names(text: str, homes: int) -> list[str]:
@@ -171,14 +227,31 @@ def simulate_job(job: Job) -> Recording:
     scene = load_scene_by_name(job.scene)
     free = _free_space(job.scene, job.spec.agent_radius_m, job.spec.agent_height_m)
     world = SocialNavWorld.create(scene, seed=job.seed, spec=job.spec, free=free, human=job.human)
-    return simulate_social_nav(world, policy=job.policy, episode_id=f"{job.index:06d}")
+    recording = simulate_social_nav(world, policy=job.policy, episode_id=f"{job.index:06d}")
+    info = {**recording.episode.info, "job": job.to_json()}
+    return replace(recording, episode=replace(recording.episode, info=info))
 
 
-def simulate_jobs(jobs: list[Job], *, workers: int) -> Iterator[Recording]:
+def simulate_jobs(jobs: list[Job], *, workers: int) -> Generator[Recording]:
     """Recordings in the order of ``jobs``, by this process or by several."""
     if workers <= 1 or len(jobs) <= 1:
         yield from map(simulate_job, jobs)
         return
     # spawn: forked children would share the thread pools of numba and torch
-    with ProcessPoolExecutor(min(workers, len(jobs), os.cpu_count() or 1), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(simulate_job, jobs)
+    size = min(workers, len(jobs), os.cpu_count() or 1)
+    with ProcessPoolExecutor(size, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
+        try:
+            yield from pool.map(simulate_job, jobs)
+        except BrokenProcessPool:
+            raise H3DataError(
+                "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "
+                "fewer --workers."
+            ) from None
+
+
+def _start_worker() -> None:
+    """Leave Ctrl-C to the parent, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

@@ -30,7 +30,7 @@ class Import:
     paths: tyro.conf.Positional[tuple[Path, ...]]
     """gfx-replay files (.json, .json.gz) or folders that hold some."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the recordings, one .mcap each."""
+    """Folder for the recordings, one .mcap each; files of a folder keep their place below it."""
     assets: tuple[Path, ...] = ()
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     fps: float = 30.0
@@ -41,31 +41,32 @@ class Import:
     def run(self) -> Outcome:
         if not self.paths:
             raise InputError("Expected at least one file or folder to import.")
-        if not 0 < self.fps <= 1000:
-            raise InputError(f"--fps must be above 0 and at most 1000, got {self.fps}.")
-        files = _collect(self.paths)
+        if not 0.001 <= self.fps <= 1000:
+            raise InputError(f"--fps must be at least 0.001 and at most 1000, got {self.fps}.")
+        sources = _collect(self.paths, self.out)
         library = AssetLibrary(self.assets)
-        if len(files) == 1 and files[0] in self.paths:
-            return _report([self._one(files[0], library)])  # refused as a whole if it cannot be read
+        if len(sources) == 1 and sources[0][0] in self.paths:
+            return _report([self._one(*sources[0], library, set())])  # refused as a whole if it cannot be read
         rows: list[dict[str, Any]] = []
-        for path in tqdm(files, desc="import", unit="file", disable=None):
-            kind = sniff(path)
-            if kind not in ("gfx_replay", "unknown"):
-                rows.append({"source": str(path), "status": "skipped", "kind": kind, "reason": _cannot(kind)})
-                continue
+        written: set[Path] = set()
+        for path, target in tqdm(sources, desc="import", unit="file", disable=None):
             try:
-                rows.append(self._one(path, library))
+                rows.append(self._one(path, target, library, written))
             except H3DataError as error:
-                rows.append({"source": str(path), "status": "failed", "reason": str(error)})
+                kind = sniff(path) if isinstance(error, FormatError) else "unknown"
+                status = (
+                    {"status": "failed"} if kind in ("gfx_replay", "unknown") else {"status": "skipped", "kind": kind}
+                )
+                rows.append({"source": str(path), **status, "reason": str(error)})
         return _report(rows)
 
-    def _one(self, path: Path, library: AssetLibrary) -> dict[str, Any]:
-        kind = sniff(path)
-        if kind not in ("gfx_replay", "unknown"):
-            raise FormatError(f"Expected a gfx-replay (JSON with keyframes); {_cannot(kind)}: {path}")
+    def _one(self, path: Path, target: Path, library: AssetLibrary, written: set[Path]) -> dict[str, Any]:
         recording = read_gfx_replay(path, fps=self.fps)
-        target = claim_file(self.out / f"{recording_stem(path)}.mcap", force=self.force)
+        if target in written:
+            raise InputError(f"Another input of this run became {target}. Import this one with another -o: {path}")
+        claim_file(target, force=self.force)
         write_mcap(recording, target, overwrite=self.force)
+        written.add(target)
         return {
             "source": str(path),
             "status": "imported",
@@ -73,10 +74,6 @@ class Import:
             "recording": str(target),
             **summarize(recording, library),
         }
-
-
-def _cannot(kind: str) -> str:
-    return f"this looks like {kind.replace('_', ' ')}, which cannot be imported yet"
 
 
 def recording_stem(path: Path) -> str:
@@ -103,19 +100,20 @@ def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
     }
 
 
-def _collect(paths: tuple[Path, ...]) -> list[Path]:
-    files: list[Path] = []
+def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
+    """Every file with the recording that it becomes; files of a folder keep their place below it."""
+    sources: list[tuple[Path, Path]] = []
     for path in paths:
         if path.is_dir():
             found = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(_SUFFIXES))
             if not found:
                 raise InputError(f"No .json or .json.gz file in this folder: {path}")
-            files += found
+            sources += [(p, out / p.relative_to(path).parent) for p in found]
         elif path.exists():
-            files.append(path)
+            sources.append((path, out))
         else:
             raise InputError(f"There is no such file or folder. Expected a gfx-replay (.json or .json.gz): {path}")
-    return files
+    return [(path, folder / f"{recording_stem(path)}.mcap") for path, folder in sources]
 
 
 @dataclass

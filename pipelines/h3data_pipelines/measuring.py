@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 import tyro
 
 from h3data.errors import InputError
-from h3data.metrics import measure_many
-from h3data.recording import Dataset, Recording, open_recording
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
+from h3data.recording import Recording, open_recording
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file, write_text
 
 
 @dataclass(frozen=True)
@@ -34,15 +33,15 @@ class Metrics:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.metrics import measure_many
+
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap) or dataset.")
         if self.out is not None:
             claim_file(self.out, force=self.force)
         table = measure_many(iterate(self.recordings), profile=self.profile)
         if self.out is not None:
-            part = self.out.with_name(self.out.name + ".part")
-            part.write_text(table.to_json() + "\n")
-            part.replace(self.out)
+            write_text(self.out, table.to_json() + "\n")
         return Outcome(text=table.to_text(), data=table.to_dict())
 
 
@@ -53,8 +52,7 @@ def iterate(paths: tuple[Path, ...]) -> Iterator[Recording]:
         files = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
         for file in files or [path]:
             opened = open_recording(file)
-            if isinstance(opened, Dataset):
-                for index in range(len(opened)):
-                    yield opened.recording(index)
-            else:
+            if isinstance(opened, Recording):
                 yield opened
+            else:
+                yield from map(opened.recording, range(len(opened)))

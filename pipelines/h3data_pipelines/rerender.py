@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -68,6 +69,13 @@ class Rerender:
             raise InputError("Expected at least one recording (.mcap).")
         if self.workers < 1:
             raise InputError(f"--workers must be at least 1, got {self.workers}.")
+        stems = [recording_stem(path) for path in self.recordings]
+        twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+        if twice:
+            raise InputError(
+                f"Several recordings are called {twice[0]!r}, their videos would overwrite each other. "
+                "Render them one at a time, each to another -o."
+            )
         lines, data = [], []
         for path in self.recordings:
             recording = open_recording(require_file(path, "a recording (.mcap)"))
@@ -75,8 +83,9 @@ class Rerender:
                 raise InputError(f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {path}")
             replay = Replay(recording, assets=self.assets)
             tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
+            steps = parse_steps(self.steps, len(replay))
             files = render_videos(
-                replay, tracks, outputs, self._targets(path, tracks, outputs), steps=parse_steps(self.steps, len(replay)),
+                replay, tracks, outputs, self._targets(path, tracks, outputs), steps=steps,
                 threads=self.workers, pictures=self.format == "png",
             )  # fmt: skip
             lines += [f"wrote {file}" for file in files]
@@ -106,8 +115,6 @@ class Rerender:
                 claim_file(target, force=self.force)
             elif target.exists() and not self.force:
                 raise InputError(f"The output folder exists. Use --force to overwrite, or another -o: {target}")
-            else:
-                target.mkdir(parents=True, exist_ok=True)
         return targets
 
 
@@ -166,15 +173,15 @@ def render_videos(
     fps = 30.0
     times = replay.recording.columns["time_ns"]
     if len(times) > 1:
-        fps = 1e9 / float(np.median(np.diff(times))) / steps.step
+        fps = max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0)  # players want at least one frame a second
     with ExitStack() as stack:
         sinks: dict[tuple[int, str], Callable[[NDArray[Any], int], None]] = {}
         for (n, output), target in targets.items():
             if pictures:
-                sinks[n, output] = _picture_sink(target, output)
+                sinks[n, output] = _picture_sink(stack.enter_context(_picture_folder(target)), output)
             else:
                 camera = tracks[n].camera
-                writer = stack.enter_context(VideoWriter(target, camera.width, camera.height, fps=round(fps)))
+                writer = stack.enter_context(VideoWriter(target, camera.width, camera.height, fps=fps))
                 sinks[n, output] = lambda image, step, writer=writer: writer.write(image)
         frames = replay.frames(tracks, steps, outputs=outputs, threads=threads)
         for step, views in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
@@ -210,6 +217,26 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
         above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
         draw_label(image, camera, above, agent.name, color=color, scale=0.6)
+
+
+@contextmanager
+def _picture_folder(target: Path) -> Iterator[Path]:
+    """A folder for pictures that gets the name ``target`` when they are complete, in the place of older pictures."""
+    part = target.with_name(target.name + ".part")
+    for folder in (part, target):
+        strangers = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
+        if strangers:
+            raise InputError(f"Other things than pictures lie in the output folder. Remove them: {strangers[0]}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    try:
+        yield part
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    if target.exists():
+        shutil.rmtree(target)
+    part.rename(target)
 
 
 def _picture_sink(folder: Path, output: str) -> Callable[[NDArray[Any], int], None]:

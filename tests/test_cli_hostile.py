@@ -1,0 +1,289 @@
+"""The command line under bad conditions: interrupted, killed, forced, resumed with other options, without rights or space."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import h3data
+from h3data.errors import InputError
+from h3data.recording import DatasetWriter, recordings_equal
+from h3data_pipelines import generate, importing
+from h3data_pipelines.cli import main
+from h3data_pipelines.command import remove_dataset, uninterrupted
+
+SHORT = ("generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "20", "-o")
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
+    """The only thing on stdout is one JSON document."""
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def spawn(*arguments: str | Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "h3data_pipelines.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def replay(name: str = "a") -> str:
+    frame = {"creations": [{"instanceKey": 0, "creation": {"filepath": f"{name}.glb"}}]}
+    return json.dumps({"keyframes": [frame, {}]})
+
+
+# --- what the operating system refuses --------------------------------------------------------------------------------
+def test_refusals_of_the_operating_system_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    for path in (tmp_path / ("a" * 300), loop, tmp_path / "file" / "below"):
+        (tmp_path / "file").write_text("")
+        for arguments in (["metrics", path], ["import", path, "-o", tmp_path], ["rerender", path, "-o", tmp_path]):
+            assert "error" in run_json(capsys, *arguments, code=2)
+
+
+def test_a_full_disk_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(importing, "write_mcap", full)
+    (tmp_path / "a.json").write_text(replay())
+    assert "No space left" in run_json(capsys, "import", tmp_path / "a.json", "-o", tmp_path, code=2)["error"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written() -> None:
+    command = [sys.executable, "-m", "h3data_pipelines.cli", "scenes", "list"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 2
+    closed, write = os.pipe()
+    os.close(closed)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, "Error" in done.stderr) == (0, False)
+
+
+def test_file_names_that_are_not_text(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"a\xff b.gfx_replay.json")
+    path.write_text(replay())
+    done = subprocess.run(
+        [sys.executable, "-c", "from h3data_pipelines.cli import entry; entry()", "import", str(path), "-o", str(tmp_path)],
+        capture_output=True,
+    )  # fmt: skip
+    assert b"Traceback" not in done.stderr
+    assert done.returncode == 2
+
+
+# --- force and resume -------------------------------------------------------------------------------------------------
+def test_force_deletes_nothing_that_is_not_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    foreign = tmp_path / "foreign"
+    (foreign / "meta").mkdir(parents=True)
+    (foreign / "meta" / "info.json").write_text("{}")
+    (foreign / "thesis.tex").write_text("years of work")
+    assert "not an h3data dataset" in run_json(capsys, *SHORT, foreign, "--force", code=2)["error"]
+    ours = tmp_path / "ours"
+    run_json(capsys, *SHORT, ours, "--episodes", "1", "--mcap")
+    for stranger in (ours / "thesis.tex", ours / "mcap" / "favourite.mcap"):
+        stranger.write_text("years of work")
+        before = sorted(ours.rglob("*"))
+        assert stranger.name in run_json(capsys, *SHORT, ours, "--force", code=2)["error"]
+        assert sorted(ours.rglob("*")) == before
+        stranger.unlink()
+    assert run_json(capsys, *SHORT, ours, "--episodes", "2", "--force")["episodes"] == 2
+    assert (foreign / "thesis.tex").exists()
+
+
+def test_remove_dataset_leaves_a_file_alone(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("mine")
+    with pytest.raises(InputError):
+        remove_dataset(tmp_path / "x")
+    assert (tmp_path / "x").exists()
+
+
+def test_resume_refuses_other_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ds"
+    run_json(capsys, *SHORT, out, "--episodes", "2")
+    before = {p: p.stat().st_mtime_ns for p in out.rglob("*")}
+    for other in (
+        ["--seed", "8"], ["--policy", "stand_still"], ["--human", "male_0"], ["--max-steps", "30"], ["--scenes", "small:9"],
+        ["--human-speed", "1"], ["--spawn-distance", "3"], ["--homes", "2"],
+    ):  # fmt: skip
+        error = run_json(capsys, *SHORT, out, "--episodes", "3", "--resume", *other, code=2)["error"]
+        assert "other options" in error
+        assert {p: p.stat().st_mtime_ns for p in out.rglob("*")} == before
+    assert "Choose one" in run_json(capsys, *SHORT, out, "--resume", "--force", code=2)["error"]
+    assert run_json(capsys, *SHORT, out, "--episodes", "3", "--resume")["new"] == 1
+
+
+def test_resume_completes_the_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ds"
+    run_json(capsys, *SHORT, out, "--episodes", "2")
+    (out / "mcap").mkdir()
+    (out / "mcap" / "000000.mcap.part").write_text("of a killed run")
+    run_json(capsys, *SHORT, out, "--episodes", "2", "--resume", "--mcap")
+    assert sorted(p.name for p in (out / "mcap").iterdir()) == ["000000.mcap", "000001.mcap"]
+    assert recordings_equal(h3data.open(out / "mcap" / "000001.mcap"), h3data.open(out).recording(1)) == []
+
+
+# --- workers, signals -------------------------------------------------------------------------------------------------
+def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, two = (
+        run_json(capsys, *SHORT, tmp_path / n, "--episodes", "3", "--workers", n)["state_hashes"] for n in ("1", "2")
+    )
+    assert one == two
+    for i in range(3):
+        a, b = (h3data.open(tmp_path / n).recording(i) for n in ("1", "2"))
+        assert recordings_equal(a, b) == []
+
+
+def die(_: object) -> None:
+    os._exit(9)
+
+
+def test_a_dead_worker_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(generate, "simulate_job", die)
+    assert "worker" in run_json(capsys, *SHORT, tmp_path / "ds", "--workers", "2", code=2)["error"]
+
+
+def children(pid: int) -> list[int]:
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(p) for p in text.split()]
+
+
+def running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_for(what: Any, seconds: float = 60) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "it took too long"
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_stopped_at_any_moment_it_can_be_resumed(
+    number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever the signal: nothing unfinished under a final name, no orphans, and --resume makes the same episodes."""
+    out = tmp_path / "ds"
+    options = (*SHORT, out, "--episodes", "400", "--workers", "2")
+    process = spawn(*options)
+    data = out / "data" / "chunk-000" / "_file-000.parquet.part"
+    wait_for(lambda: process.poll() is not None or (data.exists() and data.stat().st_size > 50_000))
+    workers = children(process.pid)
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    assert "Traceback" not in error
+    wait_for(lambda: not any(running(w) for w in workers), 20)
+    done = len(h3data.open(out))
+    if number != signal.SIGKILL:
+        assert process.returncode == 130
+        assert done > 2  # what was finished is kept
+        assert not list(out.rglob("*.part"))
+    assert done < 400
+    rest = run_json(capsys, *SHORT, out, "--episodes", str(done + 2), "--resume")
+    assert rest["new"] == 2
+    assert recordings_equal(
+        h3data.open(out).recording(done + 1),
+        generate.simulate_job(
+            generate.Generate(
+                task="social_nav", out=out, episodes=done + 2, seed=7, homes=1, max_steps=20
+            ).jobs()[done + 1]
+        ),
+    ) == []  # fmt: skip
+
+
+def test_an_interrupt_while_writing_waits() -> None:
+    reached = []
+
+    def write() -> None:
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            reached.append("the end")
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert reached
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_before_a_row_group_keeps_the_episodes_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from h3data.recording import dataset_shard
+
+    run_json(capsys, *SHORT, tmp_path / "a", "--episodes", "1")
+    recording = h3data.open(tmp_path / "a").recording(0)
+    writer = DatasetWriter(tmp_path / "b")
+    writer.add(recording)
+
+    def interrupt(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dataset_shard, "moments_of", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        writer.add(recording)
+    monkeypatch.undo()
+    writer.add(recording)
+    writer.close()
+    assert len(h3data.open(tmp_path / "b")) == 2
+
+
+# --- import and rerender ----------------------------------------------------------------------------------------------
+def test_files_of_the_same_name_do_not_overwrite_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one", "two"):
+        (tmp_path / "in" / name).mkdir(parents=True)
+        (tmp_path / "in" / name / "s.gfx_replay.json").write_text(replay(name))
+    (tmp_path / "in" / "one" / "s.json").write_text('{"session": 1}')  # another kind with the same stem: skipped
+    data = run_json(capsys, "import", tmp_path / "in", "-o", tmp_path / "out", "--force")
+    assert (data["imported"], data["skipped"]) == (2, 1)
+    for name in ("one", "two"):
+        assert h3data.open(tmp_path / "out" / name / "s.mcap").assets[0].name == name
+    files = [tmp_path / "in" / name / "s.gfx_replay.json" for name in ("one", "two")]
+    data = run_json(capsys, "import", *files, "-o", tmp_path / "flat", "--force", code=1)
+    assert (data["imported"], data["failed"]) == (1, 1)
+    assert h3data.open(tmp_path / "flat" / "s.mcap").assets[0].name == "one"
+    logs = [tmp_path / "out" / name / "s.mcap" for name in ("one", "two")]
+    assert "'s'" in run_json(capsys, "rerender", *logs, "-o", tmp_path / "v", "--force", code=2)["error"]
+    assert not (tmp_path / "v").exists()
+
+
+def test_pictures_are_complete_and_of_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "s.json").write_text(json.dumps({"keyframes": [json.loads(replay())["keyframes"][0]] + [{}] * 200}))
+    run_json(capsys, "import", tmp_path / "s.json", "-o", tmp_path)
+    options = ("rerender", tmp_path / "s.mcap", "-o", tmp_path / "p", "--format", "png", "--steps")
+    run_json(capsys, *options, "0:3")
+    folder = tmp_path / "p" / "s.top_down.rgb"
+    run_json(capsys, *options, "1:2", "--force")
+    assert [p.name for p in folder.iterdir()] == ["000001.png"]
+    (folder / "notes.txt").write_text("mine")
+    assert "notes.txt" in run_json(capsys, *options, "1:2", "--force", code=2)["error"]
+    assert (folder / "notes.txt").exists()
+    run_json(
+        capsys, "rerender", tmp_path / "s.mcap", "-o", tmp_path / "v", "--steps", "0:200:100"
+    )  # 0.3 frames a second
+    assert run_json(capsys, *options, "999:", code=2)
+    assert re.search("rgb$", str(next((tmp_path / "p").iterdir())))
