@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from h3data.scene.freespace import FreeSpace
     from h3data.scene.homes import CATEGORIES, HOME_PRESETS, HomePreset, HomeSpec, build_home
+    from h3data.scene.navmesh import NavMesh, free_space_from_navmesh
+    from h3data.scene.pathfinder import PathFinder, ShortestPath
     from h3data.scene.records import (
         Asset,
         Box,
@@ -28,6 +30,10 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "FreeSpace": "h3data.scene.freespace",
+    "NavMesh": "h3data.scene.navmesh",
+    "free_space_from_navmesh": "h3data.scene.navmesh",
+    "PathFinder": "h3data.scene.pathfinder",
+    "ShortestPath": "h3data.scene.pathfinder",
     "CATEGORIES": "h3data.scene.homes",
     "HOME_PRESETS": "h3data.scene.homes",
     "HomePreset": "h3data.scene.homes",
@@ -64,11 +70,15 @@ __all__ = [
     "Hull",
     "Instance",
     "Mesh",
+    "NavMesh",
+    "PathFinder",
     "Receptacle",
     "Room",
     "Scene",
     "Shape",
+    "ShortestPath",
     "build_home",
+    "free_space_from_navmesh",
     "instance_bounds",
     "instance_matrix",
     "load_scene",
