@@ -239,11 +239,11 @@ def test_no_handle_is_a_part_of_another(exported: Path) -> None:
         assert sum(name in handle for handle in handles) == 1
 
 
-def test_filter_names_receptacles_as_habitat_does(exported: Path) -> None:
+def test_filter_names_receptacles_as_habitat_does(home: Scene, exported: Path) -> None:
     content = json.loads((exported.parent / "scene_filter_files/home_small_3.rec_filter.json").read_text())
     again = load_habitat_scene(exported)
     assert sorted(content["active"]) == sorted(f"{i.name}|{r.name}" for i, r in again.receptacles())
-    assert len(content["active"]) == 25
+    assert len(content["active"]) == sum(1 for _ in home.receptacles()) > 10
     assert {"manually_filtered", "access_filtered", "stability_filtered", "height_filtered"} < set(content)
 
 

@@ -29,8 +29,8 @@ RECEPTACLE_COLOR, PROBLEM_COLOR, INK = (120, 70, 200), (214, 30, 40), (30, 30, 3
 _PAPER = (250, 250, 248)
 _MARGIN_M = 0.5
 _HEADER_PX, _FOOTER_PX, _LINE_PX = 40, 46, 22
-_DISTANCE = 40.0
-"""The camera is this many times the size of the scene away: walls lean by less than a pixel or two."""
+_DISTANCE = 80.0
+"""The camera is this many times the size of the scene away: walls lean by less than a pixel."""
 _CUT_M = 2.2
 """Triangles wholly above this height over the floor are left out where a scene has no layer for its ceiling."""
 _EYE_M = 1.55

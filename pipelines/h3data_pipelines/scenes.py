@@ -181,12 +181,14 @@ class ScenesValidate:
             raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.")
         if self.homes < 1:
             raise InputError(f"--homes must be at least 1, got {self.homes}.")
-        names = [name for text in self.scenes for name in scene_names(text, self.homes)]
+        names = list(dict.fromkeys(name for text in self.scenes for name in scene_names(text, self.homes)))
         targets = self._targets(names)
         reports = [validate_scene(name, radius_m=self.radius, picture=targets.get(name)) for name in names]
         faults = sum(len(r["problems"]) for r in reports)
         cells = [
-            [_short(r["scene"]), p["kind"].replace("_", " "), p["subject"], p["text"]] for r in reports for p in r["problems"]
+            [_short(r["scene"]), p["kind"].replace("_", " "), p["subject"], p["text"]]
+            for r in reports
+            for p in r["problems"]
         ]
         lines = [f"{_short(r['scene'])}: {'ok' if not r['problems'] else len(r['problems'])}" for r in reports]
         lines = [line if line.endswith("ok") else f"{line} problems" for line in lines]
