@@ -2,8 +2,18 @@
 
 from h3data.interop.assets import AssetLibrary
 from h3data.interop.gfx_replay import read_gfx_replay
+from h3data.interop.habitat_export import export_habitat, export_habitat_dataset
 from h3data.interop.habitat_scene import load_habitat_scene
 from h3data.interop.meshes import load_mesh
 from h3data.interop.sniff import FileKind, sniff
 
-__all__ = ["AssetLibrary", "FileKind", "load_habitat_scene", "load_mesh", "read_gfx_replay", "sniff"]
+__all__ = [
+    "AssetLibrary",
+    "FileKind",
+    "export_habitat",
+    "export_habitat_dataset",
+    "load_habitat_scene",
+    "load_mesh",
+    "read_gfx_replay",
+    "sniff",
+]
