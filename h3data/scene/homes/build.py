@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,15 +13,17 @@ from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
 from h3data.scene.homes.clutter import clutter, object_assets
 from h3data.scene.homes.furniture_living import ceiling_lamp
-from h3data.scene.homes.layout import WALL_HEIGHT, Layout, plan_layout
+from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
 from h3data.scene.homes.place import Placed, RoomState, room_state
 from h3data.scene.homes.rooms import FURNISH, NoRoomError
+from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
 from h3data.scene.homes.style import Style, draw_style
 from h3data.scene.records import Asset, Instance, Room, Scene
 
 _log = logging.getLogger(__name__)
 _ATTEMPTS = 12
+_ROOM_ATTEMPTS = 3
 
 
 class _Collector:
@@ -112,40 +115,60 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
         )
     rng = stage_rng(spec, "clutter", attempt)
     variants = object_assets(rng, style)
-    things = clutter(rng, variants, pieces)
+    things = clutter(rng, variants, pieces, spec.clutter)
     used = {i.asset for i in things}
     home.assets.update({a.name: a for group in variants.values() for a in group if a.name in used})
     rooms = tuple(
         Room(name=r.name, category=r.category, rectangles=np.array([r.rect], np.float64)) for r in layout.rooms
     )
+    if spec.density > 1:
+        home.assets = {n: replace(a, mesh=subdivided(a.mesh, spec.density)) for n, a in home.assets.items()}
     return Scene(
-        name=f"home_{spec.preset}_{spec.seed}",
+        name=_name(spec),
         assets=home.assets,
         instances=(*home.instances, *things),
         rooms=rooms,
-        source={"kind": "home", "preset": spec.preset, "seed": int(spec.seed)},
+        source={"kind": "home", "preset": spec.preset, "seed": int(spec.seed), **spec.changes},
     )
 
 
+def _name(spec: HomeSpec) -> str:
+    options = "".join(f"_{name}_{value:g}" for name, value in spec.changes.items())
+    return f"home_{spec.preset}_{int(spec.seed)}{options}"
+
+
 def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list[RoomState]:
-    """All rooms with their furniture. The dining table stands in the kitchen if that is large, else in the living."""
-    kitchen = next(r for r in layout.rooms if r.category == "kitchen")
-    in_kitchen = kitchen.area > 10.5
-    states = []
-    for room in layout.rooms:
-        dining = {"kitchen": in_kitchen, "living": not in_kitchen}.get(room.category, False)
-        last: NoRoomError | None = None
-        for again in range(3):
-            state = room_state(layout, room)
-            try:
-                FURNISH[room.category](stage_rng(spec, f"furnish/{room.name}/{again}", attempt), style, state, dining)
-                states.append(state)
-                break
-            except NoRoomError as error:
-                last = error
-        else:
-            raise SceneError(str(last))
-    return states
+    """All rooms with their furniture. The dining table stands in a dining room, else in the kitchen, else in the living."""
+    kinds = [r.category for r in layout.rooms]
+    kitchen = layout.rooms[kinds.index("kitchen")]
+    hosts = ["kitchen", "living"] if kitchen.area > 10.5 else ["living", "kitchen"]
+    if "dining" in kinds:
+        hosts = ["dining"]
+    for last in (False, True):
+        host = layout.rooms[kinds.index(hosts[-1] if last else hosts[0])]
+        try:
+            # The host comes first: if it has no place for the table, the others need not be tried.
+            rooms = sorted(layout.rooms, key=lambda r: r is not host)
+            states = {r.name: _furnish_room(spec, attempt, layout, style, r, dining=r is host) for r in rooms}
+            return [states[r.name] for r in layout.rooms]
+        except NoRoomError:
+            if last:
+                raise
+    raise AssertionError
+
+
+def _furnish_room(
+    spec: HomeSpec, attempt: int, layout: Layout, style: Style, room: RoomPlan, *, dining: bool
+) -> RoomState:
+    for again in range(_ROOM_ATTEMPTS):
+        state = room_state(layout, room)
+        try:
+            FURNISH[room.category](stage_rng(spec, f"furnish/{room.name}/{again}", attempt), style, state, dining)
+            return state
+        except NoRoomError:
+            if again == _ROOM_ATTEMPTS - 1:
+                raise
+    raise AssertionError
 
 
 def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpec, attempt: int) -> None:
@@ -156,8 +179,13 @@ def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpe
         home.structure(Asset(name=f"floor_{room.name}", mesh=mesh, category="floor"))
     home.structure(structure.ceiling_asset(layout, style), layer="ceiling")
     home.structure(structure.trim_asset(layout, style))
-    for i, opening in enumerate(o for o in layout.openings if o.kind == "window"):
+    windows = [o for o in layout.openings if o.kind == "window"]
+    for i, opening in enumerate(windows):
         home.structure(structure.window_asset(layout, opening, i, style))
+    rng = stage_rng(spec, "blinds", attempt)
+    for i, opening in enumerate(windows):
+        if layout.room(opening.rooms[0]).category not in ("hall", "laundry") and rng.random() < 0.7:
+            home.structure(structure.blind_asset(layout, opening, i, style, rng))
     for opening in layout.openings:
         if opening.kind == "entrance":
             home.structure(structure.entrance_asset(layout, opening, style))

@@ -5,79 +5,79 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from h3data.geometry import quat_rotate
-from h3data.scene.homes.place import WALK_RADIUS
-from h3data.scene.records import Box, Capsule, Hull, Scene, Shape, instance_matrix
+from h3data.geometry import transform_points
+from h3data.scene.homes.furniture import HEAD_BAND
+from h3data.scene.homes.place import CRUMB_M2, WALK_RADIUS, pockets, reach_m, used_from_front
+from h3data.scene.records import Scene, instance_matrix
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-_BAND = (0.05, 1.8)
-"""Heights that stand in a walker's way [m]."""
-_CRUMB = 0.01
-"""Cut-off floor below this is rounding [m2]."""
-_CIRCLE = np.linspace(0, 2 * np.pi, 17)[:-1]
+_REACH_SLACK = 0.01
+"""Rounding of the circles that shapes and discs are made of [m]."""
 
 
-def _corners(shape: Shape) -> NDArray[np.float64]:
-    """Points [N, 3] whose convex hull is the shape (circles: 16 corners just outside), in the asset frame."""
-    if isinstance(shape, Hull):
-        return shape.points
-    if isinstance(shape, Capsule):
-        offsets = shape.radius * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return np.concatenate([shape.start + offsets, shape.end + offsets])
-    if isinstance(shape, Box):
-        local = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * shape.half_extents
-    else:
-        r, h = shape.radius / np.cos(np.pi / 16), shape.half_height
-        ring = np.stack([r * np.sin(_CIRCLE), np.zeros(16), r * np.cos(_CIRCLE)], 1)
-        local = np.concatenate([ring - np.array([0, h, 0]), ring + np.array([0, h, 0])])
-    return quat_rotate(shape.pose[3:], local) + shape.pose[:3]
-
-
-def obstacle_polygons(scene: Scene) -> list[BaseGeometry]:
-    """Plan polygons (x, z) of all static collision shapes between ankle and head."""
+def open_floor(scene: Scene) -> BaseGeometry:
+    """The floor of all rooms without what stands on it, as a (multi)polygon in (x, z), not shrunk by any disc."""
     import shapely
 
-    out = []
-    for instance in scene.static_instances:
-        matrix = instance_matrix(instance)
-        for shape in scene.assets[instance.asset].shapes:
-            points = _corners(shape) @ matrix[:3, :3].T + matrix[:3, 3]
-            if points[:, 1].max() > _BAND[0] and points[:, 1].min() < _BAND[1]:
-                out.append(shapely.convex_hull(shapely.multipoints(points[:, [0, 2]])))
-    return out
+    from h3data.scene._footprints import scene_obstacles
+
+    floor = shapely.union_all([shapely.box(*r) for room in scene.rooms for r in room.rectangles])
+    return floor.difference(shapely.union_all(scene_obstacles(scene, *HEAD_BAND)))
 
 
 def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
     """Where the middle of a disc can be on the floor of all rooms, as a (multi)polygon in (x, z)."""
+    return open_floor(scene).buffer(-radius, quad_segs=8)
+
+
+def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]:
+    """Of all furniture with receptacles: its name, the edge or outline from which it is used, how near one must come."""
     import shapely
 
-    floor = shapely.union_all([shapely.box(*r) for room in scene.rooms for r in room.rectangles])
-    return floor.difference(shapely.union_all(obstacle_polygons(scene))).buffer(-radius, quad_segs=8)
+    from h3data.scene._footprints import shape_footprint
+
+    names, edges, near = [], [], []
+    for instance in scene.static_instances:
+        asset = scene.assets[instance.asset]
+        if not asset.receptacles or instance.pose[1] > 0:
+            continue
+        hulls = [shape_footprint(s, np.eye(4), *HEAD_BAND) for s in asset.shapes]
+        x0, z0, x1, z1 = shapely.total_bounds([h for h in hulls if h is not None]).tolist()
+        front = [(x0, z1), (x1, z1)]
+        corners = front if used_from_front(asset.category) else [*front, (x1, z0), (x0, z0), (x0, z1)]
+        world = transform_points(instance_matrix(instance), np.array([(x, 0.0, z) for x, z in corners]))
+        names.append(instance.name)
+        edges.append(shapely.LineString(world[:, [0, 2]]))
+        near.append(reach_m(asset.category) + _REACH_SLACK)
+    return names, edges, near
 
 
 def faults(scene: Scene) -> list[str]:
-    """What keeps a walker of `WALK_RADIUS` from rooms or furniture; empty if all is well."""
+    """What keeps a walker of `WALK_RADIUS` from rooms or furniture, and gaps of the wrong width; empty if all is well."""
     import shapely
 
-    parts = shapely.get_parts(walkable_area(scene))
+    floor = open_floor(scene)
+    parts = shapely.get_parts(floor.buffer(-WALK_RADIUS, quad_segs=8))
     if not len(parts):
         return ["nobody can stand anywhere"]
     main = max(parts, key=lambda part: part.area)
     found = []
     total = sum(part.area for part in parts)
-    if total - main.area > _CRUMB:
+    if total - main.area > CRUMB_M2:
         found.append(f"{total - main.area:.3f} m2 of walkable floor are cut off")
     for room in scene.rooms:
-        floor = shapely.union_all([shapely.box(*r) for r in room.rectangles])
-        if main.intersection(floor).area < 0.1 * floor.area:
+        area = shapely.union_all([shapely.box(*r) for r in room.rectangles])
+        if main.intersection(area).area < 0.1 * area.area:
             found.append(f"{room.name} cannot be entered")
-    for instance, receptacle in scene.receptacles():
-        matrix = instance_matrix(instance)
-        x, _, z = matrix[:3, :3] @ receptacle.center + matrix[:3, 3]
-        if main.distance(shapely.Point(x, z)) > 1.1:
-            found.append(f"{instance.name}|{receptacle.name} is out of reach")
+    names, edges, near = use_edges(scene)
+    away = shapely.distance(main, edges)
+    for name, distance, limit in zip(names, away.tolist(), near, strict=True):
+        if distance > limit:
+            found.append(f"the front of {name} is {distance:.2f} m away from where one can walk")
+    for pocket in pockets(floor, main):
+        at = pocket.representative_point()
+        found.append(f"a tight gap of {pocket.area:.3f} m2 at ({at.x:.2f}, {at.y:.2f})")
     return found

@@ -14,7 +14,7 @@ from h3data.scene.records import Asset, Instance
 
 _VARIANTS = 3
 _CHANCE = {"dining_table": 1.0, "kitchen_counter": 0.85, "coffee_table": 0.9, "bed": 0.3, "sofa": 0.35, "armchair": 0.3}
-_MOST = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3}
+_MOST = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3, "kitchen_island": 4}
 _LIFT = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it [m]."""
 
@@ -28,11 +28,15 @@ def object_assets(rng: np.random.Generator, style: Style) -> dict[str, list[Asse
 
 
 def clutter(
-    rng: np.random.Generator, assets: dict[str, list[Asset]], furniture: Sequence[tuple[Instance, Asset]]
+    rng: np.random.Generator,
+    assets: dict[str, list[Asset]],
+    furniture: Sequence[tuple[Instance, Asset]],
+    amount: float = 1.0,
 ) -> list[Instance]:
     """Small things on the receptacles of ``furniture``, none overlapping, as kinematic instances.
 
-    Every one stands inside its receptacle and below its clearance; discs round them keep them apart.
+    Every one stands inside its receptacle and below its clearance; discs round them keep them apart. ``amount`` scales
+    how many receptacles hold things at all, and when that is all of them, how many things each holds.
     """
     out: list[Instance] = []
     count: dict[str, int] = {}
@@ -41,10 +45,12 @@ def clutter(
         if fitting is None:
             continue
         for receptacle in asset.receptacles:
-            if rng.random() > _CHANCE.get(asset.category, 0.8):
+            chance = _CHANCE.get(asset.category, 0.8) * amount
+            if rng.random() > chance:
                 continue
+            most = round(_MOST.get(asset.category, 1) * max(1.0, chance if amount > 1 else 1.0))
             discs: list[tuple[float, float, float]] = []
-            for _ in range(int(rng.integers(1, _MOST.get(asset.category, 1) + 1))):
+            for _ in range(int(rng.integers(1, most + 1))):
                 category = fitting[int(rng.integers(len(fitting)))]
                 thing = assets[category][int(rng.integers(_VARIANTS))]
                 low, high = thing.mesh.bounds.astype(float)

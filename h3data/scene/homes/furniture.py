@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +16,12 @@ from h3data.geometry import IDENTITY_POSE
 from h3data.scene.homes.solids import Color, MeshBuilder, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Asset, Box, Cylinder, Receptacle, Shape
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+HEAD_BAND = (0.05, 1.8)
+"""Heights that stand in a walker's way [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,6 +43,16 @@ class Furniture:
     @property
     def solid(self) -> bool:
         return bool(self.shapes)
+
+    @cached_property
+    def outline(self) -> BaseGeometry:
+        """What its collision shapes take of the floor between ankle and head, in its own frame (x, z)."""
+        import shapely
+
+        from h3data.scene._footprints import shape_footprint
+
+        parts = [shape_footprint(s, np.eye(4), *HEAD_BAND) for s in self.shapes]
+        return shapely.union_all([p for p in parts if p is not None])
 
     def asset(self, name: str) -> Asset:
         """The asset under a name of its own."""

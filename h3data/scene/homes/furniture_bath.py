@@ -117,3 +117,19 @@ def shower(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.box((0, 1.05, -d / 2 + 0.05), (0.2, 0.05, 0.06), style.metal, bevel=0.01)
     shape = box_part((0, h / 2, 0), (w, h, d))  # nobody walks into the tray: the whole cabin is an obstacle
     return finish("shower", mesh, (w, h + 0.1, d), shapes=[shape], front=0.5)
+
+
+def washer(rng: np.random.Generator, style: Style) -> Furniture:
+    """A washing machine, or a dryer: the panel differs."""
+    mesh, w, d, h = MeshBuilder(), 0.6, 0.6, 0.86
+    z = d / 2 - 0.03
+    mesh.span((-w / 2, 0.02, -d / 2), (w / 2, h, z), _PORCELAIN, bevel=0.012)
+    mesh.span((-w / 2 + 0.04, 0, -d / 2 + 0.04), (w / 2 - 0.04, 0.02, z - 0.06), style.black)
+    mesh.span((-w / 2 + 0.02, h - 0.13, z - 0.002), (w / 2 - 0.02, h - 0.02, z + 0.006), shade(_PORCELAIN, 0.93))
+    knob = float(rng.choice([-0.18, 0.0, 0.18]))
+    mesh.cylinder((knob, h - 0.075, z + 0.014), 0.035, 0.025, style.metal, segments=18, turn=turn_x(np.pi / 2))
+    mesh.cylinder((0, 0.42, z + 0.012), 0.21, 0.028, style.metal, segments=28, bevel=0.006, turn=turn_x(np.pi / 2))
+    mesh.cylinder((0, 0.42, z + 0.027), 0.165, 0.006, (58, 66, 78), segments=28, turn=turn_x(np.pi / 2))
+    top = surface("top", (0, h, -0.02), (w - 0.08, d - 0.16), 0.8)
+    shape = box_part((0, h / 2, 0), (w, h, d))
+    return finish("washer", mesh, (w, h, d), shapes=[shape], receptacles=[top], front=0.6)

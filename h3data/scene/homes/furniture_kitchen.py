@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, finish, legs, surface
+from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, cylinder_part, finish, legs, surface
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
@@ -126,7 +126,8 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
 
 def dining_table(rng: np.random.Generator, style: Style, seats: int = 4) -> Furniture:
     mesh, h = MeshBuilder(), 0.74
-    w, d = (1.75 if seats > 4 else rng.uniform(1.2, 1.4)), rng.uniform(0.8, 0.9)
+    w = {8: 2.4, 6: 1.75}.get(seats) or rng.uniform(1.2, 1.4)
+    d = rng.uniform(0.8, 0.9)
     boards = np.linspace(-d / 2, d / 2, 5).tolist()
     for z0, z1 in pairwise(boards):
         mesh.span((-w / 2, h - 0.035, z0), (w / 2, h, z1), vary(rng, style.wood, 0.035), bevel=0.003)
@@ -160,3 +161,35 @@ def chair(rng: np.random.Generator, style: Style) -> Furniture:
         box_part((0, 0.69, -d / 2 + 0.03), (w, 0.46, 0.06)),
     ]
     return finish("chair", mesh, (w, high, d), shapes=shapes)
+
+
+def island(rng: np.random.Generator, style: Style) -> Furniture:
+    """A free-standing block of cabinets; the worktop reaches out at the back, where stools stand."""
+    mesh, w, d, over = MeshBuilder(), rng.uniform(1.7, 2.2), 0.9, 0.26
+    y, z0, z1 = WORKTOP_HEIGHT, -d / 2 + over, d / 2 - 0.03
+    mesh.span((-w / 2, 0.1, z0), (w / 2, y - 0.04, z1 - 0.02), shade(style.front, 0.92), bevel=0.003)
+    mesh.span((-w / 2 + 0.03, 0, z0 + 0.05), (w / 2 - 0.03, 0.1, z1 - 0.07), (60, 58, 56))
+    mesh.span((-w / 2 - 0.01, y - 0.04, -d / 2), (w / 2 + 0.01, y, d / 2), style.worktop, bevel=0.004)
+    for i in range(3):
+        x = (-w / 2 + i * w / 3, -w / 2 + (i + 1) * w / 3)
+        cabinet_front(mesh, x, (0.1, y - 0.04), z1 - 0.02, vary(rng, style.front, 0.01), style.metal)
+    shapes: list[Shape] = [
+        box_part((0, y / 2, (z0 + z1) / 2), (w, y, z1 - z0)),
+        box_part((0, y - 0.02, 0), (w + 0.02, 0.04, d)),
+    ]
+    top = surface("top", (0, y, 0), (w - 0.1, d - 0.1), 1.0)
+    return finish("kitchen_island", mesh, (w + 0.02, y, d), shapes=shapes, receptacles=[top])
+
+
+def stool(rng: np.random.Generator, style: Style) -> Furniture:
+    """A bar stool."""
+    mesh, r, h = MeshBuilder(), 0.19, 0.66
+    mesh.cylinder((0, h - 0.025, 0), r, 0.05, style.fabric_2, segments=20, bevel=0.015)
+    mesh.cylinder((0, h - 0.06, 0), r - 0.015, 0.02, style.wood_dark, segments=20)
+    for sx in (-1, 1):
+        for sz in (-1, 1):
+            mesh.box((sx * 0.12, (h - 0.07) / 2, sz * 0.12), (0.03, h - 0.07, 0.03), style.wood_dark, bevel=0.004)
+    for s in (-1, 1):
+        mesh.box((0, 0.22, s * 0.12), (0.24, 0.02, 0.02), style.metal)
+        mesh.box((s * 0.12, 0.28, 0), (0.02, 0.02, 0.24), style.metal)
+    return finish("chair", mesh, (2 * r, h, 2 * r), shapes=[cylinder_part((0, h / 2, 0), r, h)])

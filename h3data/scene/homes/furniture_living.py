@@ -265,3 +265,14 @@ def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cylinder((0, -0.05, 0), 0.01, 0.06, style.metal, segments=6)
     mesh.lathe([(0, -0.16), (r * 0.6, -0.15), (r, -0.1), (r * 0.96, -0.08), (0, -0.075)], (250, 244, 226), segments=20)
     return finish("ceiling_lamp", mesh, (2 * r, 0.16, 2 * r))
+
+
+def bench(rng: np.random.Generator, style: Style) -> Furniture:
+    """An upholstered bench without a back."""
+    mesh, w, d, h = MeshBuilder(), rng.uniform(1.0, 1.4), 0.4, 0.46
+    mesh.span((-w / 2, h - 0.12, -d / 2), (w / 2, h - 0.07, d / 2), style.wood_dark, bevel=0.004)
+    mesh.cushion((0, h - 0.035, 0), (w - 0.02, 0.09, d - 0.02), style.fabric_2, radius=0.035)
+    shapes = legs(mesh, w / 2 - 0.07, d / 2 - 0.06, h - 0.12, style.wood_dark)
+    shapes.append(box_part((0, h - 0.055, 0), (w, 0.13, d)))
+    top = surface("seat", (0, h + 0.012, 0), (w - 0.12, d - 0.1), 1.2)
+    return finish("bench", mesh, (w, h + 0.01, d), shapes=shapes, receptacles=[top], front=0.35)

@@ -1,4 +1,4 @@
-"""The plan of a home: rooms that tile a rectangle, doors by room-type rules, windows.
+"""The plan of a home: rooms that tile its footprint, doors by room-type rules, windows.
 
 Plan coordinates are the world's floor points (x, z) [m]. Rooms reach to the middle of inner walls and to the inner face
 of outer walls, so their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.
@@ -14,15 +14,13 @@ from typing import Literal
 import numpy as np
 
 from h3data.errors import SceneError
-from h3data.scene.homes.spec import HOME_PRESETS, HomePreset, HomeSpec, stage_rng
+from h3data.scene.homes.spec import HomeSpec, stage_rng
+from h3data.scene.homes.zoning import Rect, Tile, Zoning, plan_zoning, rect_area, rounded, shared_wall
+from h3data.scene.homes.zoning_large import LARGE_FROM_BEDROOMS, LARGE_FROM_M2, plan_large_zoning
 
 WALL_THICKNESS = 0.12
 WALL_HEIGHT = 2.6
 DOOR_HEIGHT = 2.1
-CORRIDOR_WIDTH = (1.3, 1.42)
-
-Rect = tuple[float, float, float, float]
-"""x0 z0 x1 z1 [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,161 +61,41 @@ class Opening:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """A whole plan; its footprint is ``0 0 width depth``."""
+    """A whole plan; its footprint is ``0 0 width depth`` without the notches."""
 
     width: float
     depth: float
     rooms: tuple[RoomPlan, ...]
     openings: tuple[Opening, ...]
+    notches: tuple[Rect, ...] = ()
+    """Corners of the bounding box that lie outside. Walls towards them stand on the line, as inner walls do."""
 
     def room(self, name: str) -> RoomPlan:
         return next(r for r in self.rooms if r.name == name)
 
 
-def rect_area(rect: Rect) -> float:
-    return (rect[2] - rect[0]) * (rect[3] - rect[1])
-
-
 # --- rooms ------------------------------------------------------------------------------------------------------------
-_LIMITS = {  # smallest side, smallest and largest area, longest aspect
-    "living": (3.5, 15.0, 38.0, 1.9),
-    "kitchen": (2.5, 8.0, 22.0, 2.1),
-    "bedroom": (2.9, 9.5, 24.0, 1.8),
-    "bathroom": (1.85, 4.2, 10.5, 2.3),
-    "hall": (1.3, 2.0, 18.0, 9.0),
-}
-_MUST_TOUCH = {  # metres of shared wall, for every room of the second kind
-    ("living", "kitchen"): 2.0,
-    ("living", "hall"): 1.3,
-    ("hall", "bedroom"): 1.3,
-    ("hall", "bathroom"): 1.3,
-}
-
-_Tile = tuple[str, Rect]
-
-
-def _split(rng: np.random.Generator, low: float, high: float, weights: Sequence[float]) -> list[float]:
-    shares = np.asarray(weights) * rng.uniform(0.85, 1.18, len(weights))
-    return [low, *(low + (high - low) * np.cumsum(shares) / shares.sum())[:-1].tolist(), high]
-
-
-def _public(rng: np.random.Generator, rect: Rect) -> list[_Tile]:
-    x0, z0, x1, z1 = rect
-    share = rng.uniform(0.34, 0.44)
-    if (x1 - x0) > 1.25 * (z1 - z0):
-        cut = x0 + (x1 - x0) * share
-        return [("kitchen", (x0, z0, cut, z1)), ("living", (cut, z0, x1, z1))]
-    if rng.random() < 0.5:
-        cut = z0 + (z1 - z0) * share
-        return [("kitchen", (x0, z0, x1, cut)), ("living", (x0, cut, x1, z1))]
-    cut = z1 - (z1 - z0) * share
-    return [("living", (x0, z0, x1, cut)), ("kitchen", (x0, cut, x1, z1))]
-
-
-def _strip(rng: np.random.Generator, kinds: Sequence[str], low: float, high: float) -> list[tuple[str, float, float]]:
-    weights = [0.52 if kind == "bathroom" else 1.0 for kind in kinds]
-    cuts = _split(rng, low, high, weights)
-    return list(zip(kinds, cuts[:-1], cuts[1:], strict=True))
-
-
-def _spine_along(rng: np.random.Generator, width: float, depth: float, preset: HomePreset) -> list[_Tile]:
-    """Public rooms | corridor running away from them, with private rooms on both of its sides."""
-    cut = width * rng.uniform(0.40, 0.62)
-    corridor = rng.uniform(*CORRIDOR_WIDTH)
-    private = rng.permutation(["bedroom"] * preset.bedrooms + ["bathroom"] * preset.bathrooms).tolist()
-    first = int(rng.integers(1, len(private)))
-    below, above = private[:first], private[first:]
-    load = [sum(0.5 if kind == "bathroom" else 1.0 for kind in side) for side in (below, above)]
-    share = 0.5 if preset.bedrooms > 1 else load[0] / sum(load)
-    z0 = (depth - corridor) * float(np.clip(share + rng.uniform(-0.06, 0.06), 0.2, 0.8))
-    tiles: list[_Tile] = [("hall", (cut, z0, width, z0 + corridor))]
-    tiles += [(kind, (a, 0.0, b, z0)) for kind, a, b in _strip(rng, below, cut, width)]
-    tiles += [(kind, (a, z0 + corridor, b, depth)) for kind, a, b in _strip(rng, above, cut, width)]
-    return tiles + _public(rng, (0.0, 0.0, cut, depth))
-
-
-def _spine_across(rng: np.random.Generator, width: float, depth: float, preset: HomePreset) -> list[_Tile]:
-    """Public rooms | corridor between | one row of private rooms."""
-    cut = width * rng.uniform(0.42, 0.56)
-    corridor = rng.uniform(*CORRIDOR_WIDTH)
-    private = rng.permutation(["bedroom"] * preset.bedrooms + ["bathroom"] * preset.bathrooms).tolist()
-    tiles: list[_Tile] = [("hall", (cut, 0.0, cut + corridor, depth))]
-    tiles += [(kind, (cut + corridor, a, width, b)) for kind, a, b in _strip(rng, private, 0.0, depth)]
-    return tiles + _public(rng, (0.0, 0.0, cut, depth))
-
-
-def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
-    """(axis along which it runs, line, low, high) of the wall between two rooms, or None."""
-    for axis in (0, 1):
-        across = 1 - axis
-        for first, second in ((a, b), (b, a)):
-            if abs(first[across + 2] - second[across]) < 1e-9:
-                low, high = max(a[axis], b[axis]), min(a[axis + 2], b[axis + 2])
-                if high - low > 1e-6:
-                    return axis, first[across + 2], low, high
-    return None
-
-
-def _penalty(tiles: Sequence[_Tile]) -> float:
-    """0 for a plan without faults; rooms of bad size or shape and missing neighbours add to it."""
-    total = 0.0
-    for kind, rect in tiles:
-        side, least, most, aspect = _LIMITS[kind]
-        a, b = sorted((rect[2] - rect[0], rect[3] - rect[1]))
-        total += (
-            4 * max(0, side - a) + 0.5 * max(0, least - a * b) + 0.5 * max(0, a * b - most) + max(0, b / a - aspect)
-        )
-    for (kind, other), needed in _MUST_TOUCH.items():
-        hosts = [r for k, r in tiles if k == kind]
-        for rect in (r for k, r in tiles if k == other):
-            walls = [w for w in (shared_wall(h, rect) for h in hosts) if w]
-            longest = max((w[3] - w[2] for w in walls), default=0.0)
-            total += 20 * max(0.0, needed - longest)
-    return total
-
-
-def _plan_rooms(spec: HomeSpec, attempt: int) -> tuple[float, float, list[_Tile]]:
-    preset = HOME_PRESETS[spec.preset]
-    rng = stage_rng(spec, "rooms", attempt)
-    best: tuple[float, float, float, list[_Tile]] | None = None
-    for _ in range(200):
-        aspect = rng.uniform(1.15, 1.6)
-        width = round(float(np.sqrt(preset.area_m2 * aspect)), 2)
-        depth = round(preset.area_m2 / width, 2)
-        across = preset.bedrooms == 1 and rng.random() < 0.5
-        tiles = (_spine_across if across else _spine_along)(rng, width, depth, preset)
-        tiles = [(kind, _rounded(rect)) for kind, rect in tiles]
-        penalty = _penalty(tiles)
-        if best is None or penalty < best[0]:
-            best = (penalty, width, depth, tiles)
-        if penalty == 0:
-            break
-    if best is None or best[0] > 2.0:
-        raise SceneError(f"No acceptable plan for {spec} after 200 trials. Hint: use another seed.")
-    return best[1], best[2], best[3]
-
-
-def _rounded(rect: Rect) -> Rect:
-    a, b, c, d = (round(v, 2) for v in rect)
-    return a, b, c, d
-
-
-def _oriented(
-    rng: np.random.Generator, width: float, depth: float, tiles: list[_Tile]
-) -> tuple[float, float, list[_Tile]]:
+def _oriented(rng: np.random.Generator, plan: Zoning) -> Zoning:
     """The plan mirrored and turned at random."""
-    flip_x, flip_z, swap = rng.random(3) < 0.5
-    out: list[_Tile] = []
-    for kind, (x0, z0, x1, z1) in tiles:
+    flip_x, flip_z, swap = (rng.random(3) < 0.5).tolist()
+
+    def moved(rect: Rect) -> Rect:
+        x0, z0, x1, z1 = rect
         if flip_x:
-            x0, x1 = width - x1, width - x0
+            x0, x1 = plan.width - x1, plan.width - x0
         if flip_z:
-            z0, z1 = depth - z1, depth - z0
-        out.append((kind, _rounded((z0, x0, z1, x1) if swap else (x0, z0, x1, z1))))
-    return (depth, width, out) if swap else (width, depth, out)
+            z0, z1 = plan.depth - z1, plan.depth - z0
+        return rounded((z0, x0, z1, x1) if swap else (x0, z0, x1, z1))
+
+    return Zoning(
+        width=plan.depth if swap else plan.width,
+        depth=plan.width if swap else plan.depth,
+        tiles=tuple((kind, moved(rect)) for kind, rect in plan.tiles),
+        notches=tuple(moved(rect) for rect in plan.notches),
+    )
 
 
-def _named(tiles: list[_Tile], width: float, depth: float) -> tuple[RoomPlan, ...]:
+def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan, ...]:
     kinds = [kind for kind, _ in tiles]
     seen: dict[str, int] = {}
     rooms = []
@@ -238,14 +116,29 @@ def _named(tiles: list[_Tile], width: float, depth: float) -> tuple[RoomPlan, ..
 
 # --- doors ------------------------------------------------------------------------------------------------------------
 _DOOR_COST = {  # which rooms would rather be joined; missing pairs are never joined
-    frozenset({"living", "kitchen"}): 0,
-    frozenset({"living", "hall"}): 1,
-    frozenset({"hall", "bedroom"}): 2,
-    frozenset({"hall", "bathroom"}): 2,
-    frozenset({"hall", "kitchen"}): 5,
-}
-_EXTRA_DOORS = {frozenset({"hall", "kitchen"}): 0.3}
+    frozenset(pair.split("-")): cost
+    for pair, cost in {
+        "living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0, "hall": 0, "living-hall": 1, "hall-dining": 2,
+        "hall-bedroom": 2, "hall-bathroom": 2, "hall-den": 2, "hall-office": 2, "hall-library": 2, "kitchen-pantry": 3,
+        "kitchen-laundry": 3, "hall-laundry": 4, "hall-pantry": 5, "hall-kitchen": 5, "living-den": 6,
+        "living-library": 6, "living-office": 6, "bedroom-bathroom": 7,
+    }.items()
+}  # fmt: skip
+_EXTRA_DOORS = {
+    frozenset(pair.split("-")): chance
+    for pair, chance in {
+        "hall-kitchen": 0.3, "hall-dining": 0.5, "living-den": 0.3, "living-library": 0.3, "dining-kitchen": 0.8,
+        "living-dining": 1.0,
+    }.items()
+}  # fmt: skip
 """Chance of a door that closes a loop, beside the spanning tree."""
+_WIDE = tuple(frozenset(pair.split("-")) for pair in ("living-kitchen", "living-dining", "dining-kitchen"))
+_DEAD_ENDS = ("bathroom", "bedroom", "pantry")
+"""Nobody has to go through these to get elsewhere, but for a bathroom behind its bedroom."""
+
+
+def _narrow(room: RoomPlan) -> float:
+    return min(room.rect[2] - room.rect[0], room.rect[3] - room.rect[1])
 
 
 def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, float, float, float]) -> Opening:
@@ -253,10 +146,13 @@ def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, f
     low = max(a.interior[axis], b.interior[axis]) + 0.1
     high = min(a.interior[axis + 2], b.interior[axis + 2]) - 0.1
     kinds = {a.category, b.category}
-    if kinds == {"living", "kitchen"}:
+    if kinds == {"hall"}:
+        kind: OpeningKind = "wide"
+        width, top, start = high - low, 2.4, low
+    elif kinds in _WIDE or (kinds == {"living", "hall"} and min(high - low, _narrow(b), _narrow(a)) > 1.8):
         width, top = float(np.clip(0.55 * (high - low), 1.3, 2.4)), 2.3
         start = low + (high - low - width) * rng.uniform(0.3, 0.7)
-        kind: OpeningKind = "wide"
+        kind = "wide"
     else:
         kind, width, top = "door", 0.95, DOOR_HEIGHT
         room = high - low - width
@@ -295,71 +191,127 @@ def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
         doors.append(_door(rng, a, b, wall))
     if len(set(group.values())) > 1:
         raise SceneError("This plan leaves rooms without a door.")
+    kinds = {room.name: room.category for room in rooms}
+    for room in rooms:
+        others = [kinds[n] for o in doors if room.name in o.rooms for n in o.rooms if n != room.name]
+        through = [k for k in others if not (room.category == "bedroom" and k == "bathroom")]
+        if room.category in _DEAD_ENDS and len(through) != 1:
+            raise SceneError("This plan leads through a private room.")
     return doors
 
 
 # --- windows and the entrance -----------------------------------------------------------------------------------------
-_WINDOWS = {  # how many at most, width, bottom, top
+_WINDOWS = {  # on how many sides at most, width, bottom, top
     "living": (2, (1.5, 2.2), 0.85, 2.2),
+    "dining": (2, (1.4, 2.0), 0.85, 2.2),
     "kitchen": (1, (1.0, 1.4), 1.1, 2.15),
     "bedroom": (1, (1.1, 1.6), 0.95, 2.15),
+    "den": (1, (1.2, 1.7), 0.95, 2.15),
+    "office": (1, (1.2, 1.7), 0.95, 2.15),
+    "library": (1, (1.0, 1.4), 0.95, 2.15),
     "bathroom": (1, (0.55, 0.7), 1.5, 2.15),
+    "laundry": (1, (0.6, 0.8), 1.2, 2.15),
+    "pantry": (0, (0.5, 0.6), 1.5, 2.15),
     "hall": (1, (0.6, 0.8), 1.2, 2.15),
 }
+"""In the order in which rooms are listed."""
 
 
-def outer_sides(room: RoomPlan, width: float, depth: float) -> list[tuple[Literal[0, 1], float]]:
-    """(axis, line) of the room's sides that lie on the footprint's edge."""
-    x0, z0, x1, z1 = room.rect
-    sides: list[tuple[Literal[0, 1], float]] = []
-    sides.extend((1, x) for x in (x0, x1) if x in (0.0, width))
-    sides.extend((0, z) for z in (z0, z1) if z in (0.0, depth))
-    return sides
+@dataclass(frozen=True)
+class _Outer:
+    """A stretch of a room's wall with the open air behind it, between the faces of its ends."""
+
+    axis: Literal[0, 1]
+    line: float
+    low: float
+    high: float
 
 
-def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...], width: float, depth: float) -> list[Opening]:
+def _outer(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
+    walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
+    found = []
+    axes: tuple[Literal[0, 1], ...] = (1, 0)
+    for axis in axes:
+        across = 1 - axis
+        for end in (across, across + 2):
+            line, at = room.rect[end], room.interior[axis]
+            shared = sorted((w[2], w[3]) for w in walls if w[0] == axis and abs(w[1] - line) < 1e-9)
+            # A neighbour that only touches at this line but lies beyond a corner of the room is no wall of it.
+            for low, high in [*shared, (room.interior[axis + 2] + WALL_THICKNESS / 2, np.inf)]:
+                stop = min(low - WALL_THICKNESS / 2, room.interior[axis + 2])
+                if stop - at > 0.9:
+                    found.append(_Outer(axis, line, at, stop))
+                at = max(at, high + WALL_THICKNESS / 2)
+    return found
+
+
+def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[Opening]:
     openings: list[Opening] = []
-    hall = next(r for r in rooms if r.category == "hall")
-    host = hall if outer_sides(hall, width, depth) else next(r for r in rooms if r.category == "living")
-    sides = outer_sides(host, width, depth)
-    axis, line = sides[int(rng.integers(len(sides)))]
-    middle = (host.interior[axis] + host.interior[axis + 2]) / 2
-    entrance = Opening(
-        kind="entrance",
-        axis=axis,
-        line=line,
-        span=(middle - 0.475, middle + 0.475),
-        height=(0.0, DOOR_HEIGHT),
-        rooms=(host.name,),
+    halls = sorted((r for r in rooms if r.category == "hall"), key=lambda r: -_narrow(r))
+    host = next((r for r in (*halls, *rooms) if _entrances(r, rooms)), None)
+    if host is None:
+        raise SceneError("This plan has no place for an entrance.")
+    sides = _entrances(host, rooms)
+    door = sides[int(rng.integers(len(sides)))]
+    middle = (door.low + door.high) / 2
+    openings.append(
+        Opening(
+            kind="entrance",
+            axis=door.axis,
+            line=door.line,
+            span=(middle - 0.475, middle + 0.475),
+            height=(0.0, DOOR_HEIGHT),
+            rooms=(host.name,),
+        )
     )
-    openings.append(entrance)
     for room in rooms:
         most, widths, bottom, top = _WINDOWS[room.category]
-        sides = [s for s in outer_sides(room, width, depth) if room is not host or s != (axis, line)]
+        sides = [s for s in _outer(room, rooms) if room is not host or s != door]
         for index in rng.permutation(len(sides))[:most].tolist():
-            side_axis, side_line = sides[index]
-            low, high = room.interior[side_axis], room.interior[side_axis + 2]
-            size = float(min(rng.uniform(*widths), high - low - 0.5))
-            start = low + (high - low - size) * rng.uniform(0.4, 0.6)
-            openings.append(
-                Opening(
-                    kind="window",
-                    axis=side_axis,
-                    line=side_line,
-                    span=(start, start + size),
-                    height=(bottom, top),
-                    rooms=(room.name,),
+            side = sides[index]
+            count = max(1, int((side.high - side.low) / 4.2))
+            each = (side.high - side.low) / count
+            for k in range(count):
+                size = float(min(rng.uniform(*widths), each - 0.5))
+                start = side.low + k * each + (each - size) * rng.uniform(0.4, 0.6)
+                openings.append(
+                    Opening(
+                        kind="window",
+                        axis=side.axis,
+                        line=side.line,
+                        span=(start, start + size),
+                        height=(bottom, top),
+                        rooms=(room.name,),
+                    )
                 )
-            )
     return openings
+
+
+def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
+    return [s for s in _outer(room, rooms) if s.high - s.low > 1.15] if room.category in ("hall", "living") else []
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
     """Rooms, doors and windows of a home; ``attempt`` gives other random numbers for the same spec."""
-    width, depth, tiles = _plan_rooms(spec, attempt)
-    width, depth, tiles = _oriented(stage_rng(spec, "orientation", attempt), width, depth, tiles)
-    rooms = _named(sorted(tiles, key=lambda t: list(_LIMITS).index(t[0])), width, depth)
+    program = spec.program
+    large = program.area_m2 >= LARGE_FROM_M2 or program.bedrooms >= LARGE_FROM_BEDROOMS
+    plan = plan_large_zoning(spec, attempt, _joinable) if large else plan_zoning(spec, attempt)
+    plan = _oriented(stage_rng(spec, "orientation", attempt), plan)
+    rooms = _rooms(plan)
     doors = _plan_doors(stage_rng(spec, "doors", attempt), rooms)
-    outer = _plan_outer(stage_rng(spec, "outer", attempt), rooms, width, depth)
+    outer = _plan_outer(stage_rng(spec, "outer", attempt), rooms)
     openings = tuple(replace(o, span=(round(o.span[0], 3), round(o.span[1], 3))) for o in doors + outer)
-    return Layout(width=width, depth=depth, rooms=rooms, openings=openings)
+    return Layout(width=plan.width, depth=plan.depth, rooms=rooms, openings=openings, notches=plan.notches)
+
+
+def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:
+    return _named(sorted(plan.tiles, key=lambda t: list(_WINDOWS).index(t[0])), plan.width, plan.depth)
+
+
+def _joinable(plan: Zoning) -> bool:
+    """Whether doors can be had between the rooms of a plan."""
+    try:
+        _plan_doors(np.random.Generator(np.random.Philox(key=0)), _rooms(plan))
+    except SceneError:
+        return False
+    return True

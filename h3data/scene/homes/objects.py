@@ -151,6 +151,9 @@ AFFINITY: Mapping[str, tuple[str, ...]] = {
     "console": ("bowl", "book", "bottle"),
     "bathroom_sink": ("mug", "bottle"),
     "toilet": ("box", "bottle"),
+    "kitchen_island": ("bowl", "mug", "apple", "orange", "bottle", "can", "box"),
+    "washer": ("box", "bottle"),
+    "bench": ("book", "box"),
 }
 """Which small things are found on which furniture, by category."""
 

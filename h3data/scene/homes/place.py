@@ -8,23 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from h3data.scene.homes.furniture import Furniture
-from h3data.scene.homes.layout import Layout, Opening, Rect, RoomPlan
+from h3data.scene.homes.layout import Layout, Opening, RoomPlan
+from h3data.scene.homes.zoning import Rect
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
 
 WALK_RADIUS = 0.30
 """A person's disc (spec/habitat.md: humanoid radius 0.3): free space is judged with it [m]."""
-PLAN_RADIUS = 0.32
+PLAN_RADIUS = 0.305
 """The disc that furniture is placed by: a passage for `WALK_RADIUS` is then a little wider than it must be [m]."""
 GAP_BAND = (0.45, 0.60)
 """Gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (navigation-and-stepping.md 2.4) [m]."""
+CRUMB_M2 = 0.002
+"""Cut-off floor and pockets below this are rounding [m2]."""
 _DOOR_DEPTH = 0.8
 _TALL = 0.88
 """Higher things do not stand before windows [m]."""
-_REACH = {"desk": 0.85, "dining_table": 0.65}
+_REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65}
 """How far off the walkable area may end, where a chair stands in between; 0.38 m otherwise."""
+_FROM_ANYWHERE = ("dining_table", "coffee_table", "bed", "kitchen_island")
+"""Used from any side; all else that has a surface is used from its front."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,10 +79,22 @@ class RoomState:
     rugs: list[Rect] = field(default_factory=list)
     goals: list[tuple[Rect, float]] = field(default_factory=list)
     """Edges (flat rectangles) that a walker has to come near, and how near [m]."""
+    _free: BaseGeometry | None = None
 
     @property
     def interior(self) -> Rect:
         return self.room.interior
+
+    @property
+    def free(self) -> BaseGeometry:
+        """Floor without obstacles, and the doorways; for a disc it has to be shrunk yet."""
+        if self._free is None:
+            self._free = _bare_floor(self)
+        return self._free
+
+    @free.setter
+    def free(self, free: BaseGeometry) -> None:
+        self._free = free
 
 
 def room_state(layout: Layout, room: RoomPlan) -> RoomState:
@@ -157,7 +178,7 @@ def gap(a: Rect, b: Rect) -> float:
 
 
 def _gap_refused(value: float) -> bool:
-    return GAP_BAND[0] < value < max(GAP_BAND[1], 2 * PLAN_RADIUS)
+    return GAP_BAND[0] < value < 2 * PLAN_RADIUS
 
 
 def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
@@ -217,6 +238,16 @@ def _window_strips(state: RoomState) -> list[Rect]:
     return [_strip(state.interior, side, o.span[0] - 0.05, o.span[1] + 0.05, 0.35) for side, o in state.windows]
 
 
+def reach_m(category: str) -> float:
+    """How near a walker has to come to the edge from which a piece of furniture is used [m]."""
+    return _REACH.get(category, PLAN_RADIUS + 0.075)
+
+
+def used_from_front(category: str) -> bool:
+    """Whether a piece of furniture is used from its front, not from any side."""
+    return category not in _FROM_ANYWHERE
+
+
 def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
     goals = []
     for p in group:
@@ -224,44 +255,83 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
             continue
         if p.piece.category != "chair" and not (p.piece.front_m > 0 or p.piece.receptacles):
             continue
-        near = _REACH.get(p.piece.category, PLAN_RADIUS + 0.06)
-        faced = p.piece.front_m > 0 or p.piece.category in ("nightstand", "desk")
-        goals.append((front_strip(p, 0.002) if faced else footprint(p), near))
+        faced = p.piece.category != "chair" and used_from_front(p.piece.category)
+        goals.append((front_strip(p, 0.002) if faced else footprint(p), reach_m(p.piece.category)))
     return goals
 
 
-def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Whether one island of the free floor, for a disc of `PLAN_RADIUS`, joins all doors and comes near all goals."""
+def _outline(p: Placed) -> BaseGeometry:
+    """What a piece takes of the floor, from its collision shapes."""
     import shapely
 
-    solids = [*state.solids, *(footprint(p) for p in extra if p.piece.solid and p.y == 0)]
+    heading = p.quarter * np.pi / 2 + p.yaw
+    c, s = np.cos(heading), np.sin(heading)
+    turn = np.array([[c, -s], [s, c]])  # rows x, z: +z goes to +x, as everywhere
+    return shapely.transform(p.piece.outline, lambda xz: xz @ turn + (p.x, p.z))
+
+
+def _bare_floor(state: RoomState) -> BaseGeometry:
+    """The floor between the walls, and doorways as far as a disc in them needs."""
+    import shapely
+
     floor = [shapely.box(*state.interior)]
-    anchors = []
     for side, o in state.doors:
-        # The disc must stand in the doorway: widen the floor through it by a little more than the disc.
+        # The disc must stand in the doorway: widen the floor through it by more than the disc.
         strip = np.array(_strip(state.interior, side, *o.span, 0.1))
         out = np.array([(0, -1, 0, 0), (-1, 0, 0, 0), (0, 0, 0, 1), (0, 0, 1, 0)][side]) * 0.5
         floor.append(shapely.box(*(strip + out)))
-        x, z = wall_point(state.interior, side, sum(o.span) / 2)
-        dx, dz = turned(side, 0.0, 0.02)
-        anchors.append(shapely.Point(x + dx, z + dz))
-    free = shapely.union_all(floor)
-    if solids:
-        free = free.difference(shapely.union_all([shapely.box(*r) for r in solids]))
-    parts = shapely.get_parts(free.buffer(-PLAN_RADIUS, quad_segs=4))
+    return shapely.union_all(floor)
+
+
+def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
+    """Where a disc of 2 r - 5 cm gets and one of 2 r + 10 cm does not: passages and niches that some agents fit into.
+
+    ``wide`` is ``free`` shrunk by the radius of the wider disc.
+    """
+    import shapely
+
+    narrow = free.buffer(-GAP_BAND[0] / 2, quad_segs=8)
+    # Mitred, so that right corners of rooms count as reached; the limit keeps it from bridging a tight passage.
+    step = (GAP_BAND[1] - GAP_BAND[0]) / 2 + 0.008
+    reached = wide.buffer(step, quad_segs=8, join_style="mitre", mitre_limit=1.45)
+    return [part for part in shapely.get_parts(narrow.difference(reached)) if part.area > CRUMB_M2]
+
+
+def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
+    """Whether one island of the free floor, for a disc of `PLAN_RADIUS`, joins all doors and comes near all goals,
+    and nowhere a gap is left that is open for one agent and shut for the next."""
+    import shapely
+
+    free = _without(state.free, extra)
+    parts = shapely.get_parts(free.buffer(-PLAN_RADIUS, quad_segs=8))
     if not len(parts):
         return False
     main = max(parts, key=lambda part: part.area)
-    if sum(part.area for part in parts) - main.area > 1e-3 or any(not main.intersects(a) for a in anchors):
+    if sum(part.area for part in parts) - main.area > CRUMB_M2:
         return False
+    for side, o in state.doors:
+        x, z = wall_point(state.interior, side, sum(o.span) / 2)
+        dx, dz = turned(side, 0.0, 0.02)
+        if not main.intersects(shapely.Point(x + dx, z + dz)):
+            return False
     goals = [*state.goals, *_goals(extra)]
-    return not goals or bool(
-        np.all(shapely.distance(main, [shapely.box(*r) for r, _ in goals]) <= [near for _, near in goals])
-    )
+    if goals:
+        edges = shapely.box(*np.array([r for r, _ in goals]).T)
+        if not np.all(shapely.distance(main, edges) <= [near for _, near in goals]):
+            return False
+    return not pockets(free, main)
+
+
+def _without(free: BaseGeometry, group: Sequence[Placed]) -> BaseGeometry:
+    import shapely
+
+    outlines = [_outline(p) for p in group if p.piece.solid and p.y == 0]
+    return free.difference(shapely.union_all(outlines)) if outlines else free
 
 
 def commit(state: RoomState, group: Sequence[Placed]) -> None:
     """Takes a group into the room. Rugs that would leave the room or cover another rug are left out."""
+    state.free = _without(state.free, group)
     for p in group:
         if p.piece.category == "rug":
             rect = footprint(p)

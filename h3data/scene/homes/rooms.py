@@ -28,6 +28,9 @@ from h3data.scene.homes.place import (
 )
 from h3data.scene.homes.style import Style
 
+_LARGE_M2 = 45.0
+"""Living rooms above this need more than one group of seats."""
+
 
 class NoRoomError(SceneError):
     """A necessary piece of furniture found no place: another plan has to be tried."""
@@ -112,12 +115,125 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
     _single(rng, state, living.floor_lamp(rng, style), only_corner=True)
     for _ in range(2 if size > 24 else 1):
         _single(rng, state, living.plant(rng, style), only_corner=True)
-    if size > 24:
+    if 24 < size < _LARGE_M2:
         _desk(rng, style, state)
     if size > 28:
         _single(rng, state, living.console(rng, style))
         _single(rng, state, living.armchair(rng, style), corner=True)
-    pictures(rng, style, state, 2)
+    if size > _LARGE_M2:
+        _more_groups(rng, style, state, int(size // 38))
+        _shelf_wall(rng, style, state, 3)
+    pictures(rng, style, state, 2 + int(size // 20))
+
+
+def _talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Member]:
+    """Two sofas that face each other over a table, or a sofa and two armchairs, about the middle of a rug."""
+    table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
+    knee = float(rng.uniform(0.36, 0.42))
+    away = table.size[2] / 2 + knee
+    carpet = living.rug(rng, style, (sofa.size[0] + 0.3, 2 * away + 1.0))
+    members = [
+        Member(piece=carpet),
+        Member(piece=table),
+        Member(piece=sofa, z=-away - sofa.size[2] / 2),
+    ]
+    if not chairs:
+        return [*members, Member(piece=sofa, z=away + sofa.size[2] / 2, quarter=2)]
+    chair = living.armchair(rng, style)
+    beside = chair.size[0] / 2 + 0.06
+    z = away + chair.size[2] / 2
+    return [*members, *(Member(piece=chair, x=s * beside, z=z, quarter=2) for s in (-1, 1)[:chairs])]
+
+
+def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
+    """Further seats in a large room: groups in the open, and corners to read in."""
+    for _ in range(count):
+        place_free(rng, state, _talk_group(rng, style, int(rng.choice([0, 2]))))
+    for _ in range(2):
+        _single(rng, state, living.armchair(rng, style), corner=True)
+    for _ in range(2):
+        _single(rng, state, living.plant(rng, style))
+    _single(rng, state, living.bench(rng, style))
+
+
+def _shelf_wall(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
+    """Up to ``count`` equal shelves side by side."""
+    shelf = living.shelf(rng, style)
+    for n in range(count, 0, -1):
+        if place_at_wall(rng, state, _row([shelf] * n), middle=True):
+            return
+
+
+def furnish_den(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """A second sofa group with tv, shelves, a desk."""
+    furnish_living(rng, style, state, dining)
+    _shelf_wall(rng, style, state, 2)
+
+
+def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """Shelves along the walls, seats in the middle."""
+    del dining
+    _need(place_at_wall(rng, state, _row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
+    place_free(rng, state, _talk_group(rng, style, 2))
+    for count in (4, 3, 3, 2):
+        _shelf_wall(rng, style, state, count)
+    _desk(rng, style, state)
+    for _ in range(2):
+        _single(rng, state, living.floor_lamp(rng, style), only_corner=True)
+        _single(rng, state, living.plant(rng, style), only_corner=True)
+    pictures(rng, style, state, 3)
+
+
+def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """Desks, shelves, a seat for visitors."""
+    del dining
+    _need(_desk(rng, style, state), "desk", state)
+    if state.room.area > 20:
+        _desk(rng, style, state)
+        place_free(rng, state, _talk_group(rng, style, 2))
+    for count in (3, 2):
+        _shelf_wall(rng, style, state, count)
+    _single(rng, state, living.console(rng, style))
+    _single(rng, state, living.armchair(rng, style), corner=True)
+    for _ in range(2):
+        _single(rng, state, living.plant(rng, style), only_corner=True)
+    pictures(rng, style, state, 4)
+
+
+# --- dining room ------------------------------------------------------------------------------------------------------
+def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """One long table, or two, sideboards, a shelf for the dishes."""
+    del dining
+    _need(_dining(rng, style, state, seats=(8, 6, 4)), "dining table", state)
+    for _ in range(2):
+        _single(rng, state, living.console(rng, style), middle=True)
+    if state.room.area > 38:
+        place_free(rng, state, _talk_group(rng, style, 2))
+    _shelf_wall(rng, style, state, 2)
+    for _ in range(3):
+        _single(rng, state, living.plant(rng, style), only_corner=True)
+    pictures(rng, style, state, 4)
+
+
+# --- laundry, pantry --------------------------------------------------------------------------------------------------
+def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """Machines and a counter in a row, shelves."""
+    del dining
+    machine, sink = bath.washer(rng, style), kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
+    side = kitchen.counter(rng, style, 0.6)
+    for pieces in ([machine, machine, sink, side], [machine, machine, sink], [machine, machine], [machine]):
+        if place_at_wall(rng, state, _row(pieces), corner=True):
+            break
+    for count in (2, 1):
+        _shelf_wall(rng, style, state, count)
+    pictures(rng, style, state, 1)
+
+
+def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
+    """Shelves on all walls."""
+    del dining
+    for count in (3, 3, 2):
+        _shelf_wall(rng, style, state, count)
 
 
 # --- kitchen ----------------------------------------------------------------------------------------------------------
@@ -173,9 +289,24 @@ def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, di
             row = [*row, *more]
             break
     _upper_cabinets(rng, style, state, row)
+    if state.room.area > 24:
+        _island(rng, style, state)
+        _shelf_wall(rng, style, state, 2)
+        for _ in range(2):
+            _single(rng, state, living.plant(rng, style), only_corner=True)
     if not dining:
         _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 1)
+
+
+def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
+    """A free-standing counter with stools at its back; without them where they find no room."""
+    block, seat = kitchen.island(rng, style), kitchen.stool(rng, style)
+    for count in (3, 2, 0):
+        z = -block.size[2] / 2 - 0.02
+        stools = [Member(piece=seat, x=(i - (count - 1) / 2) * 0.56, z=z) for i in range(count)]
+        if place_free(rng, state, [Member(piece=block), *stools]):
+            return
 
 
 def _row(pieces: Sequence[Furniture]) -> list[Member]:
@@ -214,8 +345,9 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Bed with nightstands, wardrobe, desk with chair, and what else fits."""
     del dining
-    main = not state.room.name.endswith(("_2", "_3"))
-    wide = 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
+    large = state.room.area > 26
+    main = large or not state.room.name.endswith(("_2", "_3"))
+    wide = 1.8 if large else 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
     group = None
     for width, tables in ((wide, 2 if main else 1), (wide, 1), (1.2, 1), (1.0, 1), (1.0, 0)):
         group = group or place_at_wall(
@@ -226,13 +358,27 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
     carpet = living.rug(rng, style, (min(bed.piece.size[0] + 0.9, 2.4), 1.5))
     commit(state, [Placed(piece=carpet, room=bed.room, x=bed.x + dx, z=bed.z + dz, quarter=bed.quarter)])
     _need(_single(rng, state, sleeping.wardrobe(rng, style), corner=True), "wardrobe", state)
+    if large:
+        _bedroom_extras(rng, style, state)
     _desk(rng, style, state)
     _single(rng, state, living.shelf(rng, style), corner=True)
     _single(rng, state, living.plant(rng, style), only_corner=True)
-    pictures(rng, style, state, 2)
+    pictures(rng, style, state, 5 if large else 2)
 
 
-def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> None:
+def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) -> None:
+    """What makes a large bedroom a place to stay in by day: more wardrobes, a tv, seats."""
+    _single(rng, state, sleeping.wardrobe(rng, style), corner=True)
+    stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
+    back = stand.wall_gap_m + stand.size[2] / 2
+    place_at_wall(rng, state, [_backed(stand), Member(piece=screen, z=back - 0.06, y=stand.size[1])], middle=True)
+    place_free(rng, state, _talk_group(rng, style, 2))
+    _single(rng, state, living.bench(rng, style))
+    _single(rng, state, living.armchair(rng, style), corner=True)
+    _single(rng, state, living.floor_lamp(rng, style), only_corner=True)
+
+
+def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
     desk, chair = sleeping.desk(rng, style), kitchen.chair(rng, style)
     edge = desk.wall_gap_m + desk.size[2]
     seat = Member(
@@ -242,7 +388,7 @@ def _desk(rng: np.random.Generator, style: Style, state: RoomState) -> None:
         quarter=2,
         yaw=float(rng.uniform(-0.06, 0.06)),
     )
-    place_at_wall(rng, state, [_backed(desk), seat], corner=True)
+    return place_at_wall(rng, state, [_backed(desk), seat], corner=True)
 
 
 # --- bathrooms, hall --------------------------------------------------------------------------------------------------
@@ -256,20 +402,32 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
     done = _need(done, "bath or shower", state)
     basin = _need(_single(rng, state, bath.bathroom_sink(rng, style), middle=True), "basin", state)[0]
     _need(_single(rng, state, bath.toilet(rng, style)), "toilet", state)
+    if state.room.area > 12:
+        second = _single(rng, state, bath.bathroom_sink(rng, style))
+        if second:
+            glass, p = bath.mirror(rng, style, 0.6), second[0]
+            _hang(state, glass, p.quarter, p.x if p.quarter % 2 == 0 else p.z, 1.52)
     if first and done[0].piece.category == "bathtub":
         _single(rng, state, bath.shower(rng, style), left_corner=True)
     glass = bath.mirror(rng, style, min(0.7, basin.piece.size[0]))
     _hang(state, glass, basin.quarter, basin.x if basin.quarter % 2 == 0 else basin.z, 1.52)
     _single(rng, state, living.plant(rng, style), only_corner=True)
+    if state.room.area > 12:
+        _single(rng, state, living.shelf(rng, style), corner=True)
+        _single(rng, state, living.bench(rng, style))
     pictures(rng, style, state, 1)
 
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Narrow: a shoe cabinet, a plant, pictures."""
+    """Narrow: a shoe cabinet, a plant, pictures; galleries get more of it."""
     del dining
+    for _ in range(int(state.room.area // 20)):
+        _single(rng, state, living.bench(rng, style))
+        _single(rng, state, living.console(rng, style))
+        _single(rng, state, living.plant(rng, style))
     _single(rng, state, living.console(rng, style))
     _single(rng, state, living.plant(rng, style), only_corner=True)
-    pictures(rng, style, state, 3)
+    pictures(rng, style, state, 3 + int(state.room.area // 8))
 
 
 # --- on walls ---------------------------------------------------------------------------------------------------------
@@ -298,7 +456,7 @@ def _hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> 
 def pictures(rng: np.random.Generator, style: Style, state: RoomState, most: int) -> None:
     """Up to ``most`` pictures on free stretches of wall."""
     hung = 0
-    for _ in range(12):
+    for _ in range(12 + 4 * max(0, most - 3)):
         if hung == most:
             return
         side = int(rng.integers(4))
@@ -314,4 +472,10 @@ FURNISH: Mapping[str, Callable[[np.random.Generator, Style, RoomState, bool], No
     "bedroom": furnish_bedroom,
     "bathroom": furnish_bathroom,
     "hall": furnish_hall,
+    "dining": furnish_dining,
+    "den": furnish_den,
+    "office": furnish_office,
+    "library": furnish_library,
+    "laundry": furnish_laundry,
+    "pantry": furnish_pantry,
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from h3data.errors import InputError
 
-Preset = Literal["small", "medium"]
+Preset = Literal["small", "medium", "large"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,15 +23,26 @@ class HomePreset:
     """Floor area, to the middle of inner walls and to the inner face of outer walls [m2]."""
     bedrooms: int
     bathrooms: int
+    extra: tuple[str, ...] = ()
+    """Further rooms that it must have."""
 
 
 HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
     {
         "small": HomePreset(area_m2=68.56, bedrooms=1, bathrooms=1),
         "medium": HomePreset(area_m2=136.11, bedrooms=3, bathrooms=2),
+        "large": HomePreset(area_m2=846.15, bedrooms=4, bathrooms=4, extra=("den", "office")),
     }
 )
 """Areas and rooms of the Habitat 3.0 paper's benchmark homes (research/navigation-and-stepping.md 6)."""
+
+MOST_AREA_M2, MOST_BEDROOMS, MOST_BATHROOMS = 1200.0, 8, 6
+MOST_CLUTTER, MOST_DENSITY = 4.0, 12
+
+
+def least_area_m2(bedrooms: int, bathrooms: int) -> float:
+    """The smallest home that is planned for so many rooms [m2]."""
+    return 22.0 + 18.0 * bedrooms + 9.0 * bathrooms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,19 +51,72 @@ class HomeSpec:
 
     seed: int = 0
     preset: Preset = "small"
+    area_m2: float | None = None
+    """Floor area instead of the preset's [m2]."""
+    bedrooms: int | None = None
+    """Instead of the preset's."""
+    bathrooms: int | None = None
+    """Instead of the preset's."""
+    clutter: float = 1.0
+    """Amount of small objects: 0 leaves them out, 2 gives about twice as many. The furniture stays the same."""
+    density: int = 1
+    """Parts into which every edge of every triangle is cut, so triangles x density^2 at the same look: a load for
+    renderers. Collision shapes stay the same."""
 
     def __post_init__(self) -> None:
         if self.preset not in get_args(Preset):
             raise InputError(f"Unknown home preset {self.preset!r}. There are: {', '.join(get_args(Preset))}.")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InputError(f"The seed of a home must be a whole number >= 0, got {self.seed!r}.")
+        _check_whole("bedrooms", self.bedrooms, 1, MOST_BEDROOMS)
+        _check_whole("bathrooms", self.bathrooms, 1, MOST_BATHROOMS)
+        _check_whole("density", self.density, 1, MOST_DENSITY)
+        _check_number("clutter", self.clutter, 0.0, MOST_CLUTTER)
+        program = self.program
+        least = least_area_m2(program.bedrooms, program.bathrooms)
+        rooms = f" for {program.bedrooms} bedrooms and {program.bathrooms} bathrooms"
+        _check_number("area_m2", program.area_m2, least, MOST_AREA_M2, rooms)
+
+    @property
+    def program(self) -> HomePreset:
+        """The preset with what is given here instead."""
+        preset = HOME_PRESETS[self.preset]
+        return HomePreset(
+            area_m2=preset.area_m2 if self.area_m2 is None else self.area_m2,
+            bedrooms=preset.bedrooms if self.bedrooms is None else self.bedrooms,
+            bathrooms=preset.bathrooms if self.bathrooms is None else self.bathrooms,
+            extra=preset.extra,
+        )
+
+    @property
+    def changes(self) -> dict[str, float | int]:
+        """The options that differ from those of the preset, in a fixed order."""
+        program, preset = self.program, HOME_PRESETS[self.preset]
+        rooms = {name: getattr(program, name) for name in ("area_m2", "bedrooms", "bathrooms")}
+        changed = {name: value for name, value in rooms.items() if value != getattr(preset, name)}
+        amounts = {"clutter": float(self.clutter), "density": int(self.density)}
+        return {**changed, **{name: value for name, value in amounts.items() if value != 1}}
+
+
+def _check_number(name: str, value: object, low: float, high: float, why: str = "") -> None:
+    fine = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not fine or not low <= value <= high:  # type: ignore[operator]
+        raise InputError(f"{name} of a home must be a number from {low:g} to {high:g}{why}, got {value!r}.")
+
+
+def _check_whole(name: str, value: object, low: int, high: int) -> None:
+    if value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise InputError(f"{name} of a home must be a whole number from {low} to {high}, got {value!r}.")
 
 
 _STRUCTURE = ("wall", "floor", "ceiling", "door", "window", "trim")
 _FURNITURE = (
     "sofa", "armchair", "coffee_table", "tv_stand", "tv", "shelf", "dining_table", "chair", "kitchen_counter",
     "stove", "fridge", "kitchen_cabinet", "bed", "nightstand", "wardrobe", "desk", "toilet", "bathroom_sink",
-    "bathtub", "shower", "rug", "floor_lamp", "plant", "picture", "mirror", "ceiling_lamp", "console"
+    "bathtub", "shower", "rug", "floor_lamp", "plant", "picture", "mirror", "ceiling_lamp", "console",
+    "kitchen_island", "washer", "bench", "blind"
 )  # fmt: skip
 _OBJECTS = ("can", "mug", "bowl", "box", "bottle", "book", "apple", "orange")
 
@@ -73,7 +137,11 @@ Stable: append to a block, never reorder, because recorded pictures refer to the
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
-    """Random numbers of one stage, keyed by (seed, preset, stage, attempt): a change in one stage leaves the others."""
-    text = f"h3data.homes/1/{spec.preset}/{int(spec.seed)}/{stage}/{attempt}"
+    """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt): a change in one stage leaves the others.
+
+    `HomeSpec.clutter` and `HomeSpec.density` are no part of the key: they leave the home itself as it is.
+    """
+    rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in ("clutter", "density"))
+    text = f"h3data.homes/1/{spec.preset}/{rooms}{int(spec.seed)}/{stage}/{attempt}"
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8").astype(np.uint64)
     return np.random.Generator(np.random.Philox(key=key))

@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from h3data.geometry import IDENTITY_POSE
-from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, Opening, Rect, RoomPlan, shared_wall
+from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, Opening, RoomPlan
 from h3data.scene.homes.solids import Color, MeshBuilder, shade, vary
 from h3data.scene.homes.style import Style
+from h3data.scene.homes.zoning import Rect, shared_wall
 from h3data.scene.records import Asset, Box, Mesh
 
 _PLANK_WIDTH, _PLANK_LENGTH = 0.14, 1.2
@@ -37,18 +38,21 @@ def plan_box(axis: int, along: tuple[float, float], across: tuple[float, float])
 
 def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]:
     """Both faces of the wall that an opening cuts, on the axis across it."""
-    if len(opening.rooms) == 2:
+    if len(opening.rooms) == 2 or opening.line not in (0.0, (layout.depth, layout.width)[opening.axis]):
         return opening.line - WALL_THICKNESS / 2, opening.line + WALL_THICKNESS / 2
     return (-WALL_THICKNESS, 0.0) if opening.line == 0 else (opening.line, opening.line + WALL_THICKNESS)
 
 
 def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
-    """(axis, line, low, high) of inner walls, neighbours on one line merged, ends cut where another wall passes."""
+    """(axis, line, low, high) of inner walls and of those towards notches, which stand like them.
+
+    Neighbours on one line are merged; ends are cut where another wall passes.
+    """
     pieces: dict[tuple[int, float], list[tuple[float, float]]] = {}
-    rooms = layout.rooms
-    for i, a in enumerate(rooms):
-        for b in rooms[i + 1 :]:
-            wall = shared_wall(a.rect, b.rect)
+    rects = [*(r.rect for r in layout.rooms), *layout.notches]
+    for i, a in enumerate(rects[: len(layout.rooms)]):
+        for b in rects[i + 1 :]:
+            wall = shared_wall(a, b)
             if wall is not None:
                 pieces.setdefault(wall[:2], []).append(wall[2:])
     merged = []
@@ -68,11 +72,26 @@ def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
 
 def _wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
     """(axis, line, span along, span across) of every wall; outer walls along x take the corners."""
-    t, w, d = WALL_THICKNESS, layout.width, layout.depth
+    t = WALL_THICKNESS
     runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
-    runs += [(0, 0.0, (-t, w + t), (-t, 0.0)), (0, d, (-t, w + t), (d, d + t))]
-    runs += [(1, 0.0, (0.0, d), (-t, 0.0)), (1, w, (0.0, d), (w, w + t))]
+    for axis, line, span in _outer_walls(layout):
+        runs.append((axis, line, span, (line, line + t) if line else (-t, 0.0)))
     return runs
+
+
+def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]:
+    """(axis, line, span) of the walls on the bounding box; those along x take its corners."""
+    t, walls = WALL_THICKNESS, []
+    for axis, line in ((0, 0.0), (0, layout.depth), (1, 0.0), (1, layout.width)):
+        end = (layout.width, layout.depth)[axis]
+        gone = sorted((n[axis], n[axis + 2]) for n in layout.notches if line in (n[1 - axis], n[3 - axis]))
+        at = 0.0
+        for low, high in [*gone, (end, end)]:
+            if low > at:
+                corner = t if axis == 0 else 0.0
+                walls.append((axis, line, (at - (t / 2 if at else corner), low + (t / 2 if low < end else corner))))
+            at = high
+    return walls
 
 
 def wall_boxes(layout: Layout) -> list[WallBox]:
@@ -164,11 +183,7 @@ def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset
                 colors = [vary(rng, style.wall_tile, 0.022) for _ in tiles]
                 mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors)
             mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
-    t, w, d = WALL_THICKNESS, layout.width, layout.depth
-    for axis, line, at, sign in ((0, 0.0, -t, -1), (0, d, d + t, 1), (1, 0.0, -t, -1), (1, w, w + t, 1)):
-        outer = [o for o in layout.openings if len(o.rooms) == 1 and o.axis == axis and o.line == line]
-        pieces = _pieces(-t, (w, d)[axis] + t, outer)
-        mesh.quads([_face_quad(axis, at, sign, p) for p in pieces], style.facade)
+    _facade(mesh, layout, style)
     for opening in layout.openings:
         _reveal(mesh, layout, opening, style.trim)
     for axis, _, along, across in _wall_runs(layout):
@@ -179,6 +194,31 @@ def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset
         box_shape((b.rect[0], b.bottom, b.rect[1]), (b.rect[2], b.top, b.rect[3])) for b in wall_boxes(layout)
     )
     return Asset(name="walls", mesh=mesh.mesh(), category="wall", shapes=shapes)
+
+
+def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
+    """The outer faces of the walls on the bounding box and round the notches."""
+    t = WALL_THICKNESS
+    outside = [o for o in layout.openings if len(o.rooms) == 1]
+    for axis, line, span in _outer_walls(layout):
+        corner = t if axis == 1 else 0.0
+        end = (layout.width, layout.depth)[axis]
+        low, high = span[0] - (corner if span[0] == 0 else 0), span[1] + (corner if span[1] == end else 0)
+        own = [o for o in outside if o.axis == axis and o.line == line and low < o.span[0] < high]
+        pieces = _pieces(low, high, own)
+        mesh.quads([_face_quad(axis, line + t if line else -t, 1 if line else -1, p) for p in pieces], style.facade)
+    for notch in layout.notches:
+        for axis in (0, 1):
+            end = (layout.width, layout.depth)[axis]
+            low, high = (
+                v + s * t / 2 if 0 < v < end else v - s * t for v, s in ((notch[axis], 1), (notch[axis + 2], -1))
+            )
+            for line, sign in ((notch[1 - axis], 1), (notch[3 - axis], -1)):
+                if line in (0.0, (layout.depth, layout.width)[axis]):
+                    continue
+                own = [o for o in outside if o.axis == axis and abs(o.line - line) < 1e-9 and low < o.span[0] < high]
+                pieces = _pieces(low, high, own)
+                mesh.quads([_face_quad(axis, line + sign * t / 2, sign, p) for p in pieces], style.facade)
 
 
 def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -> None:
@@ -219,7 +259,7 @@ def _planks(rect: Rect, rng: np.random.Generator) -> np.ndarray:
 def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
     """Boards with a tint each, or tiles with grout between them in kitchens and bathrooms."""
     mesh = MeshBuilder()
-    if room.category not in ("kitchen", "bathroom"):
+    if room.category not in style.floor_tile:
         boards = _planks(room.rect, rng)
         mesh.quads(_flat(boards), [vary(rng, style.floor_wood, 0.09) for _ in boards])
         return mesh.mesh()
@@ -236,10 +276,13 @@ def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
 
 
 def ceiling_asset(layout: Layout, style: Style) -> Asset:
-    """One slab over the whole home; hide its layer to look in from above."""
+    """A slab over the whole home, by rooms if it has corners to go round; hide its layer to look in from above."""
     mesh = MeshBuilder()
-    t = WALL_THICKNESS
-    mesh.span((-t, WALL_HEIGHT, -t), (layout.width + t, WALL_HEIGHT + 0.1, layout.depth + t), style.ceiling)
+    whole = (0.0, 0.0, layout.width, layout.depth)
+    for rect in [r.rect for r in layout.rooms] if layout.notches else [whole]:
+        low = [v - (WALL_THICKNESS if v == 0 else WALL_THICKNESS / 2) for v in rect[:2]]
+        high = [v + (WALL_THICKNESS if v == whole[2 + i] else WALL_THICKNESS / 2) for i, v in enumerate(rect[2:])]
+        mesh.span((low[0], WALL_HEIGHT, low[1]), (high[0], WALL_HEIGHT + 0.1, high[1]), style.ceiling)
     return Asset(name="ceiling", mesh=mesh.mesh(), category="ceiling")
 
 
@@ -284,8 +327,8 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
     """Frame, panes of sky and an inner sill."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
-    inner, outer = (c1, c0) if opening.line == 0 else (c0, c1)
-    into = 1 if opening.line == 0 else -1
+    into = 1 if layout.room(opening.rooms[0]).rect[1 - opening.axis] == opening.line else -1
+    inner, outer = (c1, c0) if into > 0 else (c0, c1)
     (u0, u1), (y0, y1) = opening.span, opening.height
     middle, bar = (c0 + c1) / 2, 0.045
     frame = (middle - 0.03, middle + 0.03)
@@ -320,3 +363,20 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
     _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
     return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
+
+
+def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng: np.random.Generator) -> Asset:
+    """A roller blind over a window, drawn down a part of the way."""
+    mesh = MeshBuilder()
+    room = layout.room(opening.rooms[0])
+    across = 1 - opening.axis
+    low = room.rect[across] == opening.line
+    face, into = room.interior[across] if low else room.interior[across + 2], 1 if low else -1
+    (u0, u1), (y0, y1) = opening.span, opening.height
+    top, down = y1 + 0.11, rng.uniform(0.1, 0.5) * (y1 - y0)
+    cloth = vary(rng, shade(style.fabric_2, 1.25), 0.05)
+    _bar(mesh, opening.axis, (u0 - 0.06, u1 + 0.06), (face, face + into * 0.07), (top - 0.07, top), style.trim)
+    _bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), (face + into * 0.03, face + into * 0.034), (y1 - down, top), cloth)
+    hem = (face + into * 0.026, face + into * 0.038)
+    _bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), hem, (y1 - down - 0.02, y1 - down), style.trim)
+    return Asset(name=f"blind_{index}", mesh=mesh.mesh(), category="blind")

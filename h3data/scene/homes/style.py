@@ -50,6 +50,14 @@ _FRONTS = [(238, 236, 230), (120, 138, 128), (92, 106, 124), (208, 196, 176), (2
 _WORKTOPS = [(86, 84, 82), (200, 194, 184), (140, 104, 70), (58, 60, 64)]
 
 
+_OPEN = ("living", "hall", "kitchen", "dining")
+"""Rooms that open into each other and have one paint."""
+
+
+def _floor_tiles(kitchen: Color, bathroom: Color) -> dict[str, Color]:
+    return {"kitchen": kitchen, "pantry": kitchen, "bathroom": bathroom, "laundry": bathroom}
+
+
 def draw_style(rng: np.random.Generator, layout: Layout) -> Style:
     """One harmonious set of colours."""
 
@@ -57,13 +65,13 @@ def draw_style(rng: np.random.Generator, layout: Layout) -> Style:
         return vary(rng, colors[int(rng.integers(len(colors)))], amount)
 
     base = pick(_PAINTS, 0.02)
-    paint = {r.name: base if r.category in ("living", "hall", "kitchen") else pick(_PAINTS, 0.02) for r in layout.rooms}
+    paint = {r.name: base if r.category in _OPEN else pick(_PAINTS, 0.02) for r in layout.rooms}
     fabric, second = (_FABRICS[i] for i in rng.permutation(len(_FABRICS))[:2].tolist())
     wood = pick(_WOODS)
     return Style(
         paint=paint,
         floor_wood=pick(_FLOORS),
-        floor_tile={"kitchen": pick(_TILES), "bathroom": pick(_TILES)},
+        floor_tile=_floor_tiles(pick(_TILES), pick(_TILES)),
         wall_tile=pick([(226, 232, 234), (206, 220, 224), (232, 228, 218)], 0.02),
         wood=wood,
         wood_dark=shade(wood, 0.72),

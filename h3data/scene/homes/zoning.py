@@ -1,0 +1,212 @@
+"""Rooms that tile a footprint: the templates of small and medium homes, and what makes a plan good.
+
+Public rooms on one side, private ones along a corridor on the other. L- and T-shaped footprints lack rectangles at the
+corners of their bounding box (notches). Large homes: `zoning_large`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from h3data.errors import SceneError
+from h3data.scene.homes.spec import HomePreset, HomeSpec, stage_rng
+
+CORRIDOR_WIDTH = (1.3, 1.42)
+NOTCH_SHARE = (0.15, 0.30)
+"""How much of its bounding box an L- or T-shaped footprint leaves out."""
+_SQUARE_BELOW_M2 = 90.0
+"""Smaller homes are rectangles: their rooms are too few to go round a corner."""
+_TRIALS, _WORST = 200, 2.0
+
+Rect = tuple[float, float, float, float]
+"""x0 z0 x1 z1 [m]."""
+Tile = tuple[str, Rect]
+"""Kind of room and where it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zoning:
+    """Rooms without doors; they and the notches tile ``0 0 width depth``."""
+
+    width: float
+    depth: float
+    tiles: tuple[Tile, ...]
+    notches: tuple[Rect, ...] = ()
+
+
+def rect_area(rect: Rect) -> float:
+    return (rect[2] - rect[0]) * (rect[3] - rect[1])
+
+
+def rounded(rect: Rect) -> Rect:
+    """To whole centimetres, so that neighbours keep exactly the same line."""
+    a, b, c, d = (round(v, 2) for v in rect)
+    return a, b, c, d
+
+
+def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
+    """(axis along which it runs, line, low, high) of the wall between two rooms, or None."""
+    for axis in (0, 1):
+        across = 1 - axis
+        for first, second in ((a, b), (b, a)):
+            if abs(first[across + 2] - second[across]) < 1e-9:
+                low, high = max(a[axis], b[axis]), min(a[axis + 2], b[axis + 2])
+                if high - low > 1e-6:
+                    return axis, first[across + 2], low, high
+    return None
+
+
+# --- what makes a plan good -------------------------------------------------------------------------------------------
+Limits = Mapping[str, tuple[float, float, float, float]]
+"""Per kind of room: smallest side, smallest and largest area, longest aspect."""
+
+_LIMITS: Limits = {
+    "living": (3.5, 15.0, 38.0, 1.9),
+    "kitchen": (2.5, 8.0, 22.0, 2.1),
+    "bedroom": (2.9, 9.5, 24.0, 1.8),
+    "bathroom": (1.85, 4.2, 10.5, 2.3),
+    "hall": (1.3, 2.0, 18.0, 9.0),
+}
+_MUST_TOUCH = {  # metres of shared wall, for every room of the second kind
+    ("living", "kitchen"): 2.0,
+    ("living", "hall"): 1.3,
+    ("hall", "bedroom"): 1.3,
+    ("hall", "bathroom"): 1.3,
+}
+
+
+def size_penalty(tiles: Sequence[Tile], limits: Limits, roomy: float = 1.0) -> float:
+    """0 if all rooms are of good size and shape; ``roomy`` widens the largest areas."""
+    total = 0.0
+    for kind, rect in tiles:
+        side, least, most, aspect = limits[kind]
+        a, b = sorted((rect[2] - rect[0], rect[3] - rect[1]))
+        if a <= 0:
+            return 1e9
+        total += 4 * max(0, side - a) + 0.5 * max(0, least - a * b) + 0.5 * max(0, a * b - roomy * most)
+        total += max(0, b / a - aspect * (1 if kind != "hall" else roomy))
+    return total
+
+
+def _touch_penalty(tiles: Sequence[Tile]) -> float:
+    total = 0.0
+    for (kind, other), needed in _MUST_TOUCH.items():
+        hosts = [r for k, r in tiles if k == kind]
+        for rect in (r for k, r in tiles if k == other):
+            walls = [w for w in (shared_wall(h, rect) for h in hosts) if w]
+            longest = max((w[3] - w[2] for w in walls), default=0.0)
+            total += 20 * max(0.0, needed - longest)
+    return total
+
+
+# --- small and medium homes -------------------------------------------------------------------------------------------
+def _split(rng: np.random.Generator, low: float, high: float, weights: Sequence[float]) -> list[float]:
+    shares = np.asarray(weights) * rng.uniform(0.85, 1.18, len(weights))
+    return [low, *(low + (high - low) * np.cumsum(shares) / shares.sum())[:-1].tolist(), high]
+
+
+def _public(rng: np.random.Generator, rect: Rect) -> list[Tile]:
+    x0, z0, x1, z1 = rect
+    share = rng.uniform(0.34, 0.44)
+    if (x1 - x0) > 1.25 * (z1 - z0):
+        cut = x0 + (x1 - x0) * share
+        return [("kitchen", (x0, z0, cut, z1)), ("living", (cut, z0, x1, z1))]
+    if rng.random() < 0.5:
+        cut = z0 + (z1 - z0) * share
+        return [("kitchen", (x0, z0, x1, cut)), ("living", (x0, cut, x1, z1))]
+    cut = z1 - (z1 - z0) * share
+    return [("living", (x0, z0, x1, cut)), ("kitchen", (x0, cut, x1, z1))]
+
+
+def _strip(rng: np.random.Generator, kinds: Sequence[str], low: float, high: float) -> list[tuple[str, float, float]]:
+    weights = [0.52 if kind == "bathroom" else 1.0 for kind in kinds]
+    cuts = _split(rng, low, high, weights)
+    return list(zip(kinds, cuts[:-1], cuts[1:], strict=True))
+
+
+def _private(rng: np.random.Generator, program: HomePreset) -> list[str]:
+    return rng.permutation(["bedroom"] * program.bedrooms + ["bathroom"] * program.bathrooms).tolist()
+
+
+def _wing(rng: np.random.Generator, shape: str, part: float, depth: float, share: float) -> tuple[float, float]:
+    """Both ends in z of the public wing, ``part`` of the width: shorter than the home if that is L- or T-shaped."""
+    missing = share * depth / part if shape in ("L", "T") else 0.0
+    below = missing * {"L": float(rng.integers(2)), "T": rng.uniform(0.4, 0.6)}.get(shape, 0.0)
+    return below, depth - (missing - below)
+
+
+def _notches(ends: tuple[float, float], cut: float, depth: float) -> list[Rect]:
+    pairs = ((0.0, ends[0]), (ends[1], depth))
+    return [(0.0, a, cut, b) for a, b in pairs if b - a > 0.005]
+
+
+def _spine_along(
+    rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
+) -> tuple[list[Tile], list[Rect]]:
+    """Public rooms | corridor running away from them, with private rooms on both of its sides."""
+    part = rng.uniform(0.40, 0.62)
+    cut = width * part
+    ends = _wing(rng, shape, part, depth, share)
+    corridor = rng.uniform(*CORRIDOR_WIDTH)
+    private = _private(rng, program)
+    first = int(rng.integers(1, len(private)))
+    below, above = private[:first], private[first:]
+    load = [sum(0.5 if kind == "bathroom" else 1.0 for kind in side) for side in (below, above)]
+    balance = 0.5 if program.bedrooms > 1 else load[0] / sum(load)
+    z0 = (depth - corridor) * float(np.clip(balance + rng.uniform(-0.06, 0.06), 0.2, 0.8))
+    z1 = z0 + corridor
+    tiles: list[Tile] = [("hall", (cut, z0, width, z1))]
+    notches = _notches(ends, cut, depth)
+    end = width
+    if shape == "hook":  # the rooms above the corridor end early
+        end = width - share * width * depth / (depth - z1)
+        notches.append((end, z1, width, depth))
+    tiles += [(kind, (a, 0.0, b, z0)) for kind, a, b in _strip(rng, below, cut, width)]
+    tiles += [(kind, (a, z1, b, depth)) for kind, a, b in _strip(rng, above, cut, end)]
+    return tiles + _public(rng, (0.0, ends[0], cut, ends[1])), notches
+
+
+def _spine_across(
+    rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
+) -> tuple[list[Tile], list[Rect]]:
+    """Public rooms | corridor between | one row of private rooms."""
+    part = rng.uniform(0.42, 0.56)
+    cut = width * part
+    ends = _wing(rng, shape, part, depth, share)
+    corridor = rng.uniform(*CORRIDOR_WIDTH)
+    tiles: list[Tile] = [("hall", (cut, 0.0, cut + corridor, depth))]
+    tiles += [(kind, (cut + corridor, a, width, b)) for kind, a, b in _strip(rng, _private(rng, program), 0.0, depth)]
+    return tiles + _public(rng, (0.0, ends[0], cut, ends[1])), _notches(ends, cut, depth)
+
+
+def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
+    """The best of up to 200 plans of a home of one corridor."""
+    program = spec.program
+    rng = stage_rng(spec, "rooms", attempt)
+    # A rectangle in half of the homes; the shape is drawn once, so that plans that are easier do not crowd it out.
+    shapes = ("rectangle", "rectangle", "rectangle", "L", "T", "hook")
+    shape = shapes[int(rng.integers(len(shapes)))] if program.area_m2 >= _SQUARE_BELOW_M2 else "rectangle"
+    usual = 24.0 + 27.0 * program.bedrooms + 13.0 * program.bathrooms
+    roomy = max(1.0, program.area_m2 / usual)
+    best: tuple[float, Zoning] | None = None
+    for _ in range(_TRIALS):
+        share = rng.uniform(NOTCH_SHARE[0] + 0.005, 0.24) if shape != "rectangle" else 0.0
+        box = program.area_m2 / (1 - share)
+        width = round(float(np.sqrt(box * rng.uniform(1.15, 1.6))), 2)
+        depth = round(box / width, 2)
+        across = program.bedrooms == 1 and shape != "hook" and rng.random() < 0.5
+        found, notches = (_spine_across if across else _spine_along)(rng, width, depth, program, shape, share)
+        tiles = tuple((kind, rounded(rect)) for kind, rect in found)
+        penalty = size_penalty(tiles, _LIMITS, roomy) + _touch_penalty(tiles)
+        penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
+        if best is None or penalty < best[0]:
+            plan = Zoning(width=width, depth=depth, tiles=tiles, notches=tuple(rounded(n) for n in notches))
+            best = (penalty, plan)
+        if penalty == 0:
+            break
+    if best is None or best[0] > _WORST:
+        raise SceneError(f"No acceptable plan for {spec} after {_TRIALS} trials. Hint: use another seed.")
+    return best[1]

@@ -1,0 +1,266 @@
+"""Rooms of large homes by recursive zoning: a gallery, rows of rooms on both of its sides, branch corridors in the rows.
+
+A row is a list of cells: single rooms, suites (a bedroom with its bathroom behind it), a kitchen with its pantry and
+laundry. Cells too small to reach through the whole depth of a row are put along a branch corridor at right angles to
+it, and so on. The rows may differ in length, which gives L- and T-shaped footprints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from h3data.errors import SceneError
+from h3data.scene.homes.spec import HomePreset, HomeSpec, stage_rng
+from h3data.scene.homes.zoning import NOTCH_SHARE, Limits, Rect, Tile, Zoning, rect_area, rounded, size_penalty
+
+LARGE_FROM_M2, LARGE_FROM_BEDROOMS = 215.0, 6
+_GALLERY, _BRANCH = (2.0, 2.5), (1.5, 1.7)
+_TRIALS, _WORST = 400, 2.5
+
+_LIMITS: Limits = {
+    "living": (4.5, 24.0, 125.0, 2.1),
+    "dining": (3.5, 15.0, 70.0, 2.1),
+    "kitchen": (3.2, 14.0, 70.0, 2.1),
+    "bedroom": (3.2, 12.0, 62.0, 2.0),
+    "den": (3.2, 13.0, 75.0, 2.1),
+    "office": (3.0, 11.0, 70.0, 2.1),
+    "library": (3.2, 13.0, 75.0, 2.1),
+    "bathroom": (1.95, 5.5, 30.0, 2.9),
+    "laundry": (1.9, 4.5, 26.0, 2.8),
+    "pantry": (1.7, 3.5, 24.0, 2.8),
+    "hall": (1.3, 2.0, 200.0, 40.0),
+}
+_AREA = {  # what a room would like, before all are scaled to fill the home [m2]
+    "living": 80.0, "dining": 42.0, "kitchen": 40.0, "bedroom": 33.0, "bathroom": 12.5, "den": 42.0, "office": 32.0,
+    "library": 40.0, "laundry": 10.0, "pantry": 9.0,
+}  # fmt: skip
+_FILL = ("dining", "office", "living", "den", "library", "living", "office")
+"""Rooms added, in this order, while a home has area left."""
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """One or more rooms of which the first is entered from the corridor."""
+
+    rooms: tuple[str, ...]
+
+    @property
+    def area(self) -> float:
+        return sum(_AREA[r] for r in self.rooms)
+
+
+@dataclass(frozen=True)
+class _Zone:
+    """A rectangle and the side at which its corridor lies: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
+
+    Its own frame: u along the corridor (always rising with x or z), v away from it.
+    """
+
+    rect: Rect
+    side: int
+
+    @property
+    def size(self) -> tuple[float, float]:
+        a, b = self.rect[2] - self.rect[0], self.rect[3] - self.rect[1]
+        return (a, b) if self.side % 2 == 0 else (b, a)
+
+    def part(self, u0: float, v0: float, u1: float, v1: float) -> Rect:
+        """A rectangle of the zone's own frame in the plan."""
+        x0, z0, x1, z1 = self.rect
+        if self.side == 0:
+            return x0 + u0, z0 + v0, x0 + u1, z0 + v1
+        if self.side == 2:
+            return x0 + u0, z1 - v1, x0 + u1, z1 - v0
+        if self.side == 1:
+            return x0 + v0, z0 + u0, x0 + v1, z0 + u1
+        return x1 - v1, z0 + u0, x1 - v0, z0 + u1
+
+
+def _stretch(a: float, b: float) -> float:
+    return max(a, b) / max(min(a, b), 1e-6)
+
+
+def _two(zone: _Zone, share: float) -> tuple[Rect, Rect]:
+    """The zone cut into one part for the corridor and one behind or beside it, so that the second is less long."""
+    length, depth = zone.size
+    cut = depth * (1 - share)
+    if _stretch(length, depth - cut) < _stretch(length * share, depth):
+        return zone.part(0, 0, length, cut), zone.part(0, cut, length, depth)
+    cut = length * (1 - share)
+    return zone.part(0, 0, cut, depth), zone.part(cut, 0, length, depth)
+
+
+def _fill_cell(zone: _Zone, cell: _Cell) -> list[Tile]:
+    first, *rest = cell.rooms
+    if not rest:
+        return [(first, zone.rect)]
+    front, back = _two(zone, sum(_AREA[r] for r in rest) / cell.area)
+    tiles: list[Tile] = [(first, front)]
+    if len(rest) == 1:
+        return [*tiles, (rest[0], back)]
+    x0, z0, x1, z1 = back
+    share = _AREA[rest[0]] / (_AREA[rest[0]] + _AREA[rest[1]])
+    if x1 - x0 > z1 - z0:
+        cut = x0 + (x1 - x0) * share
+        return [*tiles, (rest[0], (x0, z0, cut, z1)), (rest[1], (cut, z0, x1, z1))]
+    cut = z0 + (z1 - z0) * share
+    return [*tiles, (rest[0], (x0, z0, x1, cut)), (rest[1], (x0, cut, x1, z1))]
+
+
+_Unit = _Cell | tuple["_Cell", ...]
+"""What stands in a row: a cell, or cells round a branch corridor."""
+
+
+def _unit_area(unit: _Unit) -> float:
+    return unit.area if isinstance(unit, _Cell) else 1.17 * sum(c.area for c in unit)
+
+
+def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> list[Tile]:
+    """Units side by side along the corridor of a zone, which they fill."""
+    length, depth = zone.size
+    areas = np.array([_unit_area(u) for u in units]) * rng.uniform(0.92, 1.08, len(units))
+    cuts = np.concatenate([[0.0], np.cumsum(areas) / areas.sum()]) * length
+    tiles: list[Tile] = []
+    for unit, a, b in zip(units, cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        part = _Zone(rounded(zone.part(a, 0, b, depth)), zone.side)
+        tiles += _fill_cell(part, unit) if isinstance(unit, _Cell) else _fill_branch(rng, part, unit)
+    return tiles
+
+
+def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) -> list[Tile]:
+    """A corridor into the middle of a zone, with a row on each of its sides."""
+    length, depth = zone.size
+    order = [cells[i] for i in rng.permutation(len(cells)).tolist()]
+    halves: tuple[list[_Cell], list[_Cell]] = ([], [])
+    for cell in sorted(order, key=lambda c: -c.area):
+        min(halves, key=lambda half: sum(c.area for c in half)).append(cell)
+    left, right = (half if rng.random() < 0.5 else half[::-1] for half in halves)
+    corridor = float(rng.uniform(*_BRANCH))
+    weights = [sum(c.area for c in half) for half in (left, right)]
+    cut = (length - corridor) * weights[0] / sum(weights)
+    sides = (3, 1) if zone.side % 2 == 0 else (2, 0)
+    tiles: list[Tile] = [("hall", zone.part(cut, 0, cut + corridor, depth))]
+    for half, span, side in ((left, (0.0, cut), sides[0]), (right, (cut + corridor, length), sides[1])):
+        if half:
+            tiles += _fill_row(rng, _Zone(rounded(zone.part(span[0], 0, span[1], depth)), side), half)
+    return tiles
+
+
+def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
+    """The public cells, which stay together in this order, and all others."""
+    rooms = list(program.extra)
+    private = [_Cell(("bedroom",))] * max(0, program.bedrooms - program.bathrooms + 1)
+    suites = program.bedrooms - len(private)
+    private += [_Cell(("bedroom", "bathroom"))] * suites
+    private += [_Cell(("bathroom",))] * (program.bathrooms - suites)
+    public = [_Cell(("living",)), _Cell(("kitchen", "pantry", "laundry"))]
+    used = sum(c.area for c in (*private, *public)) + sum(_AREA[r] for r in rooms)
+    needed = {room: rooms.count(room) for room in set(rooms)}
+    for room in _FILL:
+        if needed.get(room, 0):
+            needed[room] -= 1  # it is among those that the program asks for
+            continue
+        if 1.33 * (used + _AREA[room]) > program.area_m2:
+            break
+        used += _AREA[room]
+        if room == "dining":
+            public.insert(1, _Cell((room,)))
+        else:
+            rooms.append(room)
+    return public, [*private, *(_Cell((room,)) for room in rooms)]
+
+
+def _grouped(rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float) -> list[_Unit]:
+    """Cells that reach through a row of a depth by themselves; the others in groups round branch corridors."""
+    deep = [c for c in cells if c.area * scale / depth >= 0.52 * depth]
+    small = [c for c in cells if c not in deep]
+    if not small:
+        return list(deep)
+    count = max(1, round(sum(c.area for c in small) * scale / (depth * rng.uniform(10.0, 15.0))))
+    groups: list[list[_Cell]] = [[] for _ in range(count)]
+    for i in rng.permutation(len(small)).tolist():
+        min(groups, key=lambda g: sum(c.area for c in g)).append(small[i])
+    return [*deep, *(g[0] if len(g) == 1 else tuple(g) for g in groups if g)]
+
+
+Shape = Literal["rectangle", "L", "T"]
+
+
+def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -> tuple[float, Zoning]:
+    """One trial: its penalty and the plan."""
+    public, others = _cells(program)
+    corridor = round(float(rng.uniform(*_GALLERY)), 2)
+    share = float(rng.uniform(NOTCH_SHARE[0] + 0.01, 0.26)) if shape != "rectangle" else 0.0
+    width = round(float(np.sqrt(program.area_m2 / (1 - share) * rng.uniform(1.25, 1.8))), 2)
+    short = 1.0 if shape == "rectangle" else float(rng.uniform(0.42, 0.66))
+    # The row above the gallery may be shorter than the one below; cells go where area is left.
+    total = sum(c.area for c in (*public, *others))
+    scale = 0.93 * (program.area_m2 - width * corridor) / total
+    depth = (program.area_m2 / (1 - share) / width - corridor) / 2
+    rows: list[list[_Cell]] = [[], []]
+    room = [total * short / (1 + short), total / (1 + short)]
+    home = int(rng.random() < (0.8 if short < 1 else 0.5))
+    rows[home] += public
+    for i in sorted(rng.permutation(len(others)).tolist(), key=lambda i: -others[i].area + rng.uniform(0, 12)):
+        free = [room[k] - sum(c.area for c in rows[k]) for k in (0, 1)]
+        rows[int(free[1] > free[0])].append(others[i])
+    units: list[list[_Unit]] = []
+    for k in (0, 1):
+        single: list[_Unit] = list(public) if k == home else []
+        extra = _grouped(rng, [c for c in rows[k] if c not in public], depth, scale)
+        extra = [extra[i] for i in rng.permutation(len(extra)).tolist()]
+        at = int(rng.integers(len(extra) + 1))
+        units.append([*extra[:at], *(single if rng.random() < 0.5 else single[::-1]), *extra[at:]])
+    if not all(units):
+        return 1e9, Zoning(width=width, depth=1.0, tiles=())
+    lengths = np.array([short * width, width])
+    areas = np.array([sum(_unit_area(u) for u in row) for row in units])
+    depths = areas / areas.sum() * (program.area_m2 - width * corridor) / lengths
+    upper, lower = (round(float(d), 2) for d in depths)
+    whole = round(upper + corridor + lower, 2)
+    start = 0.0
+    if shape != "rectangle":
+        start = round(width * (1 - short) * (rng.uniform(0.3, 0.7) if shape == "T" else float(rng.integers(2))), 2)
+    end = round(start + short * width, 2) if start + short * width < width - 0.02 else width
+    tiles = _gallery(rng, (0.0, lower, width, round(lower + corridor, 2)))
+    tiles += _fill_row(rng, _Zone((0.0, 0.0, width, lower), 2), units[1])
+    tiles += _fill_row(rng, _Zone((start, round(lower + corridor, 2), end, whole), 0), units[0])
+    tiles = [(kind, rounded(rect)) for kind, rect in tiles]
+    notches = [(a, round(lower + corridor, 2), b, whole) for a, b in ((0.0, start), (end, width)) if b - a > 0.005]
+    missing = sum(rect_area(n) for n in notches) / (width * whole)
+    penalty = size_penalty(tiles, _LIMITS, max(1.0, scale / 1.35))
+    penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
+    penalty += 30 * max(0.0, whole / width - 1.1, width / whole - 2.3)
+    if shape != "rectangle":
+        penalty += 100 * max(0.0, NOTCH_SHARE[0] - missing, missing - NOTCH_SHARE[1])
+    return penalty, Zoning(width=width, depth=whole, tiles=tuple(tiles), notches=tuple(notches))
+
+
+def _gallery(rng: np.random.Generator, rect: Rect) -> list[Tile]:
+    """The long corridor, in two or three halls that open into each other."""
+    x0, z0, x1, z1 = rect
+    count = 1 if x1 - x0 < 12 else 2 if x1 - x0 < 26 else 3
+    cuts = [x0, *(x0 + (x1 - x0) * (k + rng.uniform(-0.15, 0.15)) / count for k in range(1, count)), x1]
+    return [("hall", (round(a, 2), z0, round(b, 2), z1)) for a, b in pairwise(cuts)]
+
+
+def plan_large_zoning(spec: HomeSpec, attempt: int, fine: Callable[[Zoning], bool]) -> Zoning:
+    """The best of up to 400 plans of a home round a gallery; ``fine`` says whether doors can join its rooms."""
+    rng = stage_rng(spec, "rooms", attempt)
+    shapes: tuple[Shape, ...] = ("rectangle", "L", "T")
+    shape = shapes[int(rng.integers(3))]
+    best: tuple[float, Zoning] | None = None
+    for _ in range(_TRIALS):
+        penalty, plan = _gallery_plan(rng, spec.program, shape)
+        if (best is None or penalty < best[0]) and penalty < 1e6 and fine(plan):
+            best = (penalty, plan)
+            if penalty == 0:
+                break
+    if best is None or best[0] > _WORST:
+        raise SceneError(f"No acceptable plan for {spec} after {_TRIALS} trials. Hint: use another seed.")
+    return best[1]
