@@ -114,6 +114,11 @@ def changed(recording: Recording, **info: Any) -> Recording:
     return replace(recording, episode=replace(recording.episode, info={**recording.episode.info, **info}))
 
 
+def test_goals_of_an_episode_that_ended_early_are_not_all(recording: Recording) -> None:
+    assert social_nav_of(recording).goals_complete
+    assert not social_nav_of(changed(recording, max_steps=500)).goals_complete
+
+
 def test_exact_goals_are_preferred(recording: Recording) -> None:
     nav = social_nav_of(changed(recording, human_goals=[[1.23456789, 2.0]]))
     assert nav.human_goals == ((1.23456789, 2.0),)
