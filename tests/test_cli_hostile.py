@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -17,8 +16,8 @@ import pytest
 
 import h3data
 from h3data.errors import InputError
-from h3data.recording import DatasetWriter, recordings_equal
-from h3data_pipelines import generate, importing
+from h3data.recording import DatasetWriter, mcap_log, recordings_equal
+from h3data_pipelines import generate
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
 
@@ -60,7 +59,7 @@ def test_a_full_disk_is_one_line(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
 
-    monkeypatch.setattr(importing, "write_mcap", full)
+    monkeypatch.setattr(mcap_log, "open_part", full)
     (tmp_path / "a.json").write_text(replay())
     assert "No space left" in run_json(capsys, "import", tmp_path / "a.json", "-o", tmp_path, code=2)["error"]
 
@@ -286,4 +285,20 @@ def test_pictures_are_complete_and_of_one_run(tmp_path: Path, capsys: pytest.Cap
         capsys, "rerender", tmp_path / "s.mcap", "-o", tmp_path / "v", "--steps", "0:200:100"
     )  # 0.3 frames a second
     assert run_json(capsys, *options, "999:", code=2)
-    assert re.search("rgb$", str(next((tmp_path / "p").iterdir())))
+
+
+def test_cameras_wait_where_their_agent_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A robot that comes late and a person who leaves early."""
+    frames: list[dict[str, Any]] = [{"creations": [], "stateUpdates": []} for _ in range(12)]
+    for key, name, steps in ((0, "robots/hab_spot_arm/base.glb", range(5, 12)), (1, "humanoids/a.glb", range(6))):
+        frames[steps[0]]["creations"].append({"instanceKey": key, "creation": {"filepath": name}})
+        for step in steps:
+            pose = {"translation": [key + 0.1 * step, 0.5, 2], "rotation": [1, 0, 0, 0]}
+            frames[step]["stateUpdates"].append({"instanceKey": key, "state": {"absTransform": pose}})
+    frames[6]["deletions"] = [1]
+    (tmp_path / "s.json").write_text(json.dumps({"keyframes": frames}))
+    (tmp_path / "c.toml").write_text('eye = [-1, 1, 0]\ntarget = [0, 1, 0]\nfollow = "robot"\n')
+    run_json(capsys, "import", tmp_path / "s.json", "-o", tmp_path)
+    cameras = ("--camera", "third_person", "--camera", tmp_path / "c.toml")
+    data = run_json(capsys, "rerender", tmp_path / "s.mcap", "-o", tmp_path / "v", *cameras)
+    assert len(data["recordings"][0]["files"]) == 2

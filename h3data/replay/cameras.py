@@ -12,7 +12,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, pinhole
-from h3data.replay.chase import third_person
+from h3data.replay.chase import held, third_person
 from h3data.replay.replay import CameraTrack, Replay
 
 
@@ -80,17 +80,8 @@ def _mounted(replay: Replay, name: str) -> CameraTrack:
 
 def _user(replay: Replay, column: str) -> CameraTrack:
     """A camera pose that the recording carries (Habitat's convention: looks along -z, y up)."""
-    poses = pose_to_matrix(_hold(replay.recording.columns[column].astype(np.float64))) @ OPENGL_TO_OPENCV
+    poses = pose_to_matrix(held(replay.recording.columns[column].astype(np.float64))) @ OPENGL_TO_OPENCV
     return CameraTrack(camera=pinhole(640, 480, hfov_deg=90, name=column), poses=poses)
-
-
-def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows with NaN replaced by the last (at the start, the first) finite row."""
-    finite = np.isfinite(values).all(-1)
-    if not finite.any():
-        raise InputError("This camera has no pose at any step.")
-    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
-    return values[np.where(last < 0, np.argmax(finite), last)]
 
 
 # --- from above ---------------------------------------------------------------------------------------------------------
@@ -163,5 +154,5 @@ def _from_file(replay: Replay, path: Path) -> CameraTrack:
     names = [agent.name for agent in replay.recording.agents]
     if spec.follow not in names:
         raise InputError(f"The camera follows {spec.follow!r}; this recording has the agents {names}: {path}")
-    base = replay.recording.agent_column(names.index(spec.follow), "base_pose").astype(np.float64)
+    base = held(replay.recording.agent_column(names.index(spec.follow), "base_pose").astype(np.float64))
     return CameraTrack(camera=camera, poses=pose_to_matrix(base) @ pose)

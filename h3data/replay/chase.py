@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
+from h3data.errors import InputError
 from h3data.geometry import Array, heading_direction, heading_from_quat, normalized
 from h3data.render import look_at, pinhole
 from h3data.replay.replay import CameraTrack, Replay
-from h3data.scene import FreeSpace
+
+if TYPE_CHECKING:
+    from h3data.scene import FreeSpace
 
 BOOM_M = 2.4
 """Distance from the robot along the floor, where there is room."""
@@ -30,18 +34,25 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
     The best place is found for the whole recording at once (dynamic programming over directions): a long free boom, the
     person visible, preferably from behind the robot, little turning.
     """
+    from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # a quarter of a second, which no other camera needs
+
     recording = replay.recording
     kinds = [agent.kind for agent in recording.agents]
     leader = kinds.index("robot") if "robot" in kinds else 0
     other = kinds.index("human") if "human" in kinds and kinds.index("human") != leader else None
+    if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
+        other = None  # never there
     base = recording.agent_column(leader, "base_pose").astype(np.float64)
     camera = pinhole(width, height, hfov_deg=75, name="third_person", hidden_layers=("ceiling",))
     if not len(base):
         return CameraTrack(camera=camera, poses=np.eye(4)[None])
+    base = held(base)
     robot, floor = base[:, [0, 2]], base[:, 1]
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
     person = (
-        robot + ahead if other is None else recording.agent_column(other, "base_pose")[:, [0, 2]].astype(np.float64)
+        robot + ahead
+        if other is None
+        else held(recording.agent_column(other, "base_pose")[:, [0, 2]].astype(np.float64))
     )
     walls = _walls(replay)
 
@@ -69,10 +80,21 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
     return CameraTrack(camera=camera, poses=np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)]))
 
 
+def held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows [T, n] with those that hold NaN (not there then) replaced by the last, at the start by the first, finite row."""
+    finite = np.isfinite(values).all(-1)
+    if not finite.any():
+        raise InputError("This camera has no pose at any step.")
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    return values[np.where(last < 0, np.argmax(finite), last)]
+
+
 def _walls(replay: Replay) -> FreeSpace | None:
     """What stands at eye height; None for recordings that carry no scene."""
     if replay.scene is None or not replay.scene.rooms:
         return None
+    from h3data.scene import FreeSpace
+
     return FreeSpace.from_scene(replay.scene, radius_m=CLEARANCE_M, height_m=EYE_M + EYE_RISE_M - 0.2, max_climb_m=1.3)
 
 

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,11 @@ from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.interop import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
-from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
+from h3data.render.camera import Camera
 from h3data.scene import Mesh, Scene, load_scene
+
+if TYPE_CHECKING:
+    from h3data.render import Output, Renderer, RenderScene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -258,6 +261,8 @@ class Replay:
     @cached_property
     def render_scene(self) -> RenderScene:
         """The immutable half of the renderer, shared by all threads."""
+        from h3data.render import RenderInstance, RenderScene
+
         instances = [
             RenderInstance(
                 mesh=slot, matrix=d.matrix.astype(np.float64), semantic_id=d.semantic_id, layer=d.layer, name=d.name
@@ -269,6 +274,8 @@ class Replay:
 
     def renderer(self) -> Renderer:
         """A renderer for one thread, posed by `pose`."""
+        from h3data.render import Renderer
+
         return Renderer(self.render_scene)
 
     def pose(self, renderer: Renderer, step: int) -> None:

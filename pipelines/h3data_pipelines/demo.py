@@ -14,15 +14,10 @@ import tyro
 from tqdm import tqdm
 
 from h3data.errors import InputError
-from h3data.metrics import measure_many
-from h3data.recording import DatasetWriter, Recording, RecordingWriter, open_recording
+from h3data.recording import Recording, open_recording
 from h3data.replay import Replay, camera_track
-from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, write_text
 from h3data_pipelines.rerender import render_videos
-from h3data_viewers import write_rrd
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
 
 FILES = (
     "episode.mcap",
@@ -56,6 +51,10 @@ class Demo:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.metrics import measure_many
+        from h3data.recording import DatasetWriter
+        from h3data_viewers import write_rrd
+
         if self.steps < 1:
             raise InputError(f"--steps must be at least 1, got {self.steps}.")
         if not 0 < self.human_speed <= 4:
@@ -91,6 +90,11 @@ class Demo:
         )
 
     def _simulate(self, path: Path) -> Recording:
+        from h3data.recording import RecordingWriter
+        from h3data.scene import HomeSpec, build_home
+        from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+        from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
         spec = SocialNavSpec(max_steps=self.steps, spawn_distance_m=4.0, human=WalkerSpec(speed_mps=self.human_speed))
         world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)

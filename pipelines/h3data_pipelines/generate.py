@@ -16,22 +16,19 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 from tqdm import tqdm
 
 from h3data.errors import H3DataError, InputError
-from h3data.interop import load_habitat_scene
-from h3data.metrics import measure_many
-from h3data.recording import Dataset, DatasetWriter, Recording, write_mcap
-from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.homes.spec import Preset
+from h3data.recording import Recording
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, uninterrupted
-from sim_kinematic.policies import policy_by_name
-from sim_kinematic.randomness import episode_seed
-from sim_kinematic.social_nav import SocialNavWorld, require_task, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+if TYPE_CHECKING:
+    from h3data.recording import Dataset, DatasetWriter
+    from h3data.scene import FreeSpace, Scene
 
 COMMIT_S = 60.0
 """At most the work of this time is lost when the process is killed."""
@@ -95,6 +92,9 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.metrics import measure_many
+        from h3data.recording import Dataset, DatasetWriter
+
         if self.force and self.resume:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
         jobs = self.jobs()
@@ -132,6 +132,10 @@ class Generate:
 
     def jobs(self) -> list[Job]:
         """All episodes, or an `InputError` that names the bad option."""
+        from sim_kinematic.policies import policy_by_name
+        from sim_kinematic.randomness import episode_seed
+        from sim_kinematic.social_nav import require_task
+
         require_task(self.task)
         policy_by_name(self.policy)
         for name, value, least in (
@@ -166,6 +170,8 @@ class _ReadBack:
         self.steps = 0
 
     def __iter__(self) -> Iterator[Recording]:
+        from h3data.recording import write_mcap
+
         for index in range(len(self.dataset)):
             recording = self.dataset.recording(index)
             if self.mcap is not None:
@@ -179,6 +185,8 @@ class _ReadBack:
 
 def require_same_options(folder: Path, jobs: list[Job]) -> None:
     """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
+    from h3data.recording import Dataset
+
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     for job, row in zip(jobs, Dataset(folder).episodes.to_pylist(), strict=False):
@@ -195,6 +203,8 @@ def require_same_options(folder: Path, jobs: list[Job]) -> None:
 
 def scene_names(text: str, homes: int) -> list[str]:
     """Scenes that ``text`` stands for: ``small`` is ``homes`` homes ``small:0``, ``small:1``, ...; a path is itself."""
+    from h3data.scene import HOME_PRESETS
+
     if text in HOME_PRESETS:
         return [f"{text}:{i}" for i in range(homes)]
     if re.fullmatch(r"[a-z]+:\d+", text) and text.partition(":")[0] in HOME_PRESETS:
@@ -207,9 +217,13 @@ def scene_names(text: str, homes: int) -> list[str]:
     )
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time
 def load_scene_by_name(name: str) -> Scene:
     """The built-in home ``preset:seed`` or the Habitat scene at a path."""
+    from h3data.interop import load_habitat_scene
+    from h3data.scene import HomeSpec, build_home
+    from h3data.scene.homes.spec import Preset
+
     preset, _, seed = name.partition(":")
     for known in get_args(Preset):
         if preset == known and seed.isdigit():
@@ -217,13 +231,17 @@ def load_scene_by_name(name: str) -> Scene:
     return load_habitat_scene(Path(name))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _free_space(name: str, radius_m: float, height_m: float) -> FreeSpace:
+    from h3data.scene import FreeSpace
+
     return FreeSpace.from_scene(load_scene_by_name(name), radius_m=radius_m, height_m=height_m)
 
 
 def simulate_job(job: Job) -> Recording:
     """One episode. Depends on the job alone, so any process may run it."""
+    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+
     scene = load_scene_by_name(job.scene)
     free = _free_space(job.scene, job.spec.agent_radius_m, job.spec.agent_height_m)
     world = SocialNavWorld.create(scene, seed=job.seed, spec=job.spec, free=free, human=job.human)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.interop import AssetLibrary, read_gfx_replay, sniff
-from h3data.recording import Recording, write_mcap
+from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 
@@ -61,6 +61,8 @@ class Import:
         return _report(rows)
 
     def _one(self, path: Path, target: Path, library: AssetLibrary, written: set[Path]) -> dict[str, Any]:
+        from h3data.recording import write_mcap
+
         recording = read_gfx_replay(path, fps=self.fps)
         if target in written:
             raise InputError(f"Another input of this run became {target}. Import this one with another -o: {path}")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -17,18 +17,12 @@ from tqdm import tqdm
 
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
-from h3data.render import (
-    Output,
-    VideoWriter,
-    depth_to_rgb,
-    instance_to_rgb,
-    write_depth_png,
-    write_png,
-)
-from h3data.render.overlay import draw_label, draw_polyline
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.importing import recording_stem
+
+if TYPE_CHECKING:
+    from h3data.render import Output
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
@@ -170,6 +164,8 @@ def render_videos(
 
     Files appear under their names only when they are complete.
     """
+    from h3data.render import VideoWriter
+
     fps = 30.0
     times = replay.recording.columns["time_ns"]
     if len(times) > 1:
@@ -194,6 +190,8 @@ def _picture(
     replay: Replay, track: CameraTrack, view: dict[str, NDArray[Any]], output: str, step: int, *, raw: bool,
     annotate: bool,
 ) -> NDArray[Any]:  # fmt: skip
+    from h3data.render import depth_to_rgb, instance_to_rgb
+
     if output == "depth":
         return view["depth"] if raw else depth_to_rgb(view["depth"], near=0.0, far=10.0)
     if output == "instance":
@@ -206,6 +204,8 @@ def _picture(
 
 def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
     """Draw on ``image`` where each agent has been up to ``step``, and its name."""
+    from h3data.render.overlay import draw_label, draw_polyline
+
     camera = track.at(step)
     for index, agent in enumerate(replay.recording.agents):
         base = replay.recording.agent_column(index, "base_pose")[: step + 1, :3].astype(np.float64)
@@ -240,6 +240,8 @@ def _picture_folder(target: Path) -> Iterator[Path]:
 
 
 def _picture_sink(folder: Path, output: str) -> Callable[[NDArray[Any], int], None]:
+    from h3data.render import write_depth_png, write_png
+
     def sink(image: NDArray[Any], step: int) -> None:
         (write_depth_png if output == "depth" else write_png)(folder / f"{step:06d}.png", image)
 

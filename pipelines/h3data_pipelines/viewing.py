@@ -13,7 +13,6 @@ from h3data.recording import Recording, open_recording
 from h3data.replay import Replay
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
 from h3data_pipelines.rerender import missing_lines
-from h3data_viewers import write_rrd
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,8 @@ class View:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data_viewers import write_rrd
+
         recording = open_recording(require_file(self.recording, "a recording (.mcap)"))
         if not isinstance(recording, Recording):
             raise InputError(
