@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,23 +14,33 @@ import pytest
 import shapely
 
 from h3data.errors import InputError
-from h3data.geometry import pose_multiply, pose_to_matrix
+from h3data.geometry import pose_multiply, pose_to_matrix, quat_rotate
 from h3data.scene import CATEGORIES, HOME_PRESETS, HomeSpec, Scene, build_home, instance_matrix, scene_digest
+from h3data.scene._footprints import walkable_from_shapes
 from h3data.scene.homes import OBJECT_CATEGORIES
-from h3data.scene.homes.layout import plan_layout
+from h3data.scene.homes.check import faults, use_edges, walkable_area
+from h3data.scene.homes.layout import WALL_THICKNESS, plan_layout
 from h3data.scene.homes.objects import OBJECT_MAKERS
 from h3data.scene.homes.place import GAP_BAND, gap
 from h3data.scene.homes.solids import MeshBuilder
 from h3data.scene.homes.spec import stage_rng
-from h3data.scene.records import Box, Cylinder, Hull, Mesh, Shape
+from h3data.scene.homes.structure import plan_box, wall_boxes, wall_thickness_span
+from h3data.scene.records import Asset, Box, Cylinder, Hull, Instance, Mesh, Shape
 
-SPECS = [HomeSpec(seed=s, preset=p) for p in ("small", "medium") for s in (0, 1, 2, 7)]
+SPECS = [
+    *(HomeSpec(seed=s, preset="small") for s in (0, 1, 2)),
+    *(HomeSpec(seed=s, preset="medium") for s in (0, 2, 6)),
+    HomeSpec(seed=2, preset="large"),
+]
 
 
 @cache
 def home(spec: HomeSpec) -> Scene:
     return build_home(spec)
 
+
+STRUCTURE = {name for name, number in CATEGORIES.items() if number < 10} | {"blind"}
+"""Built in world coordinates, so that their pose says nothing."""
 
 homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.seed}")
 
@@ -38,9 +49,9 @@ homes = pytest.mark.parametrize("spec", SPECS, ids=lambda s: f"{s.preset}-{s.see
 def test_same_spec_same_bytes_in_another_process_with_other_hash_seed():
     code = (
         "from h3data.scene import *;"
-        "print(*(scene_digest(build_home(HomeSpec(seed=7, preset=p))) for p in ('small', 'medium')))"
+        "print(*(scene_digest(build_home(HomeSpec(seed=2, preset=p))) for p in ('small', 'medium', 'large')))"
     )
-    expected = [scene_digest(home(HomeSpec(seed=7, preset=p))) for p in ("small", "medium")]
+    expected = [scene_digest(home(HomeSpec(seed=2, preset=p))) for p in ("small", "medium", "large")]
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}
     out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert out.stdout.split() == expected
@@ -57,10 +68,78 @@ def test_stages_are_keyed_independently():
     assert stage_rng(spec, "a").random() == draws[0]
 
 
-@pytest.mark.parametrize("wrong", [{"seed": -1}, {"seed": 1.5}, {"seed": True}, {"preset": "huge"}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"preset": "huge"}, {"area_m2": 20}, {"area_m2": float("nan")},
+        {"area_m2": 1e9}, {"area_m2": "70"}, {"bedrooms": 0}, {"bedrooms": 2.0}, {"bathrooms": 99}, {"clutter": -0.1},
+        {"clutter": float("inf")}, {"density": 0}, {"density": 1.5}, {"density": 1000},
+    ],
+)  # fmt: skip
 def test_wrong_specs_are_refused(wrong: dict[str, Any]):
-    with pytest.raises(InputError, match=r"preset|seed"):
+    with pytest.raises(InputError, match=next(iter(wrong))):
         HomeSpec(**wrong)
+
+
+def test_too_many_rooms_for_the_area_are_refused_with_the_least_area():
+    with pytest.raises(InputError, match="6 bedrooms and 1 bathrooms"):
+        HomeSpec(preset="small", bedrooms=6)
+
+
+def test_options_at_their_defaults_leave_a_home_and_its_identity_alone():
+    plain = HomeSpec(seed=1)
+    given = HomeSpec(seed=1, area_m2=68.56, bedrooms=1, bathrooms=1, clutter=1, density=1)
+    assert given.changes == plain.changes == {}
+    assert stage_rng(given, "rooms").random() == stage_rng(plain, "rooms").random()
+    assert scene_digest(build_home(given)) == scene_digest(home(plain))
+    assert hash(HomeSpec(seed=1, clutter=2.0)) != hash(plain)
+
+
+def test_clutter_changes_only_the_small_things():
+    def parts(scene: Scene) -> tuple[list[tuple[str, bytes]], int]:
+        fixed = [(i.name, i.pose.tobytes()) for i in scene.static_instances]
+        return fixed, len(scene.instances) - len(fixed)
+
+    bare, full = (build_home(HomeSpec(seed=0, clutter=c)) for c in (0.0, 3.0))
+    plain = home(HomeSpec(seed=0))
+    assert parts(bare)[0] == parts(plain)[0] == parts(full)[0]
+    assert parts(bare)[1] == 0
+    assert parts(full)[1] > 1.5 * parts(plain)[1]
+
+
+def test_density_cuts_triangles_and_changes_nothing_else():
+    plain, dense = home(HomeSpec(seed=1)), build_home(HomeSpec(seed=1, density=3))
+    assert dense.name != plain.name
+    assert dense.source["density"] == 3
+    for name, asset in plain.assets.items():
+        fine = dense.assets[name].mesh
+        assert len(fine.faces) == 9 * len(asset.mesh.faces)
+        np.testing.assert_allclose(fine.bounds, asset.mesh.bounds, atol=1e-6)
+        area = np.linalg.norm(face_normals(asset.mesh), axis=1).sum()
+        assert np.linalg.norm(face_normals(fine), axis=1).sum() == pytest.approx(area, rel=1e-3)
+        for a, b in zip(asset.shapes, dense.assets[name].shapes, strict=True):
+            assert type(a) is type(b)
+            assert all(np.array_equal(getattr(a, f), getattr(b, f)) for f in a.__dataclass_fields__)
+
+
+@pytest.mark.parametrize(
+    ("preset", "options"),
+    [
+        ("small", {"area_m2": 95.0, "bedrooms": 2}),
+        ("medium", {"area_m2": 180.0, "bedrooms": 4}),
+        ("medium", {"area_m2": 300.0}),
+    ],
+)
+def test_area_and_rooms_may_be_chosen(preset: Any, options: dict[str, Any]):
+    spec = HomeSpec(seed=3, preset=preset, **options)
+    scene = home(spec)
+    assert sum((r.rectangles[0, 2:] - r.rectangles[0, :2]).prod() for r in scene.rooms) == pytest.approx(
+        spec.program.area_m2, rel=0.005
+    )
+    kinds = [r.category for r in scene.rooms]
+    assert kinds.count("bedroom") == spec.program.bedrooms
+    assert kinds.count("bathroom") == spec.program.bathrooms
+    assert scene.source["area_m2"] == options["area_m2"]
 
 
 # --- plan -------------------------------------------------------------------------------------------------------------
@@ -73,7 +152,7 @@ def test_area_and_rooms_are_those_of_the_preset(spec: HomeSpec):
     kinds = [r.category for r in scene.rooms]
     assert kinds.count("bedroom") == preset.bedrooms
     assert kinds.count("bathroom") == preset.bathrooms
-    assert {"living", "kitchen", "hall"} <= set(kinds)
+    assert {"living", "kitchen", "hall", *preset.extra} <= set(kinds)
 
 
 @homes
@@ -87,13 +166,51 @@ def test_doors_are_wide_and_follow_the_rules(spec: HomeSpec):
             {"bathroom"},
             {"bedroom"},
             {"bathroom", "kitchen"},
-            {"bedroom", "bathroom"},
         )
-    wide = [o for o in inner if o.kind == "wide"]
-    assert [{kind[r] for r in o.rooms} for o in wide] == [{"living", "kitchen"}]
+    wide = [{kind[r] for r in o.rooms} for o in inner if o.kind == "wide"]
+    if spec.preset == "large":
+        assert {"hall"} in wide, "no gallery"
+    else:
+        assert wide == [{"living", "kitchen"}]
+    for room in layout.rooms:
+        doors = [o for o in inner if room.name in o.rooms]
+        beyond = {kind[r] for o in doors for r in o.rooms if r != room.name}
+        if room.category == "bedroom":
+            assert beyond <= {"hall", "bathroom"}
+            assert "hall" in beyond, "a bedroom is entered through its bathroom"
+        if room.category == "bathroom":
+            assert len(doors) == 1
     assert sum(o.kind == "entrance" for o in layout.openings) == 1
     lit = {o.rooms[0] for o in layout.openings if o.kind == "window"}
     assert {r.name for r in layout.rooms if r.category in ("living", "bedroom")} <= lit
+
+
+def test_footprints_of_medium_and_large_homes_vary_and_have_notches_of_15_to_30_percent():
+    layouts = [plan_layout(HomeSpec(seed=s, preset=p)) for p, seeds in FOOTPRINTS.items() for s in seeds]
+    assert {len(layout.notches) for layout in layouts} == {0, 1, 2}
+    for layout in layouts:
+        box = layout.width * layout.depth
+        missing = sum((n[2] - n[0]) * (n[3] - n[1]) for n in layout.notches)
+        assert missing == 0 or 0.15 <= missing / box <= 0.30
+        parts = shapely.box(*np.array([*(r.rect for r in layout.rooms), *layout.notches]).T)
+        assert shapely.union_all(parts).area == pytest.approx(box, abs=1e-6)
+        assert shapely.area(parts).sum() == pytest.approx(box, abs=1e-6), "rooms and notches overlap"
+        outside = [shapely.box(*n).buffer(-WALL_THICKNESS / 2 - 1e-6) for n in layout.notches]
+        walls = shapely.union_all([shapely.box(*b.rect) for b in wall_boxes(layout)])
+        for room in layout.rooms:
+            assert not any(shapely.box(*room.interior).buffer(0.12).intersects(n) for n in outside), "floor outside"
+        # Walls and the things in openings close the home: nobody gets out.
+        shut = [o for o in layout.openings if o.kind in ("window", "entrance")]
+        holes = [shapely.box(*plan_box(o.axis, o.span, wall_thickness_span(layout, o))) for o in shut]
+        closed = shapely.union_all([walls, *holes]).buffer(1e-4)
+        assert all(not closed.exterior.contains(shapely.Point(0, 0)) for closed in shapely.get_parts(closed))
+        shell = max(shapely.get_parts(closed), key=lambda part: part.area)
+        hull = shapely.Polygon(shell.exterior)
+        assert all(hull.buffer(1e-3).contains(shapely.box(*r.rect)) for r in layout.rooms)
+        assert not any(hull.intersects(n.buffer(-0.01)) for n in outside)
+
+
+FOOTPRINTS = {"medium": (0, 1, 2, 6), "large": (0, 1, 3)}
 
 
 # --- walking: an independent check on a grid, from the collision shapes ------------------------------------------------
@@ -133,14 +250,15 @@ def free_islands(scene: Scene, radius: float, cell: float = 0.05) -> tuple[np.nd
 @homes
 def test_everybody_can_walk_everywhere(spec: HomeSpec):
     scene = home(spec)
-    islands, grid = free_islands(scene, 0.29)  # one centimetre of tolerance for the grid
+    cell = 0.05
+    islands, grid = free_islands(scene, 0.27, cell)  # passages are 0.61 m at least, so that a grid point lies in each
     sizes = np.bincount(islands.ravel())[1:]
     main = islands == 1 + int(sizes.argmax())
     assert sizes.max() >= 0.97 * sizes.sum()
     for room in scene.rooms:
         x0, z0, x1, z1 = room.rectangles[0]
         here = (grid[..., 0] > x0) & (grid[..., 0] < x1) & (grid[..., 1] > z0) & (grid[..., 1] < z1)
-        assert (main & here).sum() * 0.05**2 > 0.1 * (x1 - x0) * (z1 - z0), room.name
+        assert (main & here).sum() * cell**2 > 0.1 * (x1 - x0) * (z1 - z0), room.name
     places = grid[main]
     for instance, receptacle in scene.receptacles():
         matrix = instance_matrix(instance)
@@ -148,15 +266,61 @@ def test_everybody_can_walk_everywhere(spec: HomeSpec):
         assert np.linalg.norm(places - at, axis=1).min() < 1.2, (instance.name, receptacle.name)
 
 
-@homes
+MANY = [
+    *(HomeSpec(seed=s, preset="small") for s in range(12)),
+    *(HomeSpec(seed=s, preset="medium") for s in range(7)),
+    *(HomeSpec(seed=s, preset="large") for s in (2,)),
+]
+
+
+@pytest.mark.parametrize("spec", MANY, ids=lambda s: f"{s.preset}-{s.seed}")
 def test_no_passage_is_open_for_one_radius_and_shut_for_the_other(spec: HomeSpec):
-    """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs see rooms joined in the same way."""
-    from h3data.scene.homes.check import walkable_area
+    """Gaps of 2 r - 5 cm to 2 r + 10 cm, r = 0.25, are avoided: both discs find the same islands and loops, and hardly
+    a place where only one fits. Judged on the floor that `FreeSpace` takes, not on the one that placed the furniture."""
+    floor = walkable_from_shapes(home(spec), 0.0, climb_m=0.2, height_m=1.41)
 
-    def holes(radius: float) -> int:
-        return sum(len(part.interiors) for part in shapely.get_parts(walkable_area(home(spec), radius)))
+    def islands_and_loops(free: shapely.Geometry) -> tuple[int, int]:
+        parts = [p for p in shapely.get_parts(free) if p.area > 0.002]
+        return len(parts), sum(len(p.interiors) for p in parts)
 
-    assert holes(GAP_BAND[0] / 2) == holes(GAP_BAND[1] / 2)
+    small, large = (floor.buffer(-width / 2) for width in GAP_BAND)
+    assert islands_and_loops(small) == islands_and_loops(large)
+    assert islands_and_loops(large)[0] == 1
+    only_small = small.difference(large.buffer((GAP_BAND[1] - GAP_BAND[0]) / 2 + 0.035))
+    assert all(part.area < 0.01 for part in shapely.get_parts(only_small)), "a dead end for the smaller disc alone"
+
+
+@homes
+def test_fronts_of_all_furniture_with_receptacles_can_be_reached(spec: HomeSpec):
+    scene = home(spec)
+    assert faults(scene) == []
+    names, edges, near = use_edges(scene)
+    assert {i.name for i, _ in scene.receptacles() if i.pose[1] == 0} == set(names)
+    assert max(near) < 0.9
+    floor = walkable_area(scene)
+    assert (shapely.distance(floor, edges) <= near).all()
+
+
+def test_a_blocked_front_and_a_tight_gap_are_found():
+    scene = home(HomeSpec(seed=1))
+    stove = next(i for i in scene.instances if i.name == "stove_0")
+    pose = stove.pose.copy()
+    pose[:3] += quat_rotate(pose[3:], np.array([0.0, 0.0, 1.12]))
+    block = Instance(name="block", asset=stove.asset, pose=pose)
+    found = faults(replace(scene, instances=(*scene.instances, block)))
+    assert any("tight gap" in f for f in found), found
+    pose = stove.pose.copy()
+    pose[:3] += quat_rotate(pose[3:], np.array([0.0, 0.0, 0.7]))
+    wall = Asset(name="wall", mesh=scene.assets[stove.asset].mesh, shapes=(BIG,))
+    blocked = replace(
+        scene,
+        assets={**scene.assets, "wall": wall},
+        instances=(*scene.instances, replace(block, asset="wall", pose=pose)),
+    )
+    assert any("the front of " in f for f in faults(blocked))
+
+
+BIG = Box(pose=np.array([0, 0.5, 0, 1.0, 0, 0, 0]), half_extents=np.array([1.2, 0.5, 0.3]))
 
 
 def test_gap_between_rectangles():
@@ -247,7 +411,8 @@ def test_furniture_stands_on_the_floor_in_its_room(spec: HomeSpec):
     hanging = {"tv", "picture", "mirror", "ceiling_lamp"}
     for i in scene.static_instances:
         category = scene.assets[i.asset].category
-        assert floor.buffer(0.13).contains(shapely.Point(i.pose[0], i.pose[2]).buffer(0.01)), i.name
+        if i.pose.any() and category not in STRUCTURE:
+            assert floor.buffer(0.13).contains(shapely.Point(i.pose[0], i.pose[2]).buffer(0.01)), i.name
         if category not in hanging:
             assert i.pose[1] == 0
 
@@ -286,7 +451,7 @@ def face_normals(mesh: Mesh) -> np.ndarray:
 def test_meshes_are_sound(spec: HomeSpec):
     scene = home(spec)
     triangles = sum(len(scene.assets[i.asset].mesh.faces) for i in scene.instances)
-    assert 15_000 < triangles < {"small": 60_000, "medium": 90_000}[spec.preset]
+    assert 15_000 < triangles < {"small": 60_000, "medium": 90_000, "large": 700_000}[spec.preset]
     for asset in scene.assets.values():
         mesh = asset.mesh
         assert mesh.normals is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from h3data.scene.records import Asset, Instance, Room, Scene
 _log = logging.getLogger(__name__)
 _ATTEMPTS = 12
 _ROOM_ATTEMPTS = 3
+_LAMP_EVERY_M = 4.5
 
 
 class _Collector:
@@ -108,11 +110,10 @@ def _attempt(spec: HomeSpec, attempt: int) -> Scene:
     lamp = ceiling_lamp(rng, style)
     for room in layout.rooms:
         x0, z0, x1, z1 = room.interior
-        home.furniture(
-            Placed(
-                piece=lamp, room=room.name, x=(x0 + x1) / 2, z=(z0 + z1) / 2, quarter=0, y=WALL_HEIGHT, layer="ceiling"
-            )
-        )
+        nx, nz = (max(1, round((b - a) / _LAMP_EVERY_M)) for a, b in ((x0, x1), (z0, z1)))
+        for i, k in product(range(nx), range(nz)):
+            x, z = x0 + (i + 0.5) * (x1 - x0) / nx, z0 + (k + 0.5) * (z1 - z0) / nz
+            home.furniture(Placed(piece=lamp, room=room.name, x=x, z=z, quarter=0, y=WALL_HEIGHT, layer="ceiling"))
     rng = stage_rng(spec, "clutter", attempt)
     variants = object_assets(rng, style)
     things = clutter(rng, variants, pieces, spec.clutter)

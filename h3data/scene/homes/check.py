@@ -14,6 +14,8 @@ from h3data.scene.records import Scene, instance_matrix
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
+_HAND_M = 1.1
+"""How far the middle of a receptacle may be from where one can walk [m]."""
 _REACH_SLACK = 0.01
 """Rounding of the circles that shapes and discs are made of [m]."""
 
@@ -77,6 +79,10 @@ def faults(scene: Scene) -> list[str]:
     for name, distance, limit in zip(names, away.tolist(), near, strict=True):
         if distance > limit:
             found.append(f"the front of {name} is {distance:.2f} m away from where one can walk")
+    for instance, receptacle in scene.receptacles():
+        x, _, z = transform_points(instance_matrix(instance), receptacle.center[None])[0]
+        if main.distance(shapely.Point(x, z)) > _HAND_M:
+            found.append(f"{instance.name}|{receptacle.name} is out of reach")
     for pocket in pockets(floor, main):
         at = pocket.representative_point()
         found.append(f"a tight gap of {pocket.area:.3f} m2 at ({at.x:.2f}, {at.y:.2f})")

@@ -163,3 +163,24 @@ def books(
         color = _SPINES[int(rng.integers(len(_SPINES)))]
         mesh.span((at, y, z[0]), (at + thick - 0.002, y + height, z[0] + depth), vary(rng, color, 0.12), bevel=0.002)
         at += thick
+
+
+def stacks(
+    mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
+) -> None:
+    """A row of boxes and jars between two x, standing at height y."""
+    at, middle = x[0], (z[0] + z[1]) / 2
+    while True:
+        wide = float(rng.uniform(0.08, 0.22))
+        color, height = vary(rng, _SPINES[int(rng.integers(len(_SPINES)))], 0.15), tall * float(rng.uniform(0.45, 0.95))
+        if at + wide > x[1]:
+            return
+        if wide < 0.12:
+            r = min(wide - 0.01, z[1] - z[0]) / 2
+            mesh.cylinder(
+                (at + wide / 2, y + height / 2, middle), r, height, vary(rng, (214, 206, 188), 0.1), segments=12
+            )
+            mesh.cylinder((at + wide / 2, y + height + 0.01, middle), r * 0.96, 0.02, color, segments=12)
+        else:
+            mesh.span((at + 0.005, y, z[0]), (at + wide - 0.005, y + height, z[1]), color, bevel=0.003)
+        at += wide

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from h3data.scene.homes.furniture import Furniture, books, box_part, cabinet_front, cylinder_part, finish, legs, surface
+from h3data.scene.homes.furniture import (
+    Furniture,
+    books,
+    box_part,
+    cabinet_front,
+    cylinder_part,
+    finish,
+    legs,
+    stacks,
+    surface,
+)
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, turn_y, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
@@ -101,7 +111,8 @@ def tv(rng: np.random.Generator, style: Style) -> Furniture:
     return finish("tv", mesh, (w, h + 0.07, 0.18), shapes=shapes)
 
 
-def shelf(rng: np.random.Generator, style: Style) -> Furniture:
+def shelf(rng: np.random.Generator, style: Style, *, stores: bool = False) -> Furniture:
+    """An open shelf, partly filled with books or with ``stores`` (boxes and jars)."""
     mesh = MeshBuilder()
     w, d, h, t = rng.uniform(0.8, 1.1), 0.32, rng.uniform(1.7, 2.0), 0.025
     wood = style.wood
@@ -118,7 +129,7 @@ def shelf(rng: np.random.Generator, style: Style) -> Furniture:
         room = float(levels[1] - levels[0]) - t
         split = rng.uniform(-0.1, 0.6) if i != 2 else -0.4
         filled = inner * max(0.0, split + 0.4)
-        books(
+        (stacks if stores else books)(
             mesh,
             rng,
             (-inner / 2 + 0.01, -inner / 2 + 0.01 + filled),

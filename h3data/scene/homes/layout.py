@@ -215,6 +215,7 @@ _WINDOWS = {  # on how many sides at most, width, bottom, top
     "hall": (1, (0.6, 0.8), 1.2, 2.15),
 }
 """In the order in which rooms are listed."""
+_NEED_LIGHT = ("living", "bedroom", "dining")
 
 
 @dataclass(frozen=True)
@@ -295,7 +296,7 @@ def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
     """Rooms, doors and windows of a home; ``attempt`` gives other random numbers for the same spec."""
     program = spec.program
     large = program.area_m2 >= LARGE_FROM_M2 or program.bedrooms >= LARGE_FROM_BEDROOMS
-    plan = plan_large_zoning(spec, attempt, _joinable) if large else plan_zoning(spec, attempt)
+    plan = plan_large_zoning(spec, attempt, _sound) if large else plan_zoning(spec, attempt)
     plan = _oriented(stage_rng(spec, "orientation", attempt), plan)
     rooms = _rooms(plan)
     doors = _plan_doors(stage_rng(spec, "doors", attempt), rooms)
@@ -308,10 +309,11 @@ def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:
     return _named(sorted(plan.tiles, key=lambda t: list(_WINDOWS).index(t[0])), plan.width, plan.depth)
 
 
-def _joinable(plan: Zoning) -> bool:
-    """Whether doors can be had between the rooms of a plan."""
+def _sound(plan: Zoning) -> bool:
+    """Whether doors can be had between the rooms of a plan, and windows for those that need them."""
+    rooms = _rooms(plan)
     try:
-        _plan_doors(np.random.Generator(np.random.Philox(key=0)), _rooms(plan))
+        _plan_doors(np.random.Generator(np.random.Philox(key=0)), rooms)
     except SceneError:
         return False
-    return True
+    return all(any(s.high - s.low > 1.7 for s in _outer(r, rooms)) for r in rooms if r.category in _NEED_LIGHT)

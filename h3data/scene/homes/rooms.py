@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from h3data.scene.homes.place import (
     turned,
     wall_point,
 )
+from h3data.scene.homes.solids import shade
 from h3data.scene.homes.style import Style
 
 _LARGE_M2 = 45.0
@@ -126,8 +128,16 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
     pictures(rng, style, state, 2 + int(size // 20))
 
 
+def _other(rng: np.random.Generator, style: Style) -> Style:
+    """The style with its fabrics changed about, so that not all seats of a home are of one set."""
+    fabrics = [style.fabric, style.fabric_2, style.accent, shade(style.fabric, 1.35), shade(style.fabric_2, 0.7)]
+    a, b, c = (fabrics[i] for i in rng.permutation(len(fabrics))[:3].tolist())
+    return replace(style, fabric=a, fabric_2=b, accent=c)
+
+
 def _talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Member]:
     """Two sofas that face each other over a table, or a sofa and two armchairs, about the middle of a rug."""
+    style = _other(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
     knee = float(rng.uniform(0.36, 0.42))
     away = table.size[2] / 2 + knee
@@ -157,8 +167,8 @@ def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count
 
 
 def _shelf_wall(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """Up to ``count`` equal shelves side by side."""
-    shelf = living.shelf(rng, style)
+    """Up to ``count`` equal shelves side by side, with books or, where things are kept, with stores."""
+    shelf = living.shelf(rng, style, stores=state.room.category in ("pantry", "laundry", "kitchen", "bathroom"))
     for n in range(count, 0, -1):
         if place_at_wall(rng, state, _row([shelf] * n), middle=True):
             return
@@ -347,7 +357,7 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
     del dining
     large = state.room.area > 26
     main = large or not state.room.name.endswith(("_2", "_3"))
-    wide = 1.8 if large else 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
+    wide = 1.6 if main else float(rng.choice([0.95, 1.0, 1.2]))
     group = None
     for width, tables in ((wide, 2 if main else 1), (wide, 1), (1.2, 1), (1.0, 1), (1.0, 0)):
         group = group or place_at_wall(
@@ -413,7 +423,7 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
     _hang(state, glass, basin.quarter, basin.x if basin.quarter % 2 == 0 else basin.z, 1.52)
     _single(rng, state, living.plant(rng, style), only_corner=True)
     if state.room.area > 12:
-        _single(rng, state, living.shelf(rng, style), corner=True)
+        _shelf_wall(rng, style, state, 1)
         _single(rng, state, living.bench(rng, style))
     pictures(rng, style, state, 1)
 

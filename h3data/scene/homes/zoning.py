@@ -19,7 +19,7 @@ NOTCH_SHARE = (0.15, 0.30)
 """How much of its bounding box an L- or T-shaped footprint leaves out."""
 _SQUARE_BELOW_M2 = 90.0
 """Smaller homes are rectangles: their rooms are too few to go round a corner."""
-_TRIALS, _WORST = 200, 2.0
+_SHAPES, _TRIALS, _WORST = 4, 100, 2.0
 
 Rect = tuple[float, float, float, float]
 """x0 z0 x1 z1 [m]."""
@@ -183,12 +183,19 @@ def _spine_across(
 
 
 def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
-    """The best of up to 200 plans of a home of one corridor."""
-    program = spec.program
+    """The best of up to 400 plans of a home of one corridor."""
     rng = stage_rng(spec, "rooms", attempt)
-    # A rectangle in half of the homes; the shape is drawn once, so that plans that are easier do not crowd it out.
     shapes = ("rectangle", "rectangle", "rectangle", "L", "T", "hook")
-    shape = shapes[int(rng.integers(len(shapes)))] if program.area_m2 >= _SQUARE_BELOW_M2 else "rectangle"
+    for _ in range(_SHAPES):
+        # The shape is drawn before the plans, so that those that are easier do not crowd out the others.
+        shape = shapes[int(rng.integers(len(shapes)))] if spec.program.area_m2 >= _SQUARE_BELOW_M2 else "rectangle"
+        plan = _best_of(rng, spec.program, shape)
+        if plan is not None:
+            return plan
+    raise SceneError(f"No acceptable plan for {spec} after {_SHAPES} x {_TRIALS} trials. Hint: use another seed.")
+
+
+def _best_of(rng: np.random.Generator, program: HomePreset, shape: str) -> Zoning | None:
     usual = 24.0 + 27.0 * program.bedrooms + 13.0 * program.bathrooms
     roomy = max(1.0, program.area_m2 / usual)
     best: tuple[float, Zoning] | None = None
@@ -207,6 +214,4 @@ def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
             best = (penalty, plan)
         if penalty == 0:
             break
-    if best is None or best[0] > _WORST:
-        raise SceneError(f"No acceptable plan for {spec} after {_TRIALS} trials. Hint: use another seed.")
-    return best[1]
+    return best[1] if best is not None and best[0] <= _WORST else None

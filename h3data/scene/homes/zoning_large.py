@@ -227,17 +227,17 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
     if shape != "rectangle":
         start = round(width * (1 - short) * (rng.uniform(0.3, 0.7) if shape == "T" else float(rng.integers(2))), 2)
     end = round(start + short * width, 2) if start + short * width < width - 0.02 else width
+    notches = [(a, round(lower + corridor, 2), b, whole) for a, b in ((0.0, start), (end, width)) if b - a > 0.005]
+    missing = sum(rect_area(n) for n in notches) / (width * whole)
+    if shape != "rectangle" and not NOTCH_SHARE[0] <= missing <= NOTCH_SHARE[1]:
+        return 1e9, Zoning(width=width, depth=whole, tiles=())
     tiles = _gallery(rng, (0.0, lower, width, round(lower + corridor, 2)))
     tiles += _fill_row(rng, _Zone((0.0, 0.0, width, lower), 2), units[1])
     tiles += _fill_row(rng, _Zone((start, round(lower + corridor, 2), end, whole), 0), units[0])
     tiles = [(kind, rounded(rect)) for kind, rect in tiles]
-    notches = [(a, round(lower + corridor, 2), b, whole) for a, b in ((0.0, start), (end, width)) if b - a > 0.005]
-    missing = sum(rect_area(n) for n in notches) / (width * whole)
     penalty = size_penalty(tiles, _LIMITS, max(1.0, scale / 1.35))
     penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
     penalty += 30 * max(0.0, whole / width - 1.1, width / whole - 2.3)
-    if shape != "rectangle":
-        penalty += 100 * max(0.0, NOTCH_SHARE[0] - missing, missing - NOTCH_SHARE[1])
     return penalty, Zoning(width=width, depth=whole, tiles=tuple(tiles), notches=tuple(notches))
 
 
