@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from sim_kinematic.social_nav_log import HUMAN_SKILLS, EpisodeLog, Sink, Step, d
 from sim_kinematic.spec import SocialNavSpec
 from sim_kinematic.state import WorldState
 from sim_kinematic.step import drive_robots, least_clearance, walk_humans
-from sim_kinematic.waypoint_human import WaypointHuman, human_track
+from sim_kinematic.waypoint_human import WaypointHuman, human_plan
 
 ROBOT, HUMAN = 0, 1
 
@@ -124,7 +125,7 @@ def simulate_social_nav(
     try:
         ended = _run(world, act, log, progress or (lambda _: None))
         columns = log.columns()
-        info = {"ended": ended, "oracle_min_steps": _oracle(world)}
+        info = {"ended": ended, **_hindsight(world)}
         recording = finished(header, columns, info, log.events)
         if log.sink is not None:
             for span in recording.skills:
@@ -204,11 +205,14 @@ def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanConta
     )  # fmt: skip
 
 
-def _oracle(world: SocialNavWorld) -> int | None:
-    """The oracle's minimum steps ``l``, from the person's whole track whether or not the episode lasted that long."""
-    starts, spec = world.starts, world.spec
-    track = human_track(world.free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps)
-    return oracle_min_steps(world.free, starts.robot_xz, starts.robot_heading, track, spec)
+def _hindsight(world: SocialNavWorld) -> dict[str, Any]:
+    """What follows from the person's whole plan, however long the episode lasted: her goals, and the oracle's ``l``."""
+    starts, spec, free = world.starts, world.spec, world.free
+    plan = human_plan(free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps)
+    return {
+        "human_goals": [[float(x), float(z)] for x, z in plan.goals],
+        "oracle_min_steps": oracle_min_steps(free, starts.robot_xz, starts.robot_heading, plan.xz, spec),
+    }
 
 
 def require_task(task: str) -> None:

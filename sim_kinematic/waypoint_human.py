@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,10 +98,19 @@ def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bo
     return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
 
 
-def human_track(
+class HumanPlan(NamedTuple):
+    """What the scripted person will do, whatever the robot does."""
+
+    xz: NDArray[np.float64]
+    """Where she is after each step, shape [steps, 2] [m]."""
+    goals: list[NDArray[np.float64]]
+    """The points that she walks to, one after the other, ``(x, z)`` each [m]."""
+
+
+def human_plan(
     free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int
-) -> NDArray[np.float64]:
-    """Where the scripted person will be: ``(x, z)`` after each of ``steps`` steps, shape [steps, 2] [m]."""
+) -> HumanPlan:
+    """Where the scripted person will be in each of ``steps`` steps, and her goals."""
     state = WorldState.zeros(1)
     state.human_xz[0], state.human_heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec)
@@ -108,4 +118,4 @@ def human_track(
     for k in range(steps):
         walk_humans(state, human.target(state.human_xz[0])[None], spec)
         track[k] = state.human_xz[0]
-    return track
+    return HumanPlan(track, human.goals)

@@ -19,7 +19,7 @@ from sim_kinematic.policies import Command, View, heuristic_expert, policy_by_na
 from sim_kinematic.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.step import least_clearance
-from sim_kinematic.waypoint_human import human_track, sharp_corners
+from sim_kinematic.waypoint_human import human_plan, sharp_corners
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_the_person_does_not_react(home: Scene, free: FreeSpace) -> None:
     still = simulate_social_nav(world(home, free, end_on_collision=False), policy="stand_still")
     np.testing.assert_array_equal(expert.columns["agent_1.base_pose"], still.columns["agent_1.base_pose"])
     w = world(home, free)
-    track = human_track(free, w.starts.human_xz, w.starts.human_heading, w.seed, w.spec.human, 150)
+    track = human_plan(free, w.starts.human_xz, w.starts.human_heading, w.seed, w.spec.human, 150).xz
     np.testing.assert_allclose(expert.columns["agent_1.base_pose"][:, [0, 2]], track, atol=1e-6)
     assert np.ptp(still.columns["agent_0.base_pose"], axis=0).max() == 0
 
@@ -103,7 +103,7 @@ def test_the_person_does_not_react(home: Scene, free: FreeSpace) -> None:
 def test_the_person_walks_where_one_can_and_never_too_fast(free: FreeSpace) -> None:
     spec = WalkerSpec(speed_mps=2.5)
     start = free.sample(np.random.default_rng(0), 1)[0]
-    track = human_track(free, start, 0.3, 11, spec, 1500)
+    track = human_plan(free, start, 0.3, 11, spec, 1500).xz
     assert np.hypot(*np.diff(track, axis=0).T).max() <= 2.5 * STEP_S + 1e-9
     assert free.is_navigable(free.snap(track, max_distance_m=0.002)).all()
     assert np.ptp(track, axis=0).min() > 2.0  # it gets about
@@ -112,7 +112,7 @@ def test_the_person_walks_where_one_can_and_never_too_fast(free: FreeSpace) -> N
 def test_the_person_walks_without_stutter(free: FreeSpace) -> None:
     """She turns on the spot at corners (paper section 3.1), not before each of the 5 cm legs that round one."""
     start = free.sample(np.random.default_rng(0), 1)[0]
-    walks = np.hypot(*np.diff(human_track(free, start, 0.3, 11, WalkerSpec(), 1500), axis=0).T) > 0
+    walks = np.hypot(*np.diff(human_plan(free, start, 0.3, 11, WalkerSpec(), 1500).xz, axis=0).T) > 0
     changes = np.flatnonzero(np.diff(walks.astype(int)))
     assert np.median(np.diff(changes)) > 6
     assert len(changes) / 50 < 3  # per second

@@ -119,6 +119,12 @@ def test_goals_of_an_episode_that_ended_early_are_not_all(recording: Recording) 
     assert not social_nav_of(changed(recording, max_steps=500)).goals_complete
 
 
+def test_goals_in_events_are_those_of_the_plan_to_the_centimetre(recording: Recording) -> None:
+    exact, named = social_nav_of(recording), social_nav_of(changed(recording, human_goals=None))
+    assert exact.goals_within_m == 0.0 < named.goals_within_m
+    np.testing.assert_allclose(named.human_goals, exact.human_goals[: len(named.human_goals)], atol=0.00501)
+
+
 def test_exact_goals_are_preferred(recording: Recording) -> None:
     nav = social_nav_of(changed(recording, human_goals=[[1.23456789, 2.0]]))
     assert nav.human_goals == ((1.23456789, 2.0),)
@@ -136,11 +142,12 @@ def test_recordings_that_do_not_say_enough(recording: Recording) -> None:
         social_nav_of(changed(recording, max_steps="many"))
     with pytest.raises(InputError, match="one of 'gfx_replay'"):
         social_nav_of(replace(recording, episode=replace(recording.episode, task="gfx_replay")))
+    old = changed(recording, human_goals=None)  # recordings that name goals in events only
     with pytest.raises(InputError, match="has 0 events new_goal, its steps speak of"):
-        social_nav_of(replace(recording, events=()))
+        social_nav_of(replace(old, events=()))
     odd = Event(step=0, agent=1, kind="new_goal", detail="the kitchen")
     with pytest.raises(InputError, match="Expected a point like"):
-        social_nav_of(replace(recording, events=(odd,)))
+        social_nav_of(replace(old, events=(odd,)))
     alone = replace(recording, agents=recording.agents[:1])
     with pytest.raises(InputError, match="Expected one robot, one human"):
         social_nav_of(alone)

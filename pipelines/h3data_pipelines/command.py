@@ -15,7 +15,7 @@ from typing import Annotated, Any, Protocol
 import tyro
 
 from h3data.errors import InputError
-from h3data.render.files import part_file
+from h3data.files import part_file
 
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
 ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
@@ -104,10 +104,3 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, handler)
         for number in came[:1]:
             signal.raise_signal(number)
-
-
-def require_file(path: Path, what: str) -> Path:
-    """``path`` if it exists; an `InputError` that says what was expected otherwise."""
-    if not path.exists():
-        raise InputError(f"There is no such file. Expected {what}: {path}")
-    return path
