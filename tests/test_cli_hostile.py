@@ -12,15 +12,27 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import h3data
 from h3data.errors import InputError
-from h3data.recording import DatasetWriter, mcap_log, recordings_equal
+from h3data.recording import (
+    Agent,
+    DatasetWriter,
+    Episode,
+    Recording,
+    RecordingHeader,
+    RecordingWriter,
+    mcap_log,
+    recordings_equal,
+    write_mcap,
+)
 from h3data_pipelines import generate
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
 
+STANDING = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (3, 1))
 SHORT = ("generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "20", "-o")
 
 
@@ -302,3 +314,36 @@ def test_cameras_wait_where_their_agent_is_not_there(tmp_path: Path, capsys: pyt
     cameras = ("--camera", "third_person", "--camera", tmp_path / "c.toml")
     data = run_json(capsys, "rerender", tmp_path / "s.mcap", "-o", tmp_path / "v", *cameras)
     assert len(data["recordings"][0]["files"]) == 2
+
+
+def test_a_killed_demo_can_be_recovered_and_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "demo"
+    part = out / "episode.mcap.part"
+    columns = {"time_ns": np.arange(3), "agent_0.base_pose": STANDING}
+    episode = Episode(uid="u", episode_id="e", task="t", scene="s")
+    writer = RecordingWriter(
+        out / "episode.mcap", RecordingHeader(episode=episode, agents=(Agent(name="it", kind="robot"),))
+    )
+    writer.append(columns)
+    writer.flush()
+    killed = part.read_bytes()
+    writer.abort(keep=False)
+    part.write_bytes(killed)
+    saved = run_json(capsys, "recover", part, "-o", tmp_path / "saved.mcap")
+    assert len(h3data.open(tmp_path / "saved.mcap")) == saved["steps"] == 3
+    assert "--force" in run_json(capsys, "recover", part, "-o", tmp_path / "saved.mcap", code=2)["error"]
+    assert "recover" in run_json(capsys, "metrics", out / "episode.mcap", code=2)["error"]
+    assert run_json(capsys, "demo", "-o", out, "--steps", "5", "--force")["steps"] == 5
+    assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.parametrize("model", ["robot/quad_arm", "humanoid/female_0"])
+def test_a_model_without_its_motion_is_refused(model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {"time_ns": np.arange(3), "agent_0.base_pose": STANDING}
+    agent = Agent(name="it", kind="robot", model=model)
+    episode = Episode(uid="u", episode_id="e", task="t", scene="s")
+    write_mcap(Recording(episode=episode, agents=(agent,), columns=columns), tmp_path / "e.mcap")
+    for command in ("rerender", "view"):
+        assert (
+            "lacks the columns" in run_json(capsys, command, tmp_path / "e.mcap", "-o", tmp_path / "o", code=2)["error"]
+        )

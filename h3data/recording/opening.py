@@ -35,7 +35,9 @@ def open_recording(path: str | os.PathLike[str]) -> Recording | Dataset:
     if not path.exists():
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""
-        raise InputError(f"There is no such file or folder.{hint} Path: {path}")
+        raise InputError(
+            f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}"
+        )
     if path.is_dir():
         from h3data.recording.dataset import Dataset
 

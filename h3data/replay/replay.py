@@ -148,6 +148,7 @@ class Replay:
 
     def _add_agent(self, index: int, agent: Agent) -> None:
         model = self.model(index)
+        self._require_motion(index, model)
         if isinstance(model, Robot):
             for number, link in enumerate(model.links):
                 if link.mesh is not None:
@@ -170,6 +171,22 @@ class Replay:
                 f"{agent.model}/{agent.name}",  # never shared: each body has vertices of its own
                 _SkinTrack(index),
             )  # fmt: skip
+
+    def _require_motion(self, index: int, model: Robot | Humanoid) -> None:
+        """Refuse a recording that names a model and lacks the columns that move it."""
+        columns, prefix = self.recording.columns, f"agent_{index}."
+        needed = ("motion_id", "motion_phase", "motion_blend")
+        if isinstance(model, Robot):
+            needed = ("joint_pos",)
+        elif prefix + "joint_quat" in columns:
+            needed = ("root_pose",)
+        missing = [prefix + name for name in needed if prefix + name not in columns]
+        if missing:
+            agent = self.recording.agents[index]
+            raise FormatError(
+                f"Agent {agent.name!r} is drawn by {agent.model!r}, but the recording lacks the columns "
+                f"{', '.join(missing)}. Hint: with an empty model its bodies are drawn."
+            )
 
     def model(self, agent: int) -> Robot | Humanoid:
         """The built-in model that draws an agent."""

@@ -22,6 +22,7 @@ from h3data_pipelines.doctor import Doctor
 from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
+from h3data_pipelines.recovering import Recover
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.scenes import Scenes
 from h3data_pipelines.viewing import View
@@ -34,6 +35,7 @@ COMMANDS: dict[str, type[Command]] = {
     "metrics": Metrics,
     "view": View,
     "scenes": Scenes,
+    "recover": Recover,
     "doctor": Doctor,
 }
 

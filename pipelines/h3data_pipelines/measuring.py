@@ -11,7 +11,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file, write_text
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,6 @@ class Metrics:
 def iterate(paths: tuple[Path, ...]) -> Iterator[Recording]:
     """The recordings of all files, datasets and folders of .mcap files, one after the other."""
     for path in paths:
-        require_file(path, "a recording (.mcap), a dataset or a folder of recordings")
         files = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
         for file in files or [path]:
             opened = open_recording(file)

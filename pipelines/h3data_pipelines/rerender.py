@@ -18,7 +18,7 @@ from tqdm import tqdm
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
 from h3data.replay import CameraTrack, Replay, camera_track
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data_pipelines.importing import recording_stem
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Rerender:
             )
         lines, data = [], []
         for path in self.recordings:
-            recording = open_recording(require_file(path, "a recording (.mcap)"))
+            recording = open_recording(path)
             if not isinstance(recording, Recording):
                 raise InputError(f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {path}")
             replay = Replay(recording, assets=self.assets)

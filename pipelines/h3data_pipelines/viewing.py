@@ -11,7 +11,7 @@ import tyro
 from h3data.errors import InputError
 from h3data.recording import Recording, open_recording
 from h3data.replay import Replay
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, require_file
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data_pipelines.rerender import missing_lines
 
 
@@ -36,7 +36,7 @@ class View:
     def run(self) -> Outcome:
         from h3data_viewers import write_rrd
 
-        recording = open_recording(require_file(self.recording, "a recording (.mcap)"))
+        recording = open_recording(self.recording)
         if not isinstance(recording, Recording):
             raise InputError(
                 f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {self.recording}"

@@ -1,0 +1,38 @@
+"""``h3data recover``: what can be saved of a recording that was cut off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+
+
+@dataclass(frozen=True)
+class Recover:
+    """Save all complete steps of a damaged or unfinished recording (.mcap, .mcap.part) as a new one.
+
+    Examples:
+        h3data recover out/demo/episode.mcap.part -o saved.mcap
+    """
+
+    recording: tyro.conf.Positional[Path]
+    """A .mcap file, or the .part file that an interrupted run left."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The new recording; the old file stays as it is."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.recording import recover_mcap
+
+        saved = recover_mcap(self.recording, claim_file(self.out, force=self.force), overwrite=self.force)
+        text = f"saved {saved.steps} steps in {saved.path}; {saved.bytes_read} of {saved.bytes_total} bytes read: "
+        data = {
+            "recording": str(saved.path), "steps": saved.steps, "reason": saved.reason,
+            "bytes_read": saved.bytes_read, "bytes_total": saved.bytes_total,
+        }  # fmt: skip
+        return Outcome(text=text + saved.reason, data=data)
