@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from h3data.recording import Dataset, Recording, open_recording
@@ -38,6 +37,6 @@ def render_frame(
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`.
     """
     replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets)
-    row = int(np.arange(len(replay))[step])
+    row = replay.at(step).step
     track = camera_track(replay, camera)
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]

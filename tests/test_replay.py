@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import h3data
 from h3data.errors import InputError
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import Replay, camera_names, camera_track
@@ -56,6 +57,10 @@ def test_steps_outside_are_refused(replay: Replay) -> None:
     with pytest.raises(InputError, match="200 steps"):
         replay.at(200)
     assert replay.at(-1).step == 199
+    with pytest.raises(InputError, match="no step 200"):
+        next(iter(replay.frames([camera_track(replay, "top_down")], [5, 200])))
+    with pytest.raises(InputError, match="no step -300"):
+        h3data.render_frame(replay, step=-300)
 
 
 def test_the_person_stands_on_the_floor_all_along(replay: Replay) -> None:

@@ -313,6 +313,11 @@ class Replay:
 
         A few frames are drawn ahead, so memory stays constant however long the recording.
         """
+        outside = [step for step in steps if not 0 <= step < len(self)]
+        if outside:
+            raise InputError(
+                f"There is no step {outside[0]}: the recording has {len(self)} steps, 0 to {len(self) - 1}."
+            )
         _ = self.render_scene  # built once, before the threads start
         local = threading.local()
 

@@ -41,7 +41,7 @@ class Demo:
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/demo")
     """Folder for the results."""
-    seed: int = 3
+    seed: int = 15
     """Home and episode."""
     steps: int = 900
     """Length of the episode at most, at 30 steps per second."""
