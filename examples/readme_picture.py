@@ -1,4 +1,4 @@
-"""One idea: one recording from many cameras. Makes the README's picture: python examples/readme_picture.py out/demo/episode.mcap OUT.jpg"""
+"""One idea: one recording from many cameras. Usage: python examples/readme_picture.py out/demo/episode.mcap OUT.jpg [STEP]"""
 
 import sys
 
