@@ -296,7 +296,11 @@ def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
     """Rooms, doors and windows of a home; ``attempt`` gives other random numbers for the same spec."""
     program = spec.program
     large = program.area_m2 >= LARGE_FROM_M2 or program.bedrooms >= LARGE_FROM_BEDROOMS
-    plan = plan_large_zoning(spec, attempt, _sound) if large else plan_zoning(spec, attempt)
+    try:
+        plan = plan_large_zoning(spec, attempt, _sound) if large else plan_zoning(spec, attempt)
+    except SceneError:
+        # Uncommon numbers of rooms: the other way may do.
+        plan = plan_zoning(spec, attempt) if large else plan_large_zoning(spec, attempt, _sound)
     plan = _oriented(stage_rng(spec, "orientation", attempt), plan)
     rooms = _rooms(plan)
     doors = _plan_doors(stage_rng(spec, "doors", attempt), rooms)

@@ -293,7 +293,8 @@ def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
     narrow = free.buffer(-GAP_BAND[0] / 2, quad_segs=8)
     # Mitred, so that right corners of rooms count as reached; the limit keeps it from bridging a tight passage.
     step = (GAP_BAND[1] - GAP_BAND[0]) / 2 + 0.008
-    reached = wide.buffer(step, quad_segs=8, join_style="mitre", mitre_limit=1.45)
+    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS tries parallel edges for a mitre, and falls back
+        reached = wide.buffer(step, quad_segs=8, join_style="mitre", mitre_limit=1.45)
     return [part for part in shapely.get_parts(narrow.difference(reached)) if part.area > CRUMB_M2]
 
 

@@ -123,7 +123,7 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
         _single(rng, state, living.console(rng, style))
         _single(rng, state, living.armchair(rng, style), corner=True)
     if size > _LARGE_M2:
-        _more_groups(rng, style, state, int(size // 38))
+        _more_groups(rng, style, state, int(size // 30))
         _shelf_wall(rng, style, state, 3)
     pictures(rng, style, state, 2 + int(size // 20))
 
@@ -301,6 +301,9 @@ def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, di
     _upper_cabinets(rng, style, state, row)
     if state.room.area > 24:
         _island(rng, style, state)
+        if state.room.area > 34:
+            _dining(rng, style, state, seats=(4,))
+            place_at_wall(rng, state, _row([drawers, doors, drawers]), corner=True)
         _shelf_wall(rng, style, state, 2)
         for _ in range(2):
             _single(rng, state, living.plant(rng, style), only_corner=True)
@@ -431,6 +434,7 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Narrow: a shoe cabinet, a plant, pictures; galleries get more of it."""
     del dining
+    _runner(rng, style, state)
     for _ in range(int(state.room.area // 20)):
         _single(rng, state, living.bench(rng, style))
         _single(rng, state, living.console(rng, style))
@@ -438,6 +442,17 @@ def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dinin
     _single(rng, state, living.console(rng, style))
     _single(rng, state, living.plant(rng, style), only_corner=True)
     pictures(rng, style, state, 3 + int(state.room.area // 8))
+
+
+def _runner(rng: np.random.Generator, style: Style, state: RoomState) -> None:
+    """A long narrow carpet down the middle of a wide hall."""
+    x0, z0, x1, z1 = state.interior
+    wide, long = sorted((x1 - x0, z1 - z0))
+    if wide < 1.3 or long < 4:
+        return
+    carpet = living.rug(rng, style, (long - float(rng.uniform(1.2, 2.5)), 0.62 * wide))
+    quarter = 0 if x1 - x0 > z1 - z0 else 1
+    commit(state, [Placed(piece=carpet, room=state.room.name, x=(x0 + x1) / 2, z=(z0 + z1) / 2, quarter=quarter)])
 
 
 # --- on walls ---------------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ MOST_CLUTTER, MOST_DENSITY = 4.0, 12
 
 def least_area_m2(bedrooms: int, bathrooms: int) -> float:
     """The smallest home that is planned for so many rooms [m2]."""
-    return 22.0 + 18.0 * bedrooms + 9.0 * bathrooms
+    return 24.0 + 23.0 * bedrooms + 15.0 * bathrooms
 
 
 @dataclass(frozen=True, kw_only=True)
