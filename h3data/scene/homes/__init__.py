@@ -1,7 +1,8 @@
 """Procedural homes: `build_home(HomeSpec(seed=7))` gives a furnished `Scene`, the same for the same spec.
 
-``layout`` plans rooms, doors and windows; ``structure`` builds them; ``furniture*`` and ``objects`` are the parametric
-things; ``place`` and ``rooms`` put them in; ``check`` proves that one can walk; ``build`` drives it all.
+``zoning``, ``zoning_large`` and ``layout`` plan rooms, doors and windows; ``structure`` builds them; ``furniture*`` and
+``objects`` are the parametric things; ``place``, ``search``, ``groups`` and ``rooms`` put them in; ``check`` proves that
+one can walk; ``build`` drives it all.
 """
 
 from __future__ import annotations

@@ -14,9 +14,10 @@ from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
 from h3data.scene.homes.clutter import clutter, object_assets
 from h3data.scene.homes.furniture_living import ceiling_lamp
+from h3data.scene.homes.groups import NoRoomError
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
 from h3data.scene.homes.place import Placed, RoomState, room_state
-from h3data.scene.homes.rooms import FURNISH, NoRoomError
+from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
 from h3data.scene.homes.style import Style, draw_style

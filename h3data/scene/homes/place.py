@@ -1,4 +1,4 @@
-"""Putting furniture into one room: against walls or free, never in front of doors, everybody still able to walk.
+"""Furniture in one room: where it may stand, so that everybody can still walk. The search for places is in `search`.
 
 A group is given in a frame with z = 0 at the wall behind it, +z into the room and x = 0 in its middle. Side k of a room
 is the wall that a piece turned by k quarters (about +y) backs onto: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
@@ -109,12 +109,12 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
             windows.append((side, o))
             continue
         low, high = o.span[0] - 0.05, o.span[1] + 0.05
-        keep.append(_strip(room.interior, side, low, high, _DOOR_DEPTH))
+        keep.append(strip(room.interior, side, low, high, _DOOR_DEPTH))
         doors.append((side, o))
     return RoomState(room=room, doors=doors, windows=windows, keep=keep)
 
 
-def _strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
+def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
     """Rectangle along a wall, ``depth`` into the room."""
     x0, z0, x1, z1 = interior
     if side == 0:
@@ -146,20 +146,21 @@ def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
     return ((u, interior[1]), (interior[0], u), (u, interior[3]), (interior[2], u))[side]
 
 
-def _around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
+def around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
+    """Plan rectangle of a piece by its middle, size and quarter turns."""
     a, b = (width / 2, depth / 2) if quarter % 2 == 0 else (depth / 2, width / 2)
     return x - a, z - b, x + a, z + b
 
 
 def footprint(p: Placed) -> Rect:
     """Plan rectangle of a piece; small extra turns are not counted."""
-    return _around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
+    return around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
 
 
 def front_strip(p: Placed, depth: float) -> Rect:
     """Plan rectangle before a piece's front."""
     dx, dz = turned(p.quarter, 0.0, p.piece.size[2] / 2 + depth / 2)
-    return _around(p.x + dx, p.z + dz, p.piece.size[0], depth, p.quarter)
+    return around(p.x + dx, p.z + dz, p.piece.size[0], depth, p.quarter)
 
 
 def overlap(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
@@ -200,7 +201,7 @@ def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float],
     return out
 
 
-def _fits(state: RoomState, group: Sequence[Placed]) -> bool:
+def fits(state: RoomState, group: Sequence[Placed]) -> bool:
     """The cheap tests: inside, apart from everything, doors and windows free, no gap that is neither open nor shut."""
     interior = state.interior
     for p in group:
@@ -235,7 +236,7 @@ def _filled(rect: Rect, interior: Rect, end: int, group: Sequence[Placed]) -> bo
 
 
 def _window_strips(state: RoomState) -> list[Rect]:
-    return [_strip(state.interior, side, o.span[0] - 0.05, o.span[1] + 0.05, 0.35) for side, o in state.windows]
+    return [strip(state.interior, side, o.span[0] - 0.05, o.span[1] + 0.05, 0.35) for side, o in state.windows]
 
 
 def reach_m(category: str) -> float:
@@ -277,9 +278,9 @@ def _bare_floor(state: RoomState) -> BaseGeometry:
     floor = [shapely.box(*state.interior)]
     for side, o in state.doors:
         # The disc must stand in the doorway: widen the floor through it by more than the disc.
-        strip = np.array(_strip(state.interior, side, *o.span, 0.1))
+        along = np.array(strip(state.interior, side, *o.span, 0.1))
         out = np.array([(0, -1, 0, 0), (-1, 0, 0, 0), (0, 0, 0, 1), (0, 0, 1, 0)][side]) * 0.5
-        floor.append(shapely.box(*(strip + out)))
+        floor.append(shapely.box(*(along + out)))
     return shapely.union_all(floor)
 
 
@@ -345,107 +346,3 @@ def commit(state: RoomState, group: Sequence[Placed]) -> None:
                 state.fronts.append(front_strip(p, p.piece.front_m))
         state.placed.append(p)
     state.goals += _goals(group)
-
-
-def _extent(members: Sequence[Member]) -> tuple[float, float]:
-    """Smallest and largest x of a group in its own frame."""
-    rects = [_around(m.x, m.z, m.piece.size[0], m.piece.size[2], m.quarter) for m in members if m.piece.solid]
-    return min(r[0] for r in rects), max(r[2] for r in rects)
-
-
-def _positions(
-    rng: np.random.Generator,
-    state: RoomState,
-    side: int,
-    low: float,
-    high: float,
-    *,
-    corner: bool,
-    middle: bool,
-    only_corner: bool,
-) -> list[tuple[float, float]]:
-    """(cost, u) of promising places of a group's origin along a wall; ``low`` and ``high`` are its ends about u."""
-    a, b = side_span(state.interior, side)
-    first, last = a - low + 0.02, b - high - 0.02
-    if last < first:
-        return []
-    found = [(0.0 if corner else 0.5, first), (0.0 if corner else 0.5, last)]
-    if only_corner:
-        return found
-    found.append((0.0 if middle else 0.8, (first + last) / 2))
-    found += [(0.6, float(u)) for u in rng.uniform(first, last, 6)]
-    axis = side % 2
-    strip = _strip(state.interior, side, a, b, 0.5)
-    for rect in (*state.solids, *(k for k in state.keep)):
-        if overlap(rect, strip):
-            found += [(0.3, rect[axis] - high - 0.01), (0.3, rect[axis + 2] - low + 0.01)]
-    return [(cost, u) for cost, u in found if first <= u <= last]
-
-
-def mirrored(side: int) -> bool:
-    """Whether a group's +x points to lower u on this side."""
-    return side in (1, 2)
-
-
-def place_at_wall(
-    rng: np.random.Generator,
-    state: RoomState,
-    members: Sequence[Member],
-    *,
-    corner: bool = False,
-    middle: bool = False,
-    only_corner: bool = False,
-    left_corner: bool = False,
-    sides: Sequence[int] = (0, 1, 2, 3),
-    tries: int = 6,
-) -> list[Placed] | None:
-    """Puts a group against some wall and gives it back, or None if no place is good.
-
-    ``corner`` or ``middle`` of a wall is preferred; ``only_corner`` refuses the rest of the wall; ``left_corner`` insists
-    on a wall at the group's left.
-    """
-    x0, x1 = _extent(members)
-    options = []
-    for side in sides:
-        low, high = (-x1, -x0) if mirrored(side) else (x0, x1)
-        places = _positions(rng, state, side, low, high, corner=corner, middle=middle, only_corner=only_corner)
-        if left_corner:
-            a, b = side_span(state.interior, side)
-            end = b - high - 0.015 if mirrored(side) else a - low + 0.015
-            places = [(0.0, end)] if places else []
-        options += [(cost + rng.uniform(0, 0.5), side, u) for cost, u in places]
-    for _, side, u in sorted(options):
-        group = at(state, members, wall_point(state.interior, side, u), side)
-        if not _fits(state, group):
-            continue
-        if walkable(state, group):
-            commit(state, group)
-            return group
-        tries -= 1
-        if tries <= 0:
-            break
-    return None
-
-
-def place_free(
-    rng: np.random.Generator, state: RoomState, members: Sequence[Member], *, tries: int = 5
-) -> list[Placed] | None:
-    """Puts a group (given about its own middle) where most room is left round it, or gives None."""
-    x0, z0, x1, z1 = state.interior
-    options = []
-    for _ in range(40):
-        origin, side = (float(rng.uniform(x0, x1)), float(rng.uniform(z0, z1))), int(rng.integers(4))
-        group = at(state, members, origin, side)
-        if not _fits(state, group):
-            continue
-        rects = [footprint(p) for p in group]
-        room = min(
-            min((gap(r, s) for r in rects for s in (*state.solids, *state.keep)), default=2.0),
-            min(min(r[0] - x0, r[1] - z0, x1 - r[2], z1 - r[3]) for r in rects),
-        )
-        options.append((-min(room, 1.2), len(options), group))
-    for _, _, group in sorted(options)[:tries]:
-        if walkable(state, group):
-            commit(state, group)
-            return group
-    return None
