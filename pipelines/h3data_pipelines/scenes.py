@@ -37,7 +37,7 @@ class ScenesList:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """A preset (small, medium), one home (small:3) or paths of Habitat scenes; nothing lists the presets."""
+    """A preset (small, medium, large), one home (small:3) or paths of Habitat scenes; nothing lists the presets."""
     homes: int = 4
     """How many homes of a preset."""
     json: JsonFlag = False
@@ -164,7 +164,7 @@ class ScenesValidate:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """A preset (small, medium), one home (small:3) or paths of Habitat scenes."""
+    """A preset (small, medium, large), one home (small:3) or paths of Habitat scenes."""
     homes: int = 4
     """How many homes of a preset."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
