@@ -69,7 +69,7 @@ class Generate:
     seed: int = 0
     """Everything random follows from it."""
     scenes: str = "small"
-    """small, medium or large (built-in homes), one home as small:3, or a Habitat scene by its path (.scene_instance.json, ...)."""
+    """small, medium or large (built-in homes), one home as small:3, or the path of a Habitat scene (.scene_instance.json)."""
     homes: int = 4
     """Number of different built-in homes that the episodes go round."""
     policy: str = "heuristic_expert"
