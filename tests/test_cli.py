@@ -131,6 +131,37 @@ def test_rerender_view_and_metrics(demo: Path, tmp_path: Path, capsys: pytest.Ca
     assert data["bytes"] > 10_000
 
 
+def test_an_episode_of_a_dataset_can_be_drawn_and_viewed(
+    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    episode = f"{demo / 'dataset'}#0"
+    data = run_json(capsys, "rerender", episode, "--steps", "0:4", "--outputs", "rgb,depth", "-o", tmp_path / "v")
+    assert [Path(f).name for f in data["recordings"][0]["files"]] == [
+        "dataset#0.top_down.rgb.mp4",
+        "dataset#0.top_down.depth.mp4",
+    ]
+    import av
+
+    with av.open(data["recordings"][0]["files"][1]) as container:
+        picture = next(container.decode(video=0)).to_ndarray(format="rgb24")
+    assert np.std(picture.reshape(-1, 3), axis=0).max() > 20  # not one flat colour
+    run_json(capsys, "view", episode, "-o", tmp_path / "e.rrd")
+    assert main(["view", str(demo / "dataset"), "-o", str(tmp_path / "f.rrd")]) == 2
+    assert "#0" in capsys.readouterr().err
+    assert main(["view", f"{demo / 'dataset'}#7", "-o", str(tmp_path / "f.rrd")]) == 2
+    assert "no episode 7" in capsys.readouterr().err
+    assert len([*h3data.open(demo / "dataset")]) == 1
+    assert len(h3data.open(demo / "dataset")[-1]) == 40
+
+
+def test_depth_videos_are_the_same_every_time(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    episode, files = demo / "episode.mcap", []
+    for name in ("a", "b", "c"):
+        options = ("--camera", "robot_arm", "--outputs", "depth", "-o", tmp_path / name)
+        files.append(run_json(capsys, "rerender", episode, *options)["recordings"][0]["files"][0])
+    assert len({Path(f).read_bytes() for f in files}) == 1
+
+
 def test_a_camera_from_a_file(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     camera = tmp_path / "shoulder.toml"
     camera.write_text('eye = [-1.0, 1.6, 0.0]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwidth = 160\nheight = 120\n')

@@ -76,6 +76,12 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.episodes)
 
+    def __getitem__(self, index: int) -> Recording:
+        """Episode ``index``; see `recording`."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
+        return self.recording(index % len(self))
+
     def recording(self, index: int, *, columns: Sequence[str] | None = None) -> Recording:
         """Episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
 

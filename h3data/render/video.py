@@ -39,7 +39,8 @@ class VideoWriter:
         self.path = Path(path)
         self.width, self.height, self.fps = int(width), int(height), fps
         self.frame_count = 0
-        self._options = {"crf": str(crf), "preset": preset}
+        # without mbtree: its result differs from run to run (seen with x264 on depth videos), and files must not
+        self._options = {"crf": str(crf), "preset": preset, "x264-params": "mbtree=0"}
         self._stack: ExitStack | None = None
         self._container: Any = None
         self._stream: Any = None

@@ -16,6 +16,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data.files import part_file
+from h3data.recording import Recording
 
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
 ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
@@ -64,6 +65,28 @@ def claim_file(path: Path, *, force: bool) -> Path:
     except OSError as error:
         raise InputError(f"Cannot make the folder of the output file ({error.strerror}): {path}") from None
     return path
+
+
+def open_episode(path: Path) -> Recording:
+    """The recording in an .mcap file, or episode 3 of a dataset named as ``ds#3``."""
+    from h3data.recording import Dataset, open_recording
+
+    root, _, number = str(path).rpartition("#")
+    if root and number.isdecimal() and not path.exists():
+        dataset = open_recording(Path(root))
+        if not isinstance(dataset, Dataset):
+            raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}")
+        if int(number) >= len(dataset):
+            raise InputError(
+                f"There is no episode {number}: the dataset has {len(dataset)}, 0 to {len(dataset) - 1}: {root}"
+            )
+        return dataset.recording(int(number))
+    opened = open_recording(path)
+    if isinstance(opened, Dataset):
+        raise InputError(
+            f"Expected a recording (.mcap), this is a dataset of {len(opened)} episodes. Name one as {path}#0"
+        )
+    return opened
 
 
 def remove_dataset(root: Path) -> None:

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from h3data.errors import InputError
-from h3data.recording import Recording, open_recording
 from h3data.replay import CameraTrack, Replay, camera_track
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 from h3data_pipelines.importing import recording_stem
 
 if TYPE_CHECKING:
@@ -35,11 +34,12 @@ class Rerender:
 
     Examples:
         h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
+        h3data rerender ds#3 --camera third_person -o videos/
         h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files."""
+    """.mcap files, or episodes of a dataset as ds#0."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the videos: <recording>.<camera>.<output>.mp4."""
     camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -72,10 +72,7 @@ class Rerender:
             )
         lines, data = [], []
         for path in self.recordings:
-            recording = open_recording(path)
-            if not isinstance(recording, Recording):
-                raise InputError(f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {path}")
-            replay = Replay(recording, assets=self.assets)
+            replay = Replay(open_episode(path), assets=self.assets)
             tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
             steps = parse_steps(self.steps, len(replay))
             files = render_videos(
@@ -164,7 +161,7 @@ def render_videos(
 
     Files appear under their names only when they are complete.
     """
-    from h3data.render import VideoWriter
+    from h3data.render import VideoWriter, depth_to_rgb
 
     fps = 30.0
     times = replay.recording.columns["time_ns"]
@@ -180,20 +177,38 @@ def render_videos(
                 writer = stack.enter_context(VideoWriter(target, camera.width, camera.height, fps=fps))
                 sinks[n, output] = lambda image, step, writer=writer: writer.write(image)
         frames = replay.frames(tracks, steps, outputs=outputs, threads=threads)
+        ranges: list[tuple[float, float]] = []
         for step, views in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
+            ranges = ranges or [depth_range(view["depth"]) if "depth" in view else DEPTH_RANGE_M for view in views]
             for (n, output), sink in sinks.items():
-                sink(_picture(replay, tracks[n], views[n], output, step, raw=pictures, annotate=annotate), step)
+                if output == "depth" and not pictures:
+                    image = depth_to_rgb(views[n]["depth"], near=ranges[n][0], far=ranges[n][1])
+                else:
+                    image = _picture(replay, tracks[n], views[n], output, step, annotate=annotate)
+                sink(image, step)
     return list(targets.values())
 
 
+DEPTH_RANGE_M = (0.0, 10.0)
+
+
+def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
+    """Nearest and farthest depth [m] that the colours of a depth video span: 0 to 10 m as a rule, what there is for
+    cameras far away from everything, such as those from above."""
+    hits = depth[depth > 0]
+    if not len(hits) or np.median(hits) <= DEPTH_RANGE_M[1]:
+        return DEPTH_RANGE_M
+    near, far = np.percentile(hits, (0.5, 99.5))
+    return float(near), float(max(far, near + 0.5))
+
+
 def _picture(
-    replay: Replay, track: CameraTrack, view: dict[str, NDArray[Any]], output: str, step: int, *, raw: bool,
-    annotate: bool,
-) -> NDArray[Any]:  # fmt: skip
-    from h3data.render import depth_to_rgb, instance_to_rgb
+    replay: Replay, track: CameraTrack, view: dict[str, NDArray[Any]], output: str, step: int, *, annotate: bool
+) -> NDArray[Any]:
+    from h3data.render import instance_to_rgb
 
     if output == "depth":
-        return view["depth"] if raw else depth_to_rgb(view["depth"], near=0.0, far=10.0)
+        return view["depth"]
     if output == "instance":
         return instance_to_rgb(view["instance"])
     image = view["rgb"]

@@ -8,10 +8,9 @@ from typing import Annotated
 
 import tyro
 
-from h3data.errors import InputError
-from h3data.recording import Recording, open_recording
 from h3data.replay import Replay
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data_pipelines.importing import recording_stem
 from h3data_pipelines.rerender import missing_lines
 
 
@@ -25,7 +24,7 @@ class View:
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file."""
+    """A .mcap file, or an episode of a dataset as ds#0."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The .rrd file (default: beside the recording)."""
     assets: tuple[Path, ...] = ()
@@ -36,12 +35,9 @@ class View:
     def run(self) -> Outcome:
         from h3data_viewers import write_rrd
 
-        recording = open_recording(self.recording)
-        if not isinstance(recording, Recording):
-            raise InputError(
-                f"Expected a recording (.mcap), this is a dataset. Use one of its episodes: {self.recording}"
-            )
-        out = claim_file(self.out or self.recording.with_suffix(".rrd"), force=self.force)
+        recording = open_episode(self.recording)
+        beside = self.recording.with_name(f"{recording_stem(self.recording)}.rrd")
+        out = claim_file(self.out or beside, force=self.force)
         replay = Replay(recording, assets=self.assets, detail=False)
         write_rrd(recording, out, replay=replay, overwrite=self.force)
         text = "\n".join([f"wrote {out}; open it with: rerun {out}", *missing_lines(replay)])
