@@ -361,6 +361,7 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
             shade(style.front_door, 1.12),
         )
     _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
+    _bar(mesh, opening.axis, (u0, u1), (c0, c1), (-0.02, 0.004), style.metal)  # threshold: no view under the door
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
     return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
 
