@@ -37,6 +37,6 @@ def render_frame(
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`.
     """
     replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets)
-    row = replay.at(step).step
+    row = replay.row(step)
     track = camera_track(replay, camera)
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]

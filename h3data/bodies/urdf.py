@@ -16,7 +16,6 @@ from typing import Literal, get_args
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, MissingAssetError
 from h3data.geometry import Array
@@ -320,8 +319,3 @@ def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], fault
     if len(reached) != len(names):
         faults.append(f"links {', '.join(sorted(set(names) - reached)[:4])} hang in a cycle, not on {roots[0]}")
     return roots[0]
-
-
-def inertial_frames(urdf: Urdf) -> dict[str, NDArray[np.floating]]:
-    """Centre-of-mass frame of each link in its link frame, 4x4 by name: Habitat's poses of links are those of these frames."""
-    return {link.name: link.inertial for link in urdf.links}

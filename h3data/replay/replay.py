@@ -253,11 +253,18 @@ class Replay:
         assert isinstance(body, Humanoid)
         return body.skin(self.joint_matrices(track.agent, np.asarray(steps)), lod=not self.detail)
 
+    def row(self, step: int) -> int:
+        """The row of ``step`` in the recording's columns; negative steps count from the end."""
+        if not -len(self) <= step < len(self):
+            raise self._no_step(step)
+        return step % len(self)
+
+    def _no_step(self, step: int) -> InputError:
+        return InputError(f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.")
+
     def at(self, step: int) -> State:
         """Where everything was after action ``step``; negative steps count from the end."""
-        if not -len(self) <= step < len(self):
-            raise InputError(f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.")
-        step %= len(self)
+        step = self.row(step)
         poses = {}
         for index, drawable in enumerate(self._drawables):
             if drawable.deformable:
@@ -315,9 +322,7 @@ class Replay:
         """
         outside = [step for step in steps if not 0 <= step < len(self)]
         if outside:
-            raise InputError(
-                f"There is no step {outside[0]}: the recording has {len(self)} steps, 0 to {len(self) - 1}."
-            )
+            raise self._no_step(outside[0])
         _ = self.render_scene  # built once, before the threads start
         local = threading.local()
 

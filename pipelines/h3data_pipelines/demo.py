@@ -14,9 +14,17 @@ import tyro
 from tqdm import tqdm
 
 from h3data.errors import InputError
-from h3data.recording import Recording, open_recording
+from h3data.recording import Recording
 from h3data.replay import Replay, camera_track
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, write_text
+from h3data_pipelines.command import (
+    ForceFlag,
+    JsonFlag,
+    Outcome,
+    claim_folder,
+    open_episode,
+    remove_dataset,
+    write_text,
+)
 from h3data_pipelines.rerender import render_videos
 
 FILES = (
@@ -105,9 +113,7 @@ class Demo:
                 progress=bar.update,
                 sink=lambda header: RecordingWriter(path, header, overwrite=self.force),
             )
-        recording = open_recording(path)  # from the file: what follows uses nothing but the recording
-        assert isinstance(recording, Recording)
-        return recording
+        return open_episode(path)  # from the file: what follows uses nothing but the recording
 
 
 def _videos(recording: Recording, out: Path) -> dict[str, Path]:

@@ -43,12 +43,6 @@ def turn_y(angle_rad: float) -> NDArray[np.float64]:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def turn_z(angle_rad: float) -> NDArray[np.float64]:
-    """3x3 rotation about z: positive turns +x towards +y."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-
-
 @cache
 def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 of the sides, then 32 of the bevels."""
