@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         Room,
         Scene,
         Shape,
+        Texture,
         instance_bounds,
         instance_matrix,
     )
@@ -50,6 +51,7 @@ _HOMES = {
     "Room": "h3data.scene.records",
     "Scene": "h3data.scene.records",
     "Shape": "h3data.scene.records",
+    "Texture": "h3data.scene.records",
     "instance_bounds": "h3data.scene.records",
     "instance_matrix": "h3data.scene.records",
     "load_scene": "h3data.scene.scene_file",
@@ -76,6 +78,7 @@ __all__ = [
     "Room",
     "Scene",
     "Shape",
+    "Texture",
     "ShortestPath",
     "build_home",
     "free_space_from_navmesh",
