@@ -28,7 +28,8 @@ def test_joined_meshes_keep_every_triangles_texture():
     a, b = _texture(10), _texture(20)
     second = _triangle(b, a, face_textures=np.array([1], np.int16))  # texture a, by index
     mesh = joined([_triangle(), _triangle(a), second, _triangle(b)])
-    assert mesh.face_textures is not None and mesh.uv is not None
+    assert mesh.face_textures is not None
+    assert mesh.uv is not None
     assert [mesh.textures[k] if k >= 0 else None for k in mesh.face_textures] == [None, a, a, b]
     assert len(mesh.textures) == 2
     np.testing.assert_array_equal(mesh.uv[3:6], np.eye(3, 2))
@@ -36,12 +37,15 @@ def test_joined_meshes_keep_every_triangles_texture():
 
 def test_joined_meshes_without_textures_have_none():
     mesh = joined([_triangle(), _triangle()])
-    assert mesh.uv is None and mesh.textures == () and mesh.face_textures is None
+    assert mesh.uv is None
+    assert mesh.textures == ()
+    assert mesh.face_textures is None
 
 
 def test_painted_drops_textures():
     mesh = painted(_triangle(_texture(10)), (1, 2, 3))
-    assert mesh.textures == () and (mesh.colors == (1, 2, 3)).all()
+    assert mesh.textures == ()
+    assert (mesh.colors == (1, 2, 3)).all()
 
 
 @pytest.mark.parametrize(
