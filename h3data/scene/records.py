@@ -178,6 +178,8 @@ class Instance:
     """``static`` belongs to the building and its furniture; ``kinematic`` may be moved by somebody."""
     layer: str = ""
     """Named layers can be left out of a picture: ``ceiling`` is, in views from above."""
+    receptacles: tuple[str, ...] | None = None
+    """Names of the asset's receptacles that may be used here; None = all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,6 +193,28 @@ class Room:
     floor_y: float = 0.0
 
 
+LightKind = Literal["point", "directional", "spot"]
+LightFrame = Literal["global", "camera", "object"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightSource:
+    """A lamp, or the sun, as a Habitat lighting config states it. The renderer does not use them yet."""
+
+    name: str
+    kind: LightKind
+    vector: NDArray[np.float64]
+    """Of a directional light the way in which its light travels, else its position [m], shape [3]."""
+    color: NDArray[np.float64]
+    """RGB, usually 0..1, shape [3]."""
+    intensity: float
+    """Factor on the colour; negative values take light away, as in Habitat."""
+    frame: LightFrame = "global"
+    """What ``vector`` is relative to."""
+    cone_rad: tuple[float, float] = (0.0, 0.0)
+    """Half angles of a spot: full light inside the first, none outside the second."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """A home: assets, where they stand, rooms. Frame: world, +Y up, metres."""
@@ -199,6 +223,8 @@ class Scene:
     assets: Mapping[str, Asset]
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...] = ()
+    lights: tuple[LightSource, ...] | None = None
+    """None: nothing is said about light; empty: there are no lamps (Habitat then draws plain colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """How to get it again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}`` or the Habitat files it came from."""
 
@@ -224,10 +250,11 @@ class Scene:
         return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
 
     def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
-        """Every receptacle of every static instance, as Habitat names them: ``instance|receptacle``."""
+        """Every receptacle in use of every static instance; Habitat names them ``instance|receptacle``."""
         for instance in self.static_instances:
             for receptacle in self.assets[instance.asset].receptacles:
-                yield instance, receptacle
+                if instance.receptacles is None or receptacle.name in instance.receptacles:
+                    yield instance, receptacle
 
     def __repr__(self) -> str:
         triangles = sum(len(self.assets[i.asset].mesh.faces) for i in self.instances)

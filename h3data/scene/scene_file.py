@@ -25,8 +25,10 @@ from h3data.scene.scene_json import (
     asset_record,
     floats,
     instance_record,
+    light_record,
     read_asset,
     read_instance,
+    read_light,
     read_room,
     room_record,
 )
@@ -109,6 +111,7 @@ def scene_bytes(scene: Scene) -> bytes:
                 "rooms": [room_record(r) for r in scene.rooms],
                 "assets": records,
                 "instances": [instance_record(i) for i in scene.instances],
+                **({} if scene.lights is None else {"lights": [light_record(light) for light in scene.lights]}),
             }
         },
     }
@@ -222,5 +225,6 @@ def _scene(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> S
         assets={str(a["key"]): read_asset(a, _mesh(a, document, binary)) for a in record["assets"]},
         instances=tuple(read_instance(i) for i in record["instances"]),
         rooms=tuple(read_room(r) for r in record["rooms"]),
+        lights=None if (lights := record.get("lights")) is None else tuple(read_light(light) for light in lights),
         source=dict(cast("Mapping[str, Any]", record["source"])),
     )

@@ -6,7 +6,7 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from h3data.scene.records import (
     Cylinder,
     Hull,
     Instance,
+    LightFrame,
+    LightKind,
+    LightSource,
     Mesh,
     Receptacle,
     Room,
@@ -83,7 +86,7 @@ def asset_record(asset: Asset, mesh: dict[str, int] | None) -> dict[str, Any]:
 
 def instance_record(i: Instance) -> dict[str, Any]:
     """An instance as plain JSON."""
-    return {
+    record = {
         "name": i.name,
         "asset": i.asset,
         "pose": floats(i.pose),
@@ -92,6 +95,7 @@ def instance_record(i: Instance) -> dict[str, Any]:
         "motion": i.motion,
         "layer": i.layer,
     }
+    return record if i.receptacles is None else {**record, "receptacles": list(i.receptacles)}
 
 
 def read_instance(record: dict[str, Any]) -> Instance:
@@ -106,6 +110,7 @@ def read_instance(record: dict[str, Any]) -> Instance:
         semantic_id=int(record["semantic_id"]),
         motion=record["motion"],
         layer=str(record["layer"]),
+        receptacles=None if (used := record.get("receptacles")) is None else tuple(str(name) for name in used),
     )
 
 
@@ -126,6 +131,35 @@ def read_room(record: dict[str, Any]) -> Room:
         category=str(record["category"]),
         rectangles=_array(record["rectangles"], None, 4),
         floor_y=float(record["floor_y"]),
+    )
+
+
+def light_record(light: LightSource) -> dict[str, Any]:
+    """A light as plain JSON."""
+    return {
+        "name": light.name,
+        "kind": light.kind,
+        "vector": floats(light.vector),
+        "color": floats(light.color),
+        "intensity": float(light.intensity),
+        "frame": light.frame,
+        "cone_rad": [float(a) for a in light.cone_rad],
+    }
+
+
+def read_light(record: dict[str, Any]) -> LightSource:
+    """The light of `light_record`."""
+    inner, outer = (float(a) for a in record["cone_rad"])
+    if record["kind"] not in get_args(LightKind) or record["frame"] not in get_args(LightFrame):
+        raise ValueError(f"unknown light {record['kind']!r} in frame {record['frame']!r}")
+    return LightSource(
+        name=str(record["name"]),
+        kind=record["kind"],
+        vector=_array(record["vector"], 3),
+        color=_array(record["color"], 3),
+        intensity=float(record["intensity"]),
+        frame=record["frame"],
+        cone_rad=(inner, outer),
     )
 
 
@@ -176,4 +210,6 @@ def scene_digest(scene: Scene) -> str:
         feed(json.dumps(asset_record(asset, None)))
     feed(json.dumps([instance_record(i) for i in scene.instances]))
     feed(json.dumps([room_record(r) for r in scene.rooms]))
+    if scene.lights is not None:
+        feed(json.dumps([light_record(light) for light in scene.lights]))
     return h.hexdigest()
