@@ -50,8 +50,9 @@ Method = Literal["auto", "shapes", "mesh"]
 
 
 def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
-    """Which builder serves a scene: exact shapes where there are both shapes and rooms, voxels otherwise."""
-    shapes = any(scene.assets[i.asset].shapes for i in scene.static_instances)
+    """Which builder serves a scene: exact shapes where there are rooms and the building has shapes, voxels otherwise."""
+    static = [scene.assets[i.asset] for i in scene.static_instances]
+    shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
     if method == "shapes" and not scene.rooms:
         raise SceneError(f"Scene {scene.name!r} has no rooms, so nothing says where the floor is. Hint: method='mesh'.")
     if method != "auto":
