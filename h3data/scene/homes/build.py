@@ -13,6 +13,7 @@ from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
 from h3data.scene.homes.clutter import clutter, object_assets
+from h3data.scene.homes.floors import floor_mesh
 from h3data.scene.homes.furniture_living import ceiling_lamp
 from h3data.scene.homes.groups import NoRoomError
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
@@ -177,7 +178,7 @@ def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpe
     rng = stage_rng(spec, "structure", attempt)
     home.structure(structure.walls_asset(layout, style, rng))
     for room in layout.rooms:
-        mesh = structure.floor_mesh(room, style, rng)
+        mesh = floor_mesh(room, style, rng)
         home.structure(Asset(name=f"floor_{room.name}", mesh=mesh, category="floor"))
     home.structure(structure.ceiling_asset(layout, style), layer="ceiling")
     home.structure(structure.trim_asset(layout, style))

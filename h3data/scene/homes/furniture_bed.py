@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, cylinder_part, finish, legs, surface
+from h3data.scene.homes.materials import Finish
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
@@ -23,14 +24,14 @@ def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture
     for s in (-1, 1):
         for z in (z0 + 0.16, length / 2 - 0.12):
             mesh.box((s * (width / 2 - 0.1), 0.06, z), (0.07, 0.12, 0.07), style.wood_dark)
-    mesh.cushion((0, 0.42, 0.03), (width - 0.04, 0.24, length - 0.12), (240, 238, 232), radius=0.05)
-    cover = vary(rng, style.accent if rng.random() < 0.5 else style.fabric, 0.08)
+    mesh.cushion((0, 0.42, 0.03), (width - 0.04, 0.24, length - 0.12), style.linen, radius=0.05)
+    cover = Finish(vary(rng, style.accent if rng.random() < 0.5 else style.fabric, 0.08), "quilt")
     mesh.cushion((0, 0.445, 0.33), (width + 0.04, 0.25, length - 0.62), cover, radius=0.06)
     mesh.cushion((0, 0.48, -0.33), (width + 0.045, 0.2, 0.26), shade(cover, 1.22), radius=0.05)
     count = 2 if width > 1.3 else 1
     for i in range(count):
         x = 0.0 if count == 1 else (i - 0.5) * width * 0.48
-        mesh.pillow((x, 0.6, z0 + 0.34), (0.62, 0.2, 0.44), (248, 247, 243), turn=turn_x(0.22))
+        mesh.pillow((x, 0.6, z0 + 0.34), (0.62, 0.2, 0.44), shade(style.linen, 1.03), turn=turn_x(0.22))
     if count == 2:
         mesh.pillow((0, 0.65, z0 + 0.5), (0.4, 0.15, 0.32), vary(rng, style.fabric_2), turn=turn_x(0.9))
     shapes = [
@@ -53,7 +54,7 @@ def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cylinder((0, h + 0.01, -d / 2 + 0.1), 0.055, 0.02, style.metal, segments=14)
     mesh.cylinder((0, h + 0.12, -d / 2 + 0.1), 0.01, 0.22, style.metal, segments=8)
     mesh.lathe(
-        [(0.1, h + 0.18), (0.065, h + 0.34), (0, h + 0.34)], (244, 232, 204), segments=16, center=(0, 0, -d / 2 + 0.1)
+        [(0.1, h + 0.18), (0.065, h + 0.34), (0, h + 0.34)], style.lampshade, segments=16, center=(0, 0, -d / 2 + 0.1)
     )
     top = surface("top", (0, h, 0.07), (w - 0.06, d - 0.2), 1.0)
     shapes: list[Shape] = [box_part((0, h / 2, 0), (w, h, d))]

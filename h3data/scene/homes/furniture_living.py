@@ -15,6 +15,7 @@ from h3data.scene.homes.furniture import (
     stacks,
     surface,
 )
+from h3data.scene.homes.materials import Finish
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, turn_y, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
@@ -44,7 +45,7 @@ def _seat(width: float, depth: float, seats: int, rng: np.random.Generator, styl
         mesh.pillow(
             (s * (inner / 2 - 0.24), 0.63, -depth / 2 + back + 0.2),
             (0.42, 0.14, 0.42),
-            vary(rng, style.accent),
+            Finish(vary(rng, style.accent), "weave"),
             turn=turn_y(-s * 0.25) @ turn_x(np.pi / 2 - 0.35),
         )
     for sx in (-1, 1):
@@ -154,7 +155,8 @@ def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None
     """Lies flat and does not collide; three borders woven as geometry."""
     mesh = MeshBuilder()
     w, d = size if size is not None else (rng.uniform(1.9, 2.3), rng.uniform(1.4, 1.7))
-    tints = [style.accent, shade(style.fabric_2, 1.15), shade(style.accent, 1.25), shade(style.fabric_2, 1.3)]
+    yarn, yarn_2 = Finish(style.accent, "carpet"), Finish(style.fabric_2, "carpet")
+    tints = [yarn, shade(yarn_2, 1.15), shade(yarn, 1.25), shade(Finish(style.fabric_2, "rug"), 1.3)]
     rings = [0.0, 0.07, 0.14, 0.17]
     for i, inset in enumerate(rings):
         nxt = rings[i + 1] if i + 1 < len(rings) else None
@@ -183,9 +185,8 @@ def floor_lamp(rng: np.random.Generator, style: Style) -> Furniture:
     h = rng.uniform(1.5, 1.65)
     mesh.cylinder((0, 0.0125, 0), 0.15, 0.025, style.metal, bevel=0.005, segments=20)
     mesh.cylinder((0, h / 2, 0), 0.012, h, style.metal, segments=8)
-    shade_color = (242, 230, 200)
-    mesh.lathe([(0.19, h - 0.3), (0.13, h)], shade_color, segments=20)
-    mesh.lathe([(0.128, h), (0.186, h - 0.3)], shade(shade_color, 1.05), segments=20)
+    mesh.lathe([(0.19, h - 0.3), (0.13, h)], style.lampshade, segments=20)
+    mesh.lathe([(0.128, h), (0.186, h - 0.3)], shade(style.lampshade, 1.05), segments=20)
     mesh.ellipsoid((0, h - 0.17, 0), (0.05, 0.06, 0.05), (255, 250, 225), segments=10, rings=6)
     shapes = [cylinder_part((0, h / 2, 0), 0.15, h)]
     return finish("floor_lamp", mesh, (0.38, h, 0.38), shapes=shapes)

@@ -10,7 +10,7 @@ import numpy as np
 from h3data.scene.homes.furniture import box_part, cylinder_part
 from h3data.scene.homes.solids import Color, MeshBuilder, shade, vary
 from h3data.scene.homes.style import Style
-from h3data.scene.records import Asset, Hull, Mesh, Shape
+from h3data.scene.records import Asset, Hull, Shape
 
 _BRIGHT: tuple[Color, ...] = (
     (198, 58, 48), (222, 160, 52), (64, 122, 74), (52, 96, 160), (230, 226, 214), (132, 78, 140), (40, 150, 150)
@@ -25,8 +25,7 @@ def _centered(category: str, mesh: MeshBuilder, shapes: tuple[Shape, ...], heigh
     """The asset of a thing modelled standing at y = 0, moved so that the origin is half its height up."""
     m = mesh.mesh()
     vertices = m.vertices - np.array([0, height / 2, 0], np.float32)
-    moved = Mesh(vertices=vertices, faces=m.faces, colors=m.colors, normals=m.normals)
-    return Asset(name=category, mesh=moved, category=category, shapes=shapes)
+    return Asset(name=category, mesh=replace(m, vertices=vertices), category=category, shapes=shapes)
 
 
 def can(rng: np.random.Generator, style: Style) -> Asset:

@@ -1,34 +1,42 @@
-"""Small solids with colours and shading normals, collected into one mesh: the clay of walls, furniture and objects."""
+"""Solids with colours, materials and shading normals, collected into one mesh: the clay of walls, furniture and objects."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
-from itertools import product
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.scene.homes import primitives
+from h3data.scene.homes.materials import MATERIALS, Finish, texture
+from h3data.scene.homes.primitives import Solid
 from h3data.scene.records import Mesh
 
 Color = tuple[int, int, int]
-"""sRGB, 0-255."""
+"""sRGB, 0-255; a `Finish` says of what material the part is, too."""
 
-_CREASE_COS = float(np.cos(np.radians(50)))
+
+def material_of(color: object) -> str:
+    """The material of a `Finish`; "" for a plain colour."""
+    return color.material if isinstance(color, Finish) else ""
 
 
 def shade(color: Sequence[int], factor: float) -> Color:
-    """The colour made darker (factor < 1) or lighter."""
-    r, g, b = (min(255, max(0, round(c * factor))) for c in color)
-    return r, g, b
+    """The colour made darker (factor < 1) or lighter; a finish stays of its material."""
+    return _scaled(color, (factor, factor, factor))
 
 
 def vary(rng: np.random.Generator, color: Sequence[int], amount: float = 0.06) -> Color:
-    """The colour with its brightness changed by up to ``amount`` either way, and its hue a little."""
+    """The colour with its brightness changed by up to ``amount`` either way, and its hue a little; see `shade`."""
     draws = (2 * rng.random(4) - 1) * amount
     common, *hue = draws.tolist()
-    r, g, b = (min(255, max(0, round(c * (1 + common + h / 4)))) for c, h in zip(color, hue, strict=True))
-    return r, g, b
+    return _scaled(color, [1 + common + h / 4 for h in hue])
+
+
+def _scaled(color: Sequence[int], factors: Sequence[float]) -> Color:
+    r, g, b = (min(255, max(0, round(c * f))) for c, f in zip(color, factors, strict=True))
+    return Finish((r, g, b), color.material) if isinstance(color, Finish) else (r, g, b)
 
 
 def turn_x(angle_rad: float) -> NDArray[np.float64]:
@@ -43,166 +51,20 @@ def turn_y(angle_rad: float) -> NDArray[np.float64]:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-@cache
-def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 of the sides, then 32 of the bevels."""
-    corners: list[tuple[int, int, int]] = [(x, y, z) for x, y, z in product((-1, 1), repeat=3)]
-    index: dict[tuple[tuple[int, int, int], int], int] = {
-        (c, a): 3 * i + a for i, c in enumerate(corners) for a in range(3)
-    }
-    signs = np.repeat(np.array(corners, float), 3, axis=0)
-    normals = signs * np.tile(np.eye(3), (8, 1))
-
-    def at(values: dict[int, int]) -> tuple[int, int, int]:
-        return values[0], values[1], values[2]
-
-    quads: list[list[int]] = []
-    bevels: list[list[int]] = []
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        for s in (-1, 1):
-            ring = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-            quads.append([index[at({a: s, b: p, c: q}), a] for p, q in ring])
-        for p, q in product((-1, 1), repeat=2):
-            ends = [at({a: e, b: p, c: q}) for e in (-1, 1)]
-            bevels.append([index[ends[0], b], index[ends[1], b], index[ends[1], c], index[ends[0], c]])
-    tips = [[index[c, 0], index[c, 1], index[c, 2]] for c in corners]
-    position = signs * (1 + np.abs(normals))
-    triangles = [t for q in quads + bevels for t in ([q[0], q[1], q[2]], [q[0], q[2], q[3]])] + tips
-    faces = np.array(triangles, np.int32)
-    p = position[faces]
-    outward = np.einsum("fi,fi->f", np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), p.mean(1)) > 0
-    faces[~outward] = faces[~outward][:, ::-1]
-    return signs, normals, faces
-
-
-@cache
-def _grid_cube(n: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Grid indices [V, 3] (0..n) of the six sides of a cube and their triangles, counter-clockwise from outside."""
-    points, faces = [], []
-    for a, end in product(range(3), (0, n)):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        first = len(points)
-        for p, q in product(range(n + 1), repeat=2):
-            index = [0, 0, 0]
-            index[a], index[b], index[c] = end, p, q
-            points.append(index)
-        for p, q in product(range(n), repeat=2):
-            i = first + p * (n + 1) + q
-            quad = [i, i + n + 1, i + n + 2, i + 1]
-            quad = quad if end else quad[::-1]
-            faces += [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
-    return np.array(points), np.array(faces, np.int32)
-
-
-_Solid = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
-"""Vertices [V, 3], unit normals [V, 3] and triangles [F, 3] about the origin."""
-
-
-def _boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[_Solid, NDArray[np.intp]]:
-    """Boxes of whole sizes [N, 3], edges cut by bevels [N], and the box of each vertex; all in one go, as there are many."""
-    signs, normals, faces = _box_template()
-    half = size[:, None] / 2
-    cut = np.minimum(bevel[:, None, None], 0.98 * half.min(2, keepdims=True))
-    vertices = signs * (half - cut) + normals * cut
-    first = 24 * np.arange(len(size), dtype=np.int32)[:, None, None]
-    sharp = bevel <= 0
-    triangles = np.concatenate([(faces[:12] + first).reshape(-1, 3), (faces[12:] + first[~sharp]).reshape(-1, 3)])
-    solid = vertices.reshape(-1, 3), np.tile(normals, (len(size), 1)), triangles.astype(np.int32)
-    return solid, np.repeat(np.arange(len(size)), 24)
-
-
-def _cushion(size: NDArray[np.float64], radius: float) -> _Solid:
-    index, faces = _grid_cube(3)
-    half = size / 2
-    r = min(radius, 0.98 * float(half.min()))
-    lines = np.stack([-half, r - half, half - r, half])
-    p = lines[index, np.arange(3)]
-    inner = np.clip(p, r - half, half - r)
-    normals = p - inner
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return inner + r * normals, normals, faces
-
-
-@cache
-def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices [V, 3] of a pillow in the cube of half size 1, and its triangles."""
-    n = 6
-    index, faces = _grid_cube(n)
-    used = (index[:, 1] == 0) | (index[:, 1] == n)
-    faces = faces[used[faces].all(1) & (index[faces][:, :, 1].min(1) == index[faces][:, :, 1].max(1))]
-    u = index / n * 2 - 1
-    puff = (1 - u[:, 0] ** 4) * (1 - u[:, 2] ** 4)
-    v = np.stack([u[:, 0], np.sign(u[:, 1]) * np.sqrt(puff), u[:, 2]], 1)
-    keep = np.unique(faces)
-    renumber = np.zeros(len(v), np.int32)
-    renumber[keep] = np.arange(len(keep))
-    return v[keep], renumber[faces]
-
-
-def _pillow(size: NDArray[np.float64]) -> _Solid:
-    unit, faces = _pillow_template()
-    vertices = unit * (size / 2)
-    return vertices, _smooth_normals(vertices, faces), faces
-
-
-def _lathe(profile: Sequence[tuple[float, float]], segments: int, stretch: tuple[float, float]) -> _Solid:
-    p = np.array(profile, float)
-    along = np.diff(p, axis=0)
-    flat = np.stack([along[:, 1], -along[:, 0]], 1)
-    flat /= np.maximum(np.sqrt((flat * flat).sum(1, keepdims=True)), 1e-12)
-    start, end = flat.copy(), flat.copy()
-    joined = (flat[:-1] * flat[1:]).sum(1) > _CREASE_COS
-    mean = flat[:-1] + flat[1:]
-    mean /= np.maximum(np.sqrt((mean * mean).sum(1, keepdims=True)), 1e-12)
-    start[1:][joined], end[:-1][joined] = mean[joined], mean[joined]
-    rings = np.stack([p[:-1], p[1:]], 1).reshape(-1, 2)  # two for each piece of the profile
-    slopes = np.stack([start, end], 1).reshape(-1, 2)
-    angle = np.arange(segments) * (2 * np.pi / segments)
-    circle = np.stack([np.sin(angle), np.cos(angle)], 1)
-    shape = np.asarray(stretch, float)
-    vertices, normals = np.empty((len(rings), segments, 3)), np.empty((len(rings), segments, 3))
-    vertices[..., ::2] = circle * shape * rings[:, :1, None]
-    normals[..., ::2] = circle / shape * slopes[:, :1, None]
-    vertices[..., 1], normals[..., 1] = rings[:, 1:], slopes[:, 1:]
-    normals /= np.maximum(np.sqrt((normals * normals).sum(2, keepdims=True)), 1e-12)
-    k = np.arange(segments)
-    n = (k + 1) % segments
-    faces = []
-    for s, (r0, r1) in enumerate(zip(p[:-1, 0].tolist(), p[1:, 0].tolist(), strict=True)):
-        low, high = 2 * s * segments, (2 * s + 1) * segments
-        if r0 > 0:
-            faces.append(np.stack([low + k, low + n, high + n], 1))
-        if r1 > 0:
-            faces.append(np.stack([low + k, high + n, high + k], 1))
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3), np.concatenate(faces).astype(np.int32)
-
-
-def _quads(corners: NDArray[np.float64]) -> _Solid:
-    c = corners
-    normal = _cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])
-    normal /= np.maximum(np.sqrt((normal * normal).sum(1, keepdims=True)), 1e-12)
-    first = 4 * np.arange(len(c), dtype=np.int32)[:, None, None]
-    faces = (first + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
-    return c.reshape(-1, 3), np.repeat(normal, 4, axis=0), faces
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`numpy.cross` of [N, 3], without its overhead for small N."""
-    x, y, z = a.T
-    u, v, w = b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)
+_Turn = NDArray[np.float64] | None
 
 
 class MeshBuilder:
     """Collects solids and gives them back as one `Mesh`.
 
+    A part whose colour is a `Finish` shows that material, its grain along the part's longest side; every part is cut from
+    another place of it.
     It only notes what is wanted until `mesh` is called, because most pieces of furniture are tried and not used.
     """
 
     def __init__(self) -> None:
-        self._boxes: list[tuple[ArrayLike, ArrayLike, Color, float, NDArray[np.float64] | None]] = []
-        self._solids: list[tuple[Callable[..., _Solid], tuple, ArrayLike, ArrayLike, NDArray[np.float64] | None]] = []
+        self._boxes: list[tuple[ArrayLike, ArrayLike, Color, float, _Turn]] = []
+        self._solids: list[tuple[Callable[..., Solid], tuple, ArrayLike, str, ArrayLike, _Turn]] = []
         self._mesh: Mesh | None = None
 
     def box(
@@ -212,7 +74,7 @@ class MeshBuilder:
         color: Color,
         *,
         bevel: float = 0.0,
-        turn: NDArray[np.float64] | None = None,
+        turn: _Turn = None,
     ) -> None:
         """A box; with a bevel its edges are cut and shaded round (24 vertices either way)."""
         self._boxes.append((center, size, color, bevel, turn))
@@ -229,16 +91,14 @@ class MeshBuilder:
         color: Color,
         *,
         radius: float = 0.05,
-        turn: NDArray[np.float64] | None = None,
+        turn: _Turn = None,
     ) -> None:
         """A box with round edges (108 triangles): upholstery."""
-        self._solids.append((_cushion, (np.asarray(size, float), radius), color, center, turn))
+        self._add(primitives.cushion, (np.asarray(size, float), radius), color, center, turn)
 
-    def pillow(
-        self, center: ArrayLike, size: ArrayLike, color: Color, *, turn: NDArray[np.float64] | None = None
-    ) -> None:
+    def pillow(self, center: ArrayLike, size: ArrayLike, color: Color, *, turn: _Turn = None) -> None:
         """A puffed sheet, thick in the middle and thin at its rim: a pillow lying flat (144 triangles)."""
-        self._solids.append((_pillow, (np.asarray(size, float),), color, center, turn))
+        self._add(primitives.pillow, (np.asarray(size, float),), color, center, turn)
 
     def lathe(
         self,
@@ -248,13 +108,15 @@ class MeshBuilder:
         center: ArrayLike = (0.0, 0.0, 0.0),
         segments: int = 16,
         stretch: tuple[float, float] = (1.0, 1.0),
-        turn: NDArray[np.float64] | None = None,
+        turn: _Turn = None,
     ) -> None:
         """A profile of (radius, height) turned about y; going up gives an outer skin. ``stretch`` widens x and z.
 
         Kinks sharper than 50 degrees stay sharp; the rest is shaded smooth.
         """
-        self._solids.append((_lathe, (profile, segments, stretch), color, center, turn))
+        material = material_of(color)
+        repeat_m = MATERIALS[material].size_m[0] if material else 0.0
+        self._add(primitives.lathe, (profile, segments, stretch, repeat_m), color, center, turn)
 
     def cylinder(
         self,
@@ -266,7 +128,7 @@ class MeshBuilder:
         top_radius: float | None = None,
         segments: int = 16,
         bevel: float = 0.0,
-        turn: NDArray[np.float64] | None = None,
+        turn: _Turn = None,
     ) -> None:
         """A closed cylinder or cone frustum about y, given by its middle."""
         top, h = radius if top_radius is None else top_radius, height / 2
@@ -287,13 +149,29 @@ class MeshBuilder:
         ]
         self.lathe(profile, color, center=center, segments=segments, stretch=(radii[0], radii[2]))
 
-    def quads(self, corners: ArrayLike, colors: ArrayLike) -> None:
-        """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in colours [Q, 3] or [3]."""
+    def quads(self, corners: ArrayLike, colors: Sequence, *, place: NDArray[np.float64] | None = None) -> None:
+        """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one for each.
+
+        All are of the first one's material; ``place`` [Q, 4, 2] says where on it they are [m], else their coordinates do.
+        """
         c = np.asarray(corners, float).reshape(-1, 4, 3)
         color = np.asarray(colors, np.uint8)
+        material = material_of(colors if color.ndim == 1 else colors[0])
         if color.ndim == 2:
             color = np.repeat(color, 4, axis=0)
-        self._solids.append((_quads, (c,), color, 0.0, None))
+        self._add(primitives.quads, (c, place), color, 0.0, None, material)
+
+    def _add(
+        self,
+        make: Callable[..., Solid],
+        arguments: tuple,
+        color: ArrayLike,
+        center: ArrayLike,
+        turn: _Turn,
+        material: str | None = None,
+    ) -> None:
+        name = material_of(color) if material is None else material
+        self._solids.append((make, arguments, color, name, center, turn))
 
     def mesh(self) -> Mesh:
         """Everything collected so far; the same mesh again if it is asked again."""
@@ -302,38 +180,80 @@ class MeshBuilder:
         return self._mesh
 
     def _build(self) -> Mesh:
-        solids: list[_Solid] = []
+        solids: list[Solid] = []
         colors: list[NDArray[np.uint8]] = []
+        kinds: list[NDArray[np.intp]] = []  # of material, of each vertex; -1 = none
+        cuts: list[NDArray[np.float64]] = []  # where on the material a part is cut from, of each vertex
+        bevels: list[NDArray[np.bool_]] = []  # of each triangle
         if self._boxes:
             center, size, color, bevel, turn = zip(*self._boxes, strict=True)
-            (v, n, f), owner = _boxes(np.array(size, float), np.array(bevel, float))
+            (v, n, f, place), owner, narrow = primitives.boxes(np.array(size, float), np.array(bevel, float))
             if any(t is not None for t in turn):
                 matrices = np.array([np.eye(3) if t is None else t for t in turn])[owner]
                 v, n = np.einsum("vij,vj->vi", matrices, v), np.einsum("vij,vj->vi", matrices, n)
-            solids.append((v + np.array(center, float)[owner], n, f))
+            solids.append(Solid(v + np.array(center, float)[owner], n, f, place))
             colors.append(np.array(color, np.uint8)[owner])
-        for make, arguments, color, center, turn in self._solids:
-            v, n, f = make(*arguments)
+            kinds.append(np.array([_KIND[material_of(c)] for c in color])[owner])
+            cuts.append(_cut(np.arange(len(color)))[owner])
+            bevels.append(narrow)
+        for number, (make, arguments, color, material, center, turn) in enumerate(self._solids, len(self._boxes)):
+            v, n, f, place = make(*arguments)
             if turn is not None:
                 v, n = v @ turn.T, n @ turn.T
-            solids.append((v + np.asarray(center, float), n, f))
+            solids.append(Solid(v + np.asarray(center, float), n, f, place))
             colors.append(np.broadcast_to(np.asarray(color, np.uint8), v.shape))
+            kinds.append(np.full(len(v), _KIND[material]))
+            cuts.append(np.broadcast_to(_cut(0 if make is primitives.quads else number), place.shape))
+            bevels.append(np.zeros(len(f), bool))
         if not solids:
             empty = np.zeros((0, 3), np.float32)
             return Mesh(vertices=empty, faces=empty.astype(np.int32), colors=empty.astype(np.uint8), normals=empty)
-        first = np.cumsum([0, *(len(v) for v, _, _ in solids)])[:-1].tolist()
-        return Mesh(
-            vertices=np.concatenate([v for v, _, _ in solids]).astype(np.float32),
-            faces=np.concatenate([f + np.int32(k) for (_, _, f), k in zip(solids, first, strict=True)]),
+        first = np.cumsum([0, *(len(s.vertices) for s in solids)])[:-1].tolist()
+        mesh = Mesh(
+            vertices=np.concatenate([s.vertices for s in solids]).astype(np.float32),
+            faces=np.concatenate([s.faces + np.int32(k) for s, k in zip(solids, first, strict=True)]),
             colors=np.concatenate(colors),
-            normals=np.concatenate([n for _, n, _ in solids]).astype(np.float32),
+            normals=np.concatenate([s.normals for s in solids]).astype(np.float32),
         )
+        places = np.concatenate([s.place for s in solids])
+        return _textured(mesh, places, np.concatenate(cuts), np.concatenate(kinds), np.concatenate(bevels))
+
+
+_KIND = {name: k for k, name in enumerate(MATERIALS)} | {"": -1}
+_SIZE_M = np.array([m.size_m for m in MATERIALS.values()])
+
+
+def _cut(number: NDArray[np.intp] | int) -> NDArray[np.float64]:
+    """Where the part of a number begins on its material, in repetitions: spread evenly, part 0 at 0, shape [..., 2]."""
+    return np.multiply.outer(number, (0.6180339887, 0.7548776662)) % 1
+
+
+def _textured(
+    mesh: Mesh,
+    places: NDArray[np.float64],
+    cuts: NDArray[np.float64],
+    kinds: NDArray[np.intp],
+    bevels: NDArray[np.bool_],
+) -> Mesh:
+    """The mesh with the textures of its materials; bevels have none, as they lie between two sides of a box."""
+    used = np.unique(kinds[kinds >= 0])
+    if not len(used):
+        return mesh
+    uv = np.where(kinds[:, None] >= 0, places / _SIZE_M[kinds] + cuts, 0.0)
+    index = np.full(len(MATERIALS) + 1, -1, np.int16)  # the last one answers -1
+    index[used] = np.arange(len(used))
+    return replace(
+        mesh,
+        uv=uv.astype(np.float32),
+        textures=tuple(texture(name) for name, k in _KIND.items() if k in used),
+        face_textures=np.where(bevels, np.int16(-1), index[kinds[mesh.faces[:, 0]]]),
+    )
 
 
 def subdivided(mesh: Mesh, parts: int) -> Mesh:
     """The same surface with every edge cut into ``parts``: triangles x parts^2, on the old ones' planes.
 
-    Neighbours share the points on their common edge, so no cracks open. Normals and colours are interpolated.
+    Neighbours share the points on their common edge, so no cracks open. Normals, colours and uv are interpolated.
     """
     if parts == 1 or not len(mesh.faces):
         return mesh
@@ -361,13 +281,7 @@ def subdivided(mesh: Mesh, parts: int) -> Mesh:
         faces=(first + np.array(small, np.int32)).reshape(-1, 3),
         colors=np.round(spread(mesh.colors)).astype(np.uint8),
         normals=normals,
+        uv=None if mesh.uv is None else spread(mesh.uv).astype(np.float32),
+        textures=mesh.textures,
+        face_textures=None if mesh.face_textures is None else np.repeat(mesh.face_textures, parts * parts),
     )
-
-
-def _smooth_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    p = vertices[faces]
-    area = _cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], area)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -1,4 +1,4 @@
-"""Walls, floors, ceiling, windows and trim of a plan, as assets in world coordinates (their instances stand at 0)."""
+"""Walls, ceiling, windows and trim of a plan, as assets in world coordinates (their instances stand at 0)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from h3data.geometry import IDENTITY_POSE
+from h3data.scene.homes.floors import TILE_M
 from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, Opening, RoomPlan
+from h3data.scene.homes.materials import TILES
 from h3data.scene.homes.solids import Color, MeshBuilder, shade, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.homes.zoning import Rect, shared_wall
-from h3data.scene.records import Asset, Box, Mesh
+from h3data.scene.records import Asset, Box
 
-_PLANK_WIDTH, _PLANK_LENGTH = 0.14, 1.2
-_TILE, _GROUT = 0.3, 0.006
 _BASEBOARD_HEIGHT, _BASEBOARD_DEPTH, _CASING_WIDTH = 0.09, 0.012, 0.07
 
 
@@ -165,10 +165,18 @@ def _tiled(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Pie
         top = min(y1, height)
         if y1 > height:
             rest.append((u0, height, u1, y1))
-        us = np.linspace(u0, u1, max(1, round((u1 - u0) / _TILE)) + 1).tolist()
-        ys = np.linspace(y0, top, max(1, round((top - y0) / _TILE)) + 1).tolist()
+        us = np.linspace(u0, u1, max(1, round((u1 - u0) / TILE_M)) + 1).tolist()
+        ys = np.linspace(y0, top, max(1, round((top - y0) / TILE_M)) + 1).tolist()
         tiles += [(a, b, c, d) for a, c in pairwise(us) for b, d in pairwise(ys)]
     return tiles, rest
+
+
+def _tile_places(tiles: list[_Piece]) -> np.ndarray:
+    """Places on "tiles" [Q, 4, 2] of the quads of `_face_quad`: every piece is one whole tile, any of those drawn."""
+    number = np.arange(len(tiles))
+    corner = TILE_M * np.stack([number % TILES, (number * 3 // 2) % TILES], 1)
+    ring = np.array([(0, TILE_M), (TILE_M, TILE_M), (TILE_M, 0), (0, 0)])
+    return corner[:, None] + ring
 
 
 def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset:
@@ -181,7 +189,7 @@ def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset
             if room.category == "bathroom":
                 tiles, pieces = _tiled(pieces, 1.5)
                 colors = [vary(rng, style.wall_tile, 0.022) for _ in tiles]
-                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors)
+                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors, place=_tile_places(tiles))
             mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
     _facade(mesh, layout, style)
     for opening in layout.openings:
@@ -231,48 +239,6 @@ def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -
     mesh.quads([[(x0, y1, z0), (x1, y1, z0), (x1, y1, z1), (x0, y1, z1)]], color)
     if y0 > 0:
         mesh.quads([[(x0, y0, z1), (x1, y0, z1), (x1, y0, z0), (x0, y0, z0)]], color)
-
-
-def _flat(rects: np.ndarray, y: float = 0.0) -> np.ndarray:
-    """Upward quads [Q, 4, 3] of plan rectangles [Q, 4]."""
-    x0, z0, x1, z1 = rects.T
-    height = np.full_like(x0, y)
-    ring = [(x0, z1), (x1, z1), (x1, z0), (x0, z0)]
-    return np.stack([np.stack([x, height, z], -1) for x, z in ring], 1)
-
-
-def _planks(rect: Rect, rng: np.random.Generator) -> np.ndarray:
-    """Plan rectangles [Q, 4] of staggered floor boards along the longer side."""
-    x0, z0, x1, z1 = rect
-    swap = (z1 - z0) > (x1 - x0)
-    a0, b0, a1, b1 = (z0, x0, z1, x1) if swap else rect
-    boards = []
-    rows = np.append(np.arange(b0, b1 - 0.03, _PLANK_WIDTH), b1)
-    for low, high in pairwise(rows.tolist()):
-        cuts = np.arange(a0 - rng.uniform(0, _PLANK_LENGTH), a1, _PLANK_LENGTH)
-        ends = np.concatenate([[a0], cuts[(cuts > a0 + 0.08) & (cuts < a1 - 0.08)], [a1]])
-        boards += [(s, low, e, high) for s, e in pairwise(ends.tolist())]
-    out = np.array(boards)
-    return out[:, [1, 0, 3, 2]] if swap else out
-
-
-def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
-    """Boards with a tint each, or tiles with grout between them in kitchens and bathrooms."""
-    mesh = MeshBuilder()
-    if room.category not in style.floor_tile:
-        boards = _planks(room.rect, rng)
-        mesh.quads(_flat(boards), [vary(rng, style.floor_wood, 0.09) for _ in boards])
-        return mesh.mesh()
-    x0, z0, x1, z1 = room.rect
-    xs, zs = np.append(np.arange(x0, x1 - 0.02, _TILE), x1), np.append(np.arange(z0, z1 - 0.02, _TILE), z1)
-    a0, b0 = (v.ravel() for v in np.meshgrid(xs[:-1], zs[:-1], indexing="ij"))
-    a1, b1 = (v.ravel() for v in np.meshgrid(xs[1:], zs[1:], indexing="ij"))
-    tiles = np.stack([a0, b0, a1 - _GROUT, b1 - _GROUT], 1)
-    grout = np.concatenate([np.stack([a1 - _GROUT, b0, a1, b1], 1), np.stack([a0, b1 - _GROUT, a1 - _GROUT, b1], 1)])
-    tint = style.floor_tile[room.category]
-    mesh.quads(_flat(tiles), [vary(rng, tint, 0.04) for _ in tiles])
-    mesh.quads(_flat(grout), shade(tint, 0.72))
-    return mesh.mesh()
 
 
 def ceiling_asset(layout: Layout, style: Style) -> Asset:

@@ -1,19 +1,25 @@
-"""Colours of one home, drawn once so that its rooms and furniture go together."""
+"""Colours and materials of one home, drawn once so that its rooms and furniture go together."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from h3data.scene.homes.layout import Layout
+from h3data.scene.homes.materials import Finish
 from h3data.scene.homes.solids import Color, shade, vary
+
+_LINEN = Finish((240, 238, 232), "weave")
+_LAMPSHADE = Finish((244, 232, 204), "weave")
+_WALL_TOP = Finish((120, 118, 115), "concrete")
+_CEILING = Finish((246, 246, 243), "plaster")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """sRGB colours."""
+    """sRGB colours; those that are a `Finish` say of what material a thing is as well."""
 
     paint: Mapping[str, Color]
     """Wall paint per room name."""
@@ -30,10 +36,12 @@ class Style:
     """Fronts of kitchen and wardrobe."""
     worktop: Color
     front_door: Color
+    facade: Color
+    linen: Color = _LINEN
+    lampshade: Color = _LAMPSHADE
     trim: Color = (244, 243, 239)
-    facade: Color = (214, 206, 192)
-    wall_top: Color = (120, 118, 115)
-    ceiling: Color = (246, 246, 243)
+    wall_top: Color = _WALL_TOP
+    ceiling: Color = _CEILING
     glass: Color = (186, 214, 235)
     metal: Color = (176, 180, 184)
     white: Color = (245, 245, 243)
@@ -47,6 +55,10 @@ _WOODS = [(186, 140, 92), (150, 100, 60), (206, 172, 128), (120, 78, 50), (224, 
 _FABRICS = [(98, 112, 128), (142, 126, 108), (84, 108, 96), (156, 92, 78), (176, 168, 156), (70, 84, 118)]
 _ACCENTS = [(204, 120, 62), (62, 122, 142), (192, 160, 70), (150, 66, 74), (96, 138, 92)]
 _FRONTS = [(238, 236, 230), (120, 138, 128), (92, 106, 124), (208, 196, 176), (214, 218, 220)]
+_FACADES = [
+    Finish((222, 214, 200), "render"), Finish((206, 196, 178), "render"), Finish((172, 104, 82), "brick"),
+    Finish((198, 168, 138), "brick"), Finish((224, 222, 216), "render")
+]  # fmt: skip
 _WORKTOPS = [(86, 84, 82), (200, 194, 184), (140, 104, 70), (58, 60, 64)]
 
 
@@ -61,24 +73,26 @@ def _floor_tiles(kitchen: Color, bathroom: Color) -> dict[str, Color]:
 def draw_style(rng: np.random.Generator, layout: Layout) -> Style:
     """One harmonious set of colours."""
 
-    def pick(colors: list[tuple[int, int, int]], amount: float = 0.04) -> Color:
-        return vary(rng, colors[int(rng.integers(len(colors)))], amount)
+    def pick(colors: Sequence[Color], material: str = "", amount: float = 0.04) -> Color:
+        color = vary(rng, colors[int(rng.integers(len(colors)))], amount)
+        return Finish(color, material) if material else color
 
-    base = pick(_PAINTS, 0.02)
-    paint = {r.name: base if r.category in _OPEN else pick(_PAINTS, 0.02) for r in layout.rooms}
+    base = pick(_PAINTS, "plaster", 0.02)
+    paint = {r.name: base if r.category in _OPEN else pick(_PAINTS, "plaster", 0.02) for r in layout.rooms}
     fabric, second = (_FABRICS[i] for i in rng.permutation(len(_FABRICS))[:2].tolist())
-    wood = pick(_WOODS)
+    wood = pick(_WOODS, "wood")
     return Style(
         paint=paint,
-        floor_wood=pick(_FLOORS),
-        floor_tile=_floor_tiles(pick(_TILES), pick(_TILES)),
-        wall_tile=pick([(226, 232, 234), (206, 220, 224), (232, 228, 218)], 0.02),
+        floor_wood=pick(_FLOORS, "boards"),
+        floor_tile=_floor_tiles(pick(_TILES, "tiles"), pick(_TILES, "tiles")),
+        wall_tile=pick([(226, 232, 234), (206, 220, 224), (232, 228, 218)], "tiles", 0.02),
         wood=wood,
         wood_dark=shade(wood, 0.72),
-        fabric=vary(rng, fabric),
-        fabric_2=vary(rng, second),
+        fabric=Finish(vary(rng, fabric), "weave"),
+        fabric_2=Finish(vary(rng, second), "weave"),
         accent=pick(_ACCENTS),
         front=pick(_FRONTS),
-        worktop=pick(_WORKTOPS),
+        worktop=pick(_WORKTOPS, "stone"),
         front_door=pick([(112, 70, 46), (60, 84, 96), (120, 48, 44), (74, 92, 76)]),
+        facade=pick(_FACADES),
     )
