@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,12 @@ FILES = {
     "fridge": "data/test_assets/urdf/fridge/fridge.urdf",
     "kuka": "data/test_assets/urdf/kuka_iiwa/model_free_base.urdf",
     "prim_chain": "data/test_assets/urdf/prim_chain.urdf",
+    "skinned_prism": "data/test_assets/urdf/skinned_prism.urdf",
+    "amass_male": "data/test_assets/urdf/amass_male.urdf",
 }
+
+
+ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 
 
 def _write(folder: Path, body: str, *, head: str = '<?xml version="1.0"?>') -> Path:
@@ -41,7 +45,11 @@ def test_forward_kinematics_equals_habitat(name: str) -> None:
     """Habitat's link pose is the centre-of-mass frame, and so is its object pose (reference/README.md, physics)."""
     golden = json.loads((REAL / "reference/physics/forward_kinematics.json").read_text())[name]
     robot = load_robot(REAL / FILES[name], up="y")  # Habitat does not turn the base frame
-    order = [j["joint"] for j in golden["joints"] if j["num_pos"]]
+    order = [
+        j["joint"] + part
+        for j in golden["joints"]
+        for part in {0: (), 1: ("",), 4: (".x", ".y", ".z", ".w")}[j["num_pos"]]
+    ]
     base_inertial = pose_from_matrix(robot.links[0].inertial)
     bases, positions = [], []
     for sample in golden["samples"]:
@@ -62,7 +70,8 @@ def test_forward_kinematics_equals_habitat(name: str) -> None:
 @needs_real
 def test_real_files_load_with_meshes_and_shapes() -> None:
     robots = {name: load_robot(REAL / path) for name, path in FILES.items()}
-    assert {name: len(r.joint_names) for name, r in robots.items()} == {"fridge": 2, "kuka": 7, "prim_chain": 2}
+    counts = {"fridge": 2, "kuka": 7, "prim_chain": 2, "skinned_prism": 16, "amass_male": 68}
+    assert {name: len(r.joint_names) for name, r in robots.items()} == counts
     kuka, fridge, chain = robots["kuka"], robots["fridge"], robots["prim_chain"]
     assert all(link.mesh is not None for link in kuka.links)
     assert tuple(kuka.links[1].mesh.colors[0]) == (128, 178, 255)  # material Blue: 0.5 0.7 1.0
@@ -72,6 +81,15 @@ def test_real_files_load_with_meshes_and_shapes() -> None:
     assert kinds == [Box, Capsule, Cylinder, Capsule]
     np.testing.assert_allclose(fridge.upper, [2.3, 2.5])  # in the order of the file: top door, bottom door
     assert len(np.unique(fridge.links[1].mesh.colors, axis=0)) >= 1
+
+
+@needs_real
+def test_every_real_urdf_loads() -> None:
+    files = sorted(REAL.parent.rglob("*.urdf"))
+    assert len(files) == 10
+    for path in files:
+        robot = load_robot(path)
+        assert np.isfinite(robot.link_matrices(ROOT, robot.rest[None])).all(), path
 
 
 @needs_real
@@ -139,11 +157,38 @@ def test_urdf_z_up_becomes_root_y_up(tmp_path: Path) -> None:
     np.testing.assert_allclose(frames[1, :3, 3], [1, 3, -2], atol=1e-12)  # forward, up, right
 
 
-def test_mimic_is_read_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    body = '<link name="a"/><link name="b"/>' + _joint("j", "a", "b", "continuous", '<mimic joint="k"/>')
-    with caplog.at_level(logging.WARNING):
-        assert read_urdf(_write(tmp_path, body)).movable[0].name == "j"
-    assert "mimics another" in caplog.text
+LIMIT = '<limit lower="-1" upper="1"/>'
+
+
+def test_a_mimic_joint_follows_the_one_that_leads_it(tmp_path: Path) -> None:
+    """position = multiplier * leader + offset; a mimic of a mimic follows the first."""
+    body = "".join(f'<link name="{n}"/>' for n in "abcd")
+    body += _joint("third", "c", "d", "prismatic", '<axis xyz="0 0 1"/><mimic joint="second" multiplier="-2"/>')
+    body += _joint(
+        "second", "b", "c", "revolute", f'{LIMIT}<axis xyz="0 0 1"/><mimic joint="first" multiplier="3" offset="0.5"/>'
+    )
+    body += _joint("first", "a", "b", "prismatic", f'{LIMIT}<axis xyz="1 0 0"/>')
+    path = _write(tmp_path, body)
+    assert [j.name for j in read_urdf(path).movable] == ["first"]
+    robot = load_robot(path, up="y")
+    assert robot.joint_names == ("first",)
+    assert robot.link_names == ("a", "b", "c", "d")
+    for x in (-1.0, 0.0, 0.3):
+        frames = robot.link_matrices(ROOT, np.array([[x]]))[0]
+        angle = 3 * x + 0.5
+        np.testing.assert_allclose(frames[2, :2, 0], [np.cos(angle), np.sin(angle)], atol=1e-12)
+        np.testing.assert_allclose(frames[3, :3, 3], [x, 0, -2 * angle], atol=1e-12)
+
+
+def test_a_spherical_joint_takes_a_quaternion(tmp_path: Path) -> None:
+    body = PAIR + _joint("ball", "a", "b", "spherical", '<origin xyz="0 1 0"/>')
+    robot = load_robot(_write(tmp_path, body), up="y")
+    assert robot.joint_names == ("ball.x", "ball.y", "ball.z", "ball.w")
+    np.testing.assert_array_equal(robot.rest, [0, 0, 0, 1])
+    turned = robot.link_matrices(ROOT, np.array([[0, 0, 1.0, 1.0]]))[
+        0, 1
+    ]  # a quarter about z; its length does not matter
+    np.testing.assert_allclose(turned, [[0, -1, 0, 0], [1, 0, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
 
 
 def test_package_paths_are_found_beside_and_above(tmp_path: Path) -> None:
@@ -168,6 +213,23 @@ HOSTILE = {
     "closed ring": (PAIR + _joint("1", "a", "b") + _joint("2", "b", "a"), "cycle"),
     "two roots": (LINKS + _joint("1", "a", "b"), "expected one link without a parent, got a, c"),
     "two parents": (LINKS + _joint("1", "a", "c") + _joint("2", "b", "c"), "link c has two parents"),
+    "mimic of nothing": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="z"/>'), "cannot mimic 'z'"),
+    "mimic of a fixed one": (
+        LINKS + _joint("1", "a", "b") + _joint("2", "b", "c", "revolute", '<mimic joint="1"/>'),
+        "joint 2: it cannot mimic '1'",
+    ),
+    "mimic in a circle": (
+        LINKS
+        + _joint("1", "a", "b", "revolute", '<mimic joint="2"/>')
+        + _joint("2", "b", "c", "revolute", '<mimic joint="1"/>'),
+        "mimics itself in a circle",
+    ),
+    "mimic of itself": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="1"/>'), "in a circle"),
+    "mimic by NaN": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="1" offset="nan"/>'), "1 finite"),
+    "negative size": (
+        '<link name="a"><visual><geometry><box size="1 -1 1"/></geometry></visual></link>',
+        "no negative",
+    ),
     "unknown joint type": (LINKS + _joint("1", "a", "b", "floating"), "expected type revolute.*got 'floating'"),
     "unknown link": (LINKS + _joint("1", "a", "z"), "there is no link 'z'"),
     "twice": ('<link name="a"/><link name="a"/>', "link a is there twice"),
@@ -207,6 +269,36 @@ def test_entities_are_refused(tmp_path: Path) -> None:
     wide.write_bytes((bomb + "<robot/>").encode("utf-16"))
     with pytest.raises(FormatError, match="UTF-16"):
         read_urdf(wide)
+
+
+@pytest.mark.parametrize(
+    ("filename", "message"),
+    [
+        ("../../../../../../../../etc/passwd", "two folders above"),
+        ("../../../secret.stl", "two folders above"),
+        ("/etc/hosts.stl", "two folders above"),
+        ("file:///etc/hosts.stl", "two folders above"),
+        ("package://x/../../../../a.stl", "two folders above"),
+        ("../passwd", "expected one of .glb"),
+        ("http://example.org/a.stl", "path of a file"),
+        ("a" * 5000 + ".stl", "at most 1024 characters"),
+        ("", "expected one of .glb"),
+    ],
+)
+def test_meshes_outside_are_refused(tmp_path: Path, filename: str, message: str) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    body = f'<link name="a"><visual><geometry><mesh filename="{filename}"/></geometry></visual></link>'
+    with pytest.raises(FormatError, match=message):
+        read_urdf(_write(tmp_path / "a" / "b", body))
+
+
+def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
+    body = "".join(f'<link name="{k}"/>' for k in range(10_001))
+    with pytest.raises(FormatError, match="at most 10000 links, got 10001"):
+        read_urdf(_write(tmp_path, body))
+    chain = "".join(f'<link name="{k}"/>' for k in range(3000))
+    chain += "".join(_joint(f"j{k}", str(k), str(k + 1), "revolute", LIMIT) for k in range(2999))
+    assert len(load_robot(_write(tmp_path, chain)).joint_names) == 2999
 
 
 def test_missing_meshes_are_listed(tmp_path: Path) -> None:

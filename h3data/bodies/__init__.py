@@ -2,7 +2,8 @@
 
 from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh, load_humanoid
 from h3data.bodies.motion import Clip
-from h3data.bodies.robot import Robot, RobotCamera, RobotLink, load_robot
+from h3data.bodies.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
+from h3data.bodies.robot_loading import load_robot, robot_names
 from h3data.bodies.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.bodies.urdf import Urdf, read_urdf
 
@@ -12,12 +13,15 @@ __all__ = [
     "BodyCapsule",
     "Clip",
     "Humanoid",
+    "JointTargets",
     "Robot",
     "RobotCamera",
+    "RobotLeg",
     "RobotLink",
     "SkinnedMesh",
     "Urdf",
     "load_humanoid",
     "load_robot",
     "read_urdf",
+    "robot_names",
 ]

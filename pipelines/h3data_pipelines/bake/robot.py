@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from h3data.bodies.meshes import write_plain_glb
-from h3data.bodies.robot import Robot, load_robot
+from h3data.bodies import Robot, load_robot
 from h3data.builtin import builtin_root
 from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
