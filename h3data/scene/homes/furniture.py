@@ -51,7 +51,7 @@ class Furniture:
 
         from h3data.scene._footprints import shape_footprint
 
-        parts = [shape_footprint(s, np.eye(4), *HEAD_BAND) for s in self.shapes]
+        parts = [_upright_box(s) or shape_footprint(s, np.eye(4), *HEAD_BAND) for s in self.shapes]
         return shapely.union_all([p for p in parts if p is not None])
 
     def asset(self, name: str) -> Asset:
@@ -63,6 +63,17 @@ class Furniture:
             shapes=self.shapes,
             receptacles=self.receptacles,
         )
+
+
+def _upright_box(shape: Shape) -> BaseGeometry | None:
+    """Footprint of a box that is not turned and stands in the way of walkers, which most are; None for others."""
+    if not isinstance(shape, Box) or shape.pose[6] != 1:
+        return None
+    import shapely
+
+    (x, y, z), (a, h, c) = shape.pose[:3].tolist(), shape.half_extents.tolist()
+    reaches = y + h > HEAD_BAND[0] and y - h < HEAD_BAND[1]
+    return shapely.box(x - a, z - c, x + a, z + c) if reaches else None
 
 
 Maker = Callable[[np.random.Generator, Style], Furniture]

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import SupportsInt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +34,10 @@ class Finish(tuple[int, int, int]):
 
     material: str
 
-    def __new__(cls, color: Sequence[SupportsInt], material: str) -> Finish:
+    def __new__(cls, color: Sequence[int], material: str) -> Finish:
         if material not in MATERIALS:
             raise InputError(f"Unknown material {material!r}. There are: {', '.join(MATERIALS)}.")
-        r, g, b = color
-        finish = super().__new__(cls, (int(r), int(g), int(b)))
+        finish = super().__new__(cls, color)
         finish.material = material
         return finish
 

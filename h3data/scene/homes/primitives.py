@@ -8,7 +8,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 _CREASE_COS = float(np.cos(np.radians(50)))
 
@@ -199,12 +199,12 @@ def lathe(
     return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), triangles, place.reshape(-1, 2))
 
 
-def quads(corners: NDArray[np.float64], place: NDArray[np.float64] | None = None) -> Solid:
+def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid:
     """Flat quads [Q, 4, 3], on their material where ``place`` [Q, 4, 2] says.
 
     Without it by their place in the mesh's frame, upright ones with the material's top up: parts of one wall fit together.
     """
-    c = corners
+    c = np.asarray(corners, float).reshape(-1, 4, 3)
     normal = _cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])
     normal /= np.maximum(np.sqrt((normal * normal).sum(1, keepdims=True)), 1e-12)
     first = 4 * np.arange(len(c), dtype=np.int32)[:, None, None]

@@ -154,24 +154,11 @@ class MeshBuilder:
 
         All are of the first one's material; ``place`` [Q, 4, 2] says where on it they are [m], else their coordinates do.
         """
-        c = np.asarray(corners, float).reshape(-1, 4, 3)
-        color = np.asarray(colors, np.uint8)
-        material = material_of(colors if color.ndim == 1 else colors[0])
-        if color.ndim == 2:
-            color = np.repeat(color, 4, axis=0)
-        self._add(primitives.quads, (c, place), color, 0.0, None, material)
+        material = material_of(colors) or material_of(colors[0])
+        self._solids.append((primitives.quads, (corners, place), colors, material, 0.0, None))
 
-    def _add(
-        self,
-        make: Callable[..., Solid],
-        arguments: tuple,
-        color: ArrayLike,
-        center: ArrayLike,
-        turn: _Turn,
-        material: str | None = None,
-    ) -> None:
-        name = material_of(color) if material is None else material
-        self._solids.append((make, arguments, color, name, center, turn))
+    def _add(self, make: Callable[..., Solid], arguments: tuple, color: Color, center: ArrayLike, turn: _Turn) -> None:
+        self._solids.append((make, arguments, color, material_of(color), center, turn))
 
     def mesh(self) -> Mesh:
         """Everything collected so far; the same mesh again if it is asked again."""
@@ -201,7 +188,8 @@ class MeshBuilder:
             if turn is not None:
                 v, n = v @ turn.T, n @ turn.T
             solids.append(Solid(v + np.asarray(center, float), n, f, place))
-            colors.append(np.broadcast_to(np.asarray(color, np.uint8), v.shape))
+            tints = np.asarray(color, np.uint8)
+            colors.append(np.broadcast_to(tints, v.shape) if tints.ndim == 1 else np.repeat(tints, 4, axis=0))
             kinds.append(np.full(len(v), _KIND[material]))
             cuts.append(np.broadcast_to(_cut(0 if make is primitives.quads else number), place.shape))
             bevels.append(np.zeros(len(f), bool))
