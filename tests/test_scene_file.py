@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import zlib
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +29,13 @@ from h3data.scene import (
     Receptacle,
     Room,
     Scene,
+    Texture,
     build_home,
     load_scene,
     save_scene,
     scene_digest,
 )
+from h3data.scene.png import png_bytes, png_pixels
 from h3data.scene.scene_file import _linear_of_srgb, _srgb_of_linear, scene_bytes
 
 
@@ -96,17 +99,35 @@ shapes = st.one_of(
 )
 
 
+def random_texture(seed: int, *, gray: bool = False, opaque: bool = True) -> Texture:
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, 256, (*rng.integers(1, 6, 2), 4)).astype(np.uint8)
+    if gray:
+        pixels[..., 1:3] = pixels[..., :1]
+    if opaque:
+        pixels[..., 3] = 255
+    return Texture(pixels=pixels, name=f"t{seed}")
+
+
+TEXTURES = [random_texture(2 * g + o, gray=bool(g), opaque=bool(o)) for g in (0, 1) for o in (0, 1)]
+
+
 @st.composite
 def meshes(draw: st.DrawFn) -> Mesh:
     count = draw(st.integers(0, 6))
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     triangles = draw(st.integers(0, 4)) if count else 0
+    some = tuple(draw(st.lists(st.sampled_from(TEXTURES), max_size=3))) if count else ()
+    chosen = rng.integers(-1, len(some), triangles).astype(np.int16)
     return Mesh(
         vertices=(rng.normal(size=(count, 3)) * 10.0 ** rng.integers(-6, 6)).astype(np.float32),
         faces=rng.integers(0, max(count, 1), (triangles, 3)).astype(np.int32),
         colors=rng.integers(0, 256, (count, 3)).astype(np.uint8),
         normals=draw(st.sampled_from([None, rng.normal(size=(count, 3)).astype(np.float32)])),
+        uv=rng.normal(size=(count, 2)).astype(np.float32) if some or (count and draw(st.booleans())) else None,
+        textures=some,
+        face_textures=draw(st.sampled_from([None, chosen])) if some else None,
     )
 
 
@@ -202,12 +223,14 @@ def test_it_is_sound_gltf(home: Scene):
         assert view["byteOffset"] + view["byteLength"] <= len(binary)
     assert len(document["nodes"]) == len(home.instances)
     assert len(document["meshes"]) == len(home.assets)
-    size = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-    width = {5126: 4, 5123: 2, 5125: 4}
+    size = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+    width = {5126: 4, 5123: 2, 5125: 4, 5122: 2}
     for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
         stride = size[accessor["type"]] * width[accessor["componentType"]]
-        assert stride % 4 == 0
-        assert accessor["count"] * stride == document["bufferViews"][accessor["bufferView"]]["byteLength"]
+        assert stride % 4 == 0 or "target" not in view
+        end = accessor.get("byteOffset", 0) + accessor["count"] * stride
+        assert end <= view["byteLength"] if "byteOffset" in accessor else end == view["byteLength"]
     for node in document["nodes"]:
         assert np.linalg.norm(node["rotation"]) == pytest.approx(1, abs=1e-9)
 
@@ -217,17 +240,115 @@ def test_trimesh_opens_it(home: Scene, tmp_path: Path):
     path = tmp_path / "home.glb"
     save_scene(home, path)
     seen = trimesh.load_scene(path)
-    assert len(seen.graph.nodes_geometry) == len(home.instances)
-    assert len(seen.geometry) == len(home.assets)
-    # Exact corners of all vertices; Scene.bounds encloses the boxes of turned meshes and is larger.
-    points = []
-    for instance in home.instances:
-        matrix, name = seen.graph[instance.name]
-        mesh = seen.geometry[name]
-        assert len(mesh.faces) == len(home.assets[instance.asset].mesh.faces)
-        points.append(trimesh.transform_points(mesh.vertices, matrix))
-    corner = np.concatenate(points)
+    corners, triangles = [], 0
+    for name in seen.graph.nodes_geometry:  # one for each primitive of each node
+        matrix, geometry = seen.graph[name]
+        mesh = seen.geometry[geometry]
+        corners.append(trimesh.transform_points(mesh.triangles.reshape(-1, 3), matrix))
+        triangles += len(mesh.faces)
+    assert triangles == sum(len(home.assets[i.asset].mesh.faces) for i in home.instances)
+    corner = np.concatenate(corners)  # Scene.bounds encloses the boxes of turned meshes and is larger
     np.testing.assert_allclose([corner.min(0), corner.max(0)], home.bounds, atol=1e-5)
+
+
+# --- textures ---------------------------------------------------------------------------------------------------------
+def quad(**changes: Any) -> Mesh:
+    """A unit square of two triangles with texture coordinates."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    mesh = Mesh(
+        vertices=np.column_stack([corners, np.zeros(4, np.float32)]),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        colors=np.full((4, 3), 200, np.uint8),
+        uv=corners,
+    )
+    return replace(mesh, **changes)
+
+
+def scene_of(*meshes: Mesh) -> Scene:
+    assets = {f"a{k}": Asset(name=f"a{k}", mesh=mesh) for k, mesh in enumerate(meshes)}
+    here = np.array([0, 0, 0, 0, 0, 0, 1.0])
+    return Scene(
+        name="s", assets=assets, instances=tuple(Instance(name=name, asset=name, pose=here) for name in assets)
+    )
+
+
+def test_textures_are_stored_once_and_stay_shared():
+    wood, cloth = random_texture(1), random_texture(2, gray=True)
+    scene = scene_of(
+        quad(textures=(wood,)),
+        quad(textures=(cloth, wood), face_textures=np.array([1, 0], np.int16)),
+        quad(textures=(cloth,), face_textures=np.array([-1, 0], np.int16)),
+    )
+    data = scene_bytes(scene)
+    assert len(chunks(data)[0]["images"]) == 2
+    loaded = load_scene(data)
+    same(scene, loaded)
+    a, b, c = (loaded.assets[f"a{k}"].mesh.textures for k in range(3))
+    assert a[0] is b[1]
+    assert b[0] is c[0]
+    assert scene_bytes(loaded) == data
+
+
+def test_viewers_see_a_material_for_each_texture():
+    wood, cloth = random_texture(1), random_texture(2, opaque=False)
+    mesh = quad(textures=(wood, cloth), face_textures=np.array([1, -1], np.int16))
+    document, binary = chunks(scene_bytes(scene_of(mesh)))
+    first, second = document["meshes"][0]["primitives"]
+    assert "baseColorTexture" not in document["materials"][first["material"]]["pbrMetallicRoughness"]
+    material = document["materials"][second["material"]]
+    image = document["images"][
+        document["textures"][material["pbrMetallicRoughness"]["baseColorTexture"]["index"]]["source"]
+    ]
+    assert (image["name"], material["alphaMode"]) == (cloth.name, "MASK")
+    order = []
+    for primitive in (first, second):
+        accessor = document["accessors"][primitive["indices"]]
+        view = document["bufferViews"][accessor["bufferView"]]
+        start = view["byteOffset"] + accessor["byteOffset"]
+        order.append(np.frombuffer(binary, "<u4", accessor["count"], start).tolist())
+    assert order == [[0, 2, 3], [0, 1, 2]], "the triangle without a texture comes first"
+
+
+def test_gray_and_opaque_images_take_fewer_channels():
+    colour_types = []
+    for texture in TEXTURES:
+        data = png_bytes(texture.pixels)
+        np.testing.assert_array_equal(png_pixels(data), texture.pixels)
+        colour_types.append(data[25])
+    assert sorted(colour_types) == [0, 2, 4, 6]  # gray, RGB, gray and opacity, RGBA
+
+
+def test_files_without_textures_are_still_read():
+    document, binary = chunks(scene_bytes(scene_of(quad(uv=None))))
+    assert not {"images", "textures", "samplers"} & set(document)
+    old = rebuilt(damage(document, ("extras", "h3data", "version"), [1, 0]), binary)
+    same(scene_of(quad(uv=None)), load_scene(old))
+
+
+@pytest.mark.parametrize(
+    ("keys", "value"),
+    [
+        (("images", 0, "bufferView"), 99),
+        (("images",), []),
+        (("images", 0), 5),
+        (("extras", "h3data", "assets", 0, "mesh", "textures"), [7]),
+        (("extras", "h3data", "assets", 0, "mesh", "face_textures"), 0),
+    ],
+)
+def test_damaged_textures_give_one_format_error(keys: tuple[Any, ...], value: Any):
+    mesh = quad(textures=(random_texture(3),), face_textures=np.array([0, -1], np.int16))
+    document, binary = chunks(scene_bytes(scene_of(mesh)))
+    with pytest.raises(FormatError, match="Damaged scene file"):
+        load_scene(rebuilt(damage(document, keys, value), binary))
+
+
+def test_an_image_that_claims_to_be_huge_is_refused_before_it_is_decoded():
+    document, binary = chunks(scene_bytes(scene_of(quad(textures=(random_texture(3),)))))
+    start = document["bufferViews"][document["images"][0]["bufferView"]]["byteOffset"]
+    header = binary[start + 12 : start + 16] + struct.pack(">II", 60_000, 60_000) + binary[start + 24 : start + 29]
+    huge = binary[: start + 12] + header + struct.pack(">I", zlib.crc32(header)) + binary[start + 33 :]
+    with pytest.raises(FormatError, match="60000"):
+        load_scene(rebuilt(document, huge))
 
 
 # --- digest -----------------------------------------------------------------------------------------------------------
@@ -253,6 +374,24 @@ def test_digest_sees_every_change_of_content_and_nothing_else(home: Scene):
         replace(home, assets={**home.assets, key: replace(asset, shapes=())}),
     ]
     assert len({digest, *(scene_digest(c) for c in changes)}) == len(changes) + 1
+
+
+def test_digest_sees_textures_but_not_which_are_shared():
+    wood = random_texture(1)
+    mesh = quad(textures=(wood, random_texture(2)), face_textures=np.array([0, 1], np.int16))
+    changes = [
+        mesh,
+        replace(mesh, textures=mesh.textures[::-1]),
+        replace(mesh, uv=mesh.uv + np.float32(1)),
+        replace(mesh, face_textures=np.array([0, 0], np.int16)),
+        replace(mesh, face_textures=None),
+        replace(mesh, textures=(replace(wood, pixels=wood.pixels ^ 1), mesh.textures[1])),
+        quad(),
+        quad(uv=None),
+    ]
+    assert len({scene_digest(scene_of(c)) for c in changes}) == len(changes)
+    copy = Texture(pixels=wood.pixels.copy(), name=wood.name)
+    assert scene_digest(scene_of(replace(mesh, textures=(copy, mesh.textures[1])))) == scene_digest(scene_of(mesh))
 
 
 # --- hostile input ----------------------------------------------------------------------------------------------------
@@ -344,16 +483,9 @@ def test_a_newer_format_is_refused_and_a_newer_minor_is_read(home: Scene):
 @settings(max_examples=80, derandomize=True, deadline=None)
 @given(st.data())
 def test_flipped_bytes_never_crash(data: st.DataObject):
-    mesh = Mesh(
-        vertices=np.eye(3, dtype=np.float32), faces=np.array([[0, 1, 2]], np.int32), colors=np.full((3, 3), 7, np.uint8)
-    )
-    asset = Asset(name="a", mesh=mesh, shapes=(Hull(points=np.eye(3)),))
-    scene = Scene(
-        name="s",
-        assets={"a": asset},
-        instances=(Instance(name="i", asset="a", pose=np.array([0, 0, 0, 0, 0, 0, 1.0])),),
-    )
-    raw = bytearray(scene_bytes(scene))
+    scene = scene_of(quad(textures=(random_texture(1),), face_textures=np.array([0, -1], np.int16)))
+    shaped = replace(scene.assets["a0"], shapes=(Hull(points=np.eye(3)),))
+    raw = bytearray(scene_bytes(replace(scene, assets={"a0": shaped})))
     for _ in range(data.draw(st.integers(1, 4))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
     with suppress(FormatError):  # most flips hit names or numbers and are harmless; nothing else may be raised

@@ -64,7 +64,7 @@ def read_plain_glb(path: Path) -> Mesh | None:
         raise FormatError(f"Expected a GLB file, could not read this one ({error}): {path}") from error
 
 
-def _plain_mesh(tree: dict, binary: bytes) -> Mesh | None:
+def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
     nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
     moved = any(key in node for node in nodes for key in ("matrix", "translation", "rotation", "scale", "children"))
     if len(nodes) != 1 or len(meshes) != 1 or moved or tree.get("textures") or tree.get("extensionsUsed"):
@@ -80,7 +80,7 @@ def _plain_mesh(tree: dict, binary: bytes) -> Mesh | None:
     return joined(parts)
 
 
-def _accessor(tree: dict, binary: bytes, index: int) -> NDArray:
+def _accessor(tree: dict, binary: memoryview, index: int) -> NDArray:
     accessor = tree["accessors"][index]
     view = tree["bufferViews"][accessor["bufferView"]]
     dtype, width = _COMPONENT[accessor["componentType"]], _WIDTH[accessor["type"]]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-FLOAT32, UINT32, UINT16 = 5126, 5125, 5123
+FLOAT32, UINT32, UINT16, INT16 = 5126, 5125, 5123, 5122
 """Kinds of component."""
 VERTICES, INDICES = 34962, 34963
 """What a buffer view is for."""
@@ -36,12 +36,17 @@ class GlbChunk:
         self.size += len(padded)
         return len(self.views) - 1
 
-    def array(self, values: NDArray[Any], kind: str, component: int, target: int, **more: Any) -> int:
+    def array(self, values: NDArray[Any], kind: str, component: int, target: int | None = None, **more: Any) -> int:
         """Appends one accessor (``kind`` as ``VEC3``) and gives its index."""
-        view = self.view(values.tobytes(), target=target)
+        view = self.view(values.tobytes(), **({} if target is None else {"target": target}))
         self.accessors.append(
             {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
         )
+        return len(self.accessors) - 1
+
+    def part(self, index: int, start: int, count: int) -> int:
+        """Appends an accessor of some elements of another one, which holds 32-bit scalars, and gives its index."""
+        self.accessors.append({**self.accessors[index], "byteOffset": 4 * start, "count": count})
         return len(self.accessors) - 1
 
 
@@ -59,8 +64,8 @@ def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
     return _MAGIC + struct.pack("<II", 2, 12 + len(body)) + body
 
 
-def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[str, Any], bytes]:
-    """JSON document and binary chunk (empty if there is none); ``what`` was expected at ``where``, for messages.
+def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[str, Any], memoryview]:
+    """JSON document and binary chunk (a view of ``data``, maybe empty); ``what`` and ``where`` are for messages.
 
     Raises:
         FormatError: it is something else, cut off or damaged.
@@ -74,18 +79,19 @@ def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[st
         raise FormatError(f"Expected glTF version 2, got {version}. File: {where}")
     if length > len(data):
         raise FormatError(f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}")
-    chunks: dict[bytes, bytes] = {}
+    chunks: dict[bytes, memoryview] = {}
+    view = memoryview(data)
     at = 12
     while at + 8 <= length:
         (size,), kind = struct.unpack_from("<I", data, at), data[at + 4 : at + 8]
         if at + 8 + size > length:
             raise FormatError(f"Damaged GLB: chunk {kind!r} of {size} bytes runs past its end. File: {where}")
-        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+        chunks.setdefault(kind, view[at + 8 : at + 8 + size])
         at += 8 + size
     try:
-        document = json.loads(chunks[_JSON])
+        document = json.loads(bytes(chunks[_JSON]))
     except (KeyError, ValueError, RecursionError) as error:
         raise FormatError(f"Damaged GLB: it has no readable JSON chunk. File: {where}") from error
     if not isinstance(document, dict):
         raise FormatError(f"Damaged GLB: its JSON is not an object. File: {where}")
-    return document, chunks.get(_BIN, b"")
+    return document, chunks.get(_BIN, memoryview(b""))

@@ -1,14 +1,18 @@
 """A scene as one GLB (glTF 2.0 binary) that any viewer opens and that gives the same scene back exactly.
 
-Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear) and one node per instance. What glTF has no place for
-(categories, collision shapes, receptacles, rooms, float64 poses, ...) lies as JSON below ``extras.h3data`` of the file.
-sRGB colours survive exactly: 16-bit linear values are at least 19 steps apart for neighbouring 8-bit sRGB ones.
+Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear, TEXCOORD_0), one node per instance, and one material per
+texture, whose image lies in the file once as PNG. What glTF has no place for (categories, collision shapes, receptacles,
+rooms, float64 poses, ...) lies as JSON below ``extras.h3data`` of the file. sRGB colours survive exactly: 16-bit linear
+values are at least 19 steps apart for neighbouring 8-bit sRGB ones.
+
+A mesh with ``face_textures`` has one primitive per texture, so its triangles are stored ordered by texture (stable); the
+array itself is kept too and tells where each belongs.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -19,8 +23,10 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.geometry import normalized
-from h3data.scene.glb import FLOAT32, INDICES, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
-from h3data.scene.records import Asset, Instance, Mesh, Scene
+from h3data.scene.accessors import GltfArrays, entry
+from h3data.scene.glb import FLOAT32, INDICES, INT16, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
+from h3data.scene.png import png_bytes, png_pixels
+from h3data.scene.records import Asset, Instance, Mesh, Scene, Texture
 from h3data.scene.scene_json import (
     asset_record,
     floats,
@@ -35,8 +41,10 @@ from h3data.scene.scene_json import (
 from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME = "h3data.scene"
-FORMAT_VERSION = (1, 0)
-"""Major, minor. A reader refuses a newer major version and ignores fields that it does not know."""
+FORMAT_VERSION = (1, 1)
+"""Major, minor. A reader refuses a newer major version and ignores fields that it does not know. 1.1 added textures."""
+
+_LINEAR, _MIPMAPS = 9729, 9987
 
 
 @cache
@@ -53,25 +61,86 @@ def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
-def _add_mesh(chunk: GlbChunk, asset: Asset) -> dict[str, int] | None:
-    """Accessors of a mesh; None if it has no triangles and no vertices."""
+class _Textures:
+    """The textures of a file in order of their first use, each written once."""
+
+    def __init__(self, chunk: GlbChunk) -> None:
+        self._chunk = chunk
+        self._place: dict[int, int] = {}
+        self.images: list[dict[str, Any]] = []
+        self.materials: list[dict[str, Any]] = [
+            {"name": "vertex colours", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+        ]
+
+    def index(self, texture: Texture) -> int:
+        """Index of the texture in the file; its material is the one after."""
+        if id(texture) not in self._place:
+            place = self._place[id(texture)] = len(self.images)
+            view = self._chunk.view(png_bytes(texture.pixels))
+            self.images.append({"bufferView": view, "mimeType": "image/png", "name": texture.name})
+            base = {"baseColorTexture": {"index": place}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
+            clear = {} if (texture.pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
+            self.materials.append({"name": texture.name, "pbrMetallicRoughness": base, **clear})
+        return self._place[id(texture)]
+
+    def records(self) -> dict[str, Any]:
+        """What the document says about them."""
+        if not self.images:
+            return {"materials": self.materials}
+        return {
+            "materials": self.materials,
+            "textures": [{"sampler": 0, "source": k} for k in range(len(self.images))],
+            "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS}],
+            "images": self.images,
+        }
+
+
+def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, Any] | None:
+    """Accessors and textures of a mesh; None if it has no triangles and no vertices."""
     mesh = asset.mesh
     if not len(mesh.vertices):
         return None
-    for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
+    for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
         if values is not None and not np.isfinite(values).all():
             raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot hold them.")
     low, high = mesh.bounds.tolist()
     vertices = mesh.vertices.astype("<f4")
-    out = {"POSITION": chunk.array(vertices, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+    out: dict[str, Any] = {"POSITION": chunk.array(vertices, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
     if mesh.normals is not None:
         out["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
     rgba = np.full((len(vertices), 4), 65535, "<u2")  # four components keep every vertex on a 4-byte border
     rgba[:, :3] = _linear_of_srgb()[mesh.colors]
     out["COLOR_0"] = chunk.array(rgba, "VEC4", UINT16, VERTICES, normalized=True)
+    if mesh.uv is not None:
+        out["TEXCOORD_0"] = chunk.array(mesh.uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
     if len(mesh.faces):
-        out["indices"] = chunk.array(mesh.faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+        faces = mesh.faces if mesh.face_textures is None else mesh.faces[_by_texture(mesh.face_textures)]
+        out["indices"] = chunk.array(faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+    if mesh.textures:
+        out["textures"] = [textures.index(t) for t in mesh.textures]
+    if mesh.face_textures is not None:
+        out["face_textures"] = chunk.array(mesh.face_textures.astype("<i2"), "SCALAR", INT16)
     return out
+
+
+def _by_texture(face_textures: NDArray[np.int16]) -> NDArray[np.int64]:
+    return np.argsort(face_textures, kind="stable")
+
+
+def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[dict[str, Any]]:
+    """What viewers draw: all triangles, or those of each texture."""
+    attributes = {name: index for name, index in accessors.items() if name.isupper()}
+    materials = [*(1 + k for k in accessors.get("textures", [])), 0]  # the last one is that of texture -1
+    if mesh.face_textures is None:
+        material = materials[0]
+        return [{"attributes": attributes, "indices": accessors["indices"], "material": material, "mode": 4}]
+    kinds, counts = np.unique(mesh.face_textures, return_counts=True)
+    primitives, start = [], 0
+    for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True):
+        indices = chunk.part(accessors["indices"], 3 * start, 3 * count)
+        primitives.append({"attributes": attributes, "indices": indices, "material": materials[kind], "mode": 4})
+        start += count
+    return primitives
 
 
 def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
@@ -88,15 +157,17 @@ def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
 def scene_bytes(scene: Scene) -> bytes:
     """The scene as the bytes of one GLB; the same scene gives the same bytes."""
     chunk = GlbChunk()
+    textures = _Textures(chunk)
     records, meshes, mesh_of = [], [], {}
     for key, asset in scene.assets.items():
-        accessors = _add_mesh(chunk, asset)
+        try:
+            accessors = _add_mesh(chunk, asset, textures)
+        except ValueError as error:
+            raise SceneError(f"Asset {asset.name!r} of scene {scene.name!r} cannot be written: {error}.") from error
         records.append({"key": key, **asset_record(asset, accessors)})
         if accessors is not None and "indices" in accessors:
-            attributes = {name: index for name, index in accessors.items() if name != "indices"}
-            primitive = {"attributes": attributes, "indices": accessors["indices"], "material": 0, "mode": 4}
             mesh_of[key] = len(meshes)
-            meshes.append({"name": asset.name, "primitives": [primitive]})
+            meshes.append({"name": asset.name, "primitives": _primitives(chunk, asset.mesh, accessors)})
     nodes = [_node(i, mesh_of.get(i.asset)) for i in scene.instances]
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "h3data"},
@@ -115,11 +186,10 @@ def scene_bytes(scene: Scene) -> bytes:
             }
         },
     }
-    material = {"name": "vertex colours", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
     more = {
         "nodes": nodes,
         "meshes": meshes,
-        "materials": [material] if meshes else [],
+        **(textures.records() if meshes or textures.images else {}),
         "accessors": chunk.accessors,
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": chunk.size}] if chunk.size else [],
@@ -175,54 +245,65 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
                 f"The scene has format version {major}, this h3data reads up to {FORMAT_VERSION[0]}. "
                 f"Hint: upgrade h3data. File: {where}"
             )
-        return _scene(record, document, binary)
+        return _scene(record, GltfArrays(document, lambda index: binary))
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, SceneError) as error:
         raise FormatError(f"Damaged scene file ({type(error).__name__}: {error}). File: {where}") from error
 
 
-_WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-_DTYPE = {FLOAT32: "<f4", UINT16: "<u2", UINT32: "<u4"}
+def _accessor(arrays: GltfArrays, index: object, kind: str, component: int) -> NDArray[Any]:
+    """One accessor, of the kind that we write."""
+    record = entry(arrays.document, "accessors", index)
+    if (record.get("type"), record.get("componentType")) != (kind, component):
+        raise ValueError(
+            f"accessors[{index}] is {record.get('type')}/{record.get('componentType')}, not {kind}/{component}"
+        )
+    return arrays.accessor(index)
 
 
-def _accessor(document: dict[str, Any], binary: bytes, index: int, kind: str, component: int) -> NDArray[Any]:
-    """One accessor of our own writer: tightly packed, of the kind that we write."""
-    accessor = document["accessors"][index]
-    if (accessor["type"], accessor["componentType"]) != (kind, component):
-        raise ValueError(f"accessor {index} is {accessor['type']}/{accessor['componentType']}, not {kind}/{component}")
-    view = document["bufferViews"][accessor["bufferView"]]
-    dtype, width = np.dtype(_DTYPE[component]), _WIDTH[kind]
-    start, size = int(view["byteOffset"]), int(accessor["count"]) * width * dtype.itemsize
-    if start < 0 or size < 0 or start + size > len(binary):
-        raise ValueError(f"accessor {index} needs bytes {start}..{start + size}, the file has {len(binary)}")
-    array = np.frombuffer(binary, dtype, count=size // dtype.itemsize, offset=start)
-    return array.reshape(-1, width) if width > 1 else array
-
-
-def _mesh(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> Mesh:
+def _mesh(record: dict[str, Any], arrays: GltfArrays, textures: Sequence[Texture]) -> Mesh:
     accessors = record["mesh"]
     if accessors is None:
         none = np.zeros((0, 3), np.float32)
         normals = none.copy() if record["has_normals"] else None
         return Mesh(vertices=none, faces=none.astype(np.int32), colors=none.astype(np.uint8), normals=normals)
-    normals = None
-    if "NORMAL" in accessors:
-        normals = _accessor(document, binary, accessors["NORMAL"], "VEC3", FLOAT32).astype(np.float32)
+
+    def floats32(name: str, kind: str) -> NDArray[np.float32] | None:
+        if name not in accessors:
+            return None
+        return _accessor(arrays, accessors[name], kind, FLOAT32).astype(np.float32)
+
     faces = np.zeros((0, 3), np.int32)
     if "indices" in accessors:
-        faces = _accessor(document, binary, accessors["indices"], "SCALAR", UINT32).reshape(-1, 3).astype(np.int32)
-    color = _accessor(document, binary, accessors["COLOR_0"], "VEC4", UINT16)
+        faces = _accessor(arrays, accessors["indices"], "SCALAR", UINT32).reshape(-1, 3).astype(np.int32)
+    face_textures = None
+    if "face_textures" in accessors:
+        face_textures = _accessor(arrays, accessors["face_textures"], "SCALAR", INT16).astype(np.int16)
+        ordered, faces = faces, np.empty_like(faces)
+        faces[_by_texture(face_textures)] = ordered
+    color = _accessor(arrays, accessors["COLOR_0"], "VEC4", UINT16)
     return Mesh(
-        vertices=_accessor(document, binary, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),
+        vertices=_accessor(arrays, accessors["POSITION"], "VEC3", FLOAT32).astype(np.float32),
         faces=faces,
         colors=_srgb_of_linear(color[:, :3]),
-        normals=normals,
+        normals=floats32("NORMAL", "VEC3"),
+        uv=floats32("TEXCOORD_0", "VEC2"),
+        textures=tuple(textures[k] for k in accessors.get("textures", ())),
+        face_textures=face_textures,
     )
 
 
-def _scene(record: dict[str, Any], document: dict[str, Any], binary: bytes) -> Scene:
+def _read_textures(arrays: GltfArrays) -> list[Texture]:
+    return [
+        Texture(pixels=png_pixels(arrays.view(image.get("bufferView"))), name=str(image.get("name", "")))
+        for image in arrays.document.get("images", [])
+    ]
+
+
+def _scene(record: dict[str, Any], arrays: GltfArrays) -> Scene:
+    textures = _read_textures(arrays)
     return Scene(
         name=str(record["name"]),
-        assets={str(a["key"]): read_asset(a, _mesh(a, document, binary)) for a in record["assets"]},
+        assets={str(a["key"]): read_asset(a, _mesh(a, arrays, textures)) for a in record["assets"]},
         instances=tuple(read_instance(i) for i in record["instances"]),
         rooms=tuple(read_room(r) for r in record["rooms"]),
         lights=None if (lights := record.get("lights")) is None else tuple(read_light(light) for light in lights),

@@ -64,8 +64,8 @@ _SHAPE_READERS: Mapping[str, Callable[[dict[str, Any]], Shape]] = {
 }
 
 
-def asset_record(asset: Asset, mesh: dict[str, int] | None) -> dict[str, Any]:
-    """All of an asset but its arrays; ``mesh`` names the accessors that hold those."""
+def asset_record(asset: Asset, mesh: dict[str, Any] | None) -> dict[str, Any]:
+    """All of an asset but its arrays; ``mesh`` names the accessors and textures that hold those."""
     return {
         "name": asset.name,
         "category": asset.category,
@@ -186,8 +186,10 @@ def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
 def scene_digest(scene: Scene) -> str:
     """SHA-256 (hex) of what the scene holds: assets by name, instances in order, rooms.
 
-    Independent of files and of the order of assets; the scene's name and source are not content and do not count.
+    Independent of files, of the order of assets and of which meshes share a texture; the scene's name and source are
+    not content and do not count.
     """
+    pixels_of: dict[int, str] = {}
     h = hashlib.sha256(b"h3data.scene.digest/1")
 
     def feed(text: str) -> None:
@@ -207,6 +209,16 @@ def scene_digest(scene: Scene) -> str:
         mesh = asset.mesh
         for array, dtype in ((mesh.vertices, "<f4"), (mesh.faces, "<i4"), (mesh.colors, "u1"), (mesh.normals, "<f4")):
             feed_array(array, dtype)
+        if mesh.uv is not None:  # meshes without have the digest that they always had
+            feed("uv")
+            feed_array(mesh.uv, "<f4")
+            feed_array(mesh.face_textures, "<i2")
+            for texture in mesh.textures:
+                if id(texture) not in pixels_of:
+                    pixels_of[id(texture)] = (
+                        f"{texture.pixels.shape} {hashlib.sha256(texture.pixels.tobytes()).hexdigest()}"
+                    )
+                feed(f"texture {texture.name!r} {pixels_of[id(texture)]}")
         feed(json.dumps(asset_record(asset, None)))
     feed(json.dumps([instance_record(i) for i in scene.instances]))
     feed(json.dumps([room_record(r) for r in scene.rooms]))

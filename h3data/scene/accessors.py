@@ -1,0 +1,129 @@
+"""Arrays of a glTF document: its accessors over buffer views, checked against the bytes that are there (glTF 2.0, 3.6).
+
+Faults raise `ValueError` with the key (``accessors[3].count``); whoever knows the file's name adds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_MAX_ZEROS = 1 << 20
+"""Elements of an accessor without a buffer view, which is all zeros: no file of some bytes may ask for gigabytes."""
+
+
+@dataclass(frozen=True)
+class GltfArrays:
+    """The accessors and buffer views of one document."""
+
+    document: dict[str, Any]
+    buffer: Callable[[int], bytes | memoryview]
+    """All bytes of a buffer by index; may raise `ValueError`."""
+
+    def accessor(self, index: object) -> NDArray[Any]:
+        """The elements as they are stored, [count] or [count, width]; a view of the file's bytes where that is possible."""
+        record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
+        if record.get("type") not in _WIDTHS:
+            raise ValueError(f"{where}.type is {record.get('type')!r}, not one of {', '.join(_WIDTHS)}")
+        width, count = _WIDTHS[record["type"]], natural(record, "count", where)
+        dtype = _component(record, where)
+        if "bufferView" in record:
+            array = self._strided(record, where, dtype, count, width)
+        elif count > _MAX_ZEROS:
+            raise ValueError(f"{where}.count is {count} without a bufferView")
+        else:
+            array = np.zeros((count, width), dtype)
+        if "sparse" in record:
+            array = self._with_sparse(array, record["sparse"], f"{where}.sparse")
+        return array[:, 0] if width == 1 else array
+
+    def floats(self, index: object) -> NDArray[Any]:
+        """The elements as numbers: float32 as stored, normalised integers as float32 in 0..1 or -1..1."""
+        array = self.accessor(index)
+        if array.dtype.kind == "f" or not entry(self.document, "accessors", index).get("normalized"):
+            return array.astype(np.float32, copy=False)
+        return np.maximum(array.astype(np.float32) / np.iinfo(array.dtype).max, np.float32(-1))
+
+    def view(self, index: object) -> memoryview:
+        """The bytes of a buffer view."""
+        record, where = entry(self.document, "bufferViews", index), f"bufferViews[{index}]"
+        data = memoryview(self.buffer(natural(record, "buffer", where)))
+        start, size = natural(record, "byteOffset", where, 0), natural(record, "byteLength", where)
+        if start + size > len(data):
+            raise ValueError(f"{where} needs bytes {start}..{start + size}, its buffer has {len(data)}")
+        return data[start : start + size]
+
+    def _strided(self, record: dict[str, Any], where: str, dtype: np.dtype, count: int, width: int) -> NDArray[Any]:
+        """Elements [count, width] from the view that ``record`` names."""
+        data = self.view(record["bufferView"])
+        view = entry(self.document, "bufferViews", record["bufferView"])
+        start, size = natural(record, "byteOffset", where, 0), width * dtype.itemsize
+        stride = natural(view, "byteStride", f"bufferViews[{record['bufferView']}]", size) or size
+        if stride < size:
+            raise ValueError(f"bufferViews[{record['bufferView']}].byteStride is {stride}, {where} needs {size}")
+        end = start + (stride * (count - 1) + size if count else 0)
+        if end > len(data):
+            raise ValueError(
+                f"{where}.count is {count}: bytes {start}..{end} of bufferViews[{record['bufferView']}], "
+                f"which has {len(data)}"
+            )
+        if stride == size:
+            return np.frombuffer(data, dtype, count * width, start).reshape(count, width)
+        if not count:
+            return np.zeros((0, width), dtype)
+        rows = as_strided(np.frombuffer(data, np.uint8, offset=start), (count, size), (stride, 1), writeable=False)
+        return np.ascontiguousarray(rows).view(dtype)
+
+    def _with_sparse(self, array: NDArray[Any], sparse: Any, where: str) -> NDArray[Any]:
+        if not isinstance(sparse, dict):
+            raise ValueError(f"{where} is not an object")
+        count = natural(sparse, "count", where)
+        places, values = (_child(sparse, key, where) for key in ("indices", "values"))
+        kind = _component(places, f"{where}.indices")
+        if kind.kind != "u":
+            raise ValueError(f"{where}.indices.componentType is not an unsigned integer")
+        index = self._strided(places, f"{where}.indices", kind, count, 1)[:, 0]
+        if count and index.max() >= len(array):
+            raise ValueError(f"{where}.indices go up to {index.max()}, there are {len(array)} elements")
+        array = array.copy()
+        array[index] = self._strided(values, f"{where}.values", array.dtype, count, array.shape[1])
+        return array
+
+
+def entry(document: dict[str, Any], key: str, index: object) -> dict[str, Any]:
+    """The object ``document[key][index]``."""
+    items = document.get(key, [])
+    if not isinstance(items, list) or not isinstance(index, int) or not 0 <= index < len(items):
+        count = len(items) if isinstance(items, list) else "no"
+        raise ValueError(f"{key}[{index!r}] is referred to, there are {count} {key}")
+    if not isinstance(items[index], dict):
+        raise ValueError(f"{key}[{index}] is not an object")
+    return items[index]
+
+
+def natural(record: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
+    """A whole number from 0 up."""
+    value = record.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(f"{where}.{key} is {value!r}, not a whole number from 0 up")
+    return value
+
+
+def _child(record: dict[str, Any], key: str, where: str) -> dict[str, Any]:
+    if not isinstance(record.get(key), dict):
+        raise ValueError(f"{where}.{key} is not an object")
+    return record[key]
+
+
+def _component(record: dict[str, Any], where: str) -> np.dtype:
+    kind = record.get("componentType")
+    if kind not in _COMPONENTS:
+        raise ValueError(f"{where}.componentType is {kind!r}, not one of {', '.join(map(str, _COMPONENTS))}")
+    return np.dtype(_COMPONENTS[kind])
