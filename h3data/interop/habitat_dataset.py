@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 from h3data.errors import FormatError, SceneError
-from h3data.interop.sniff import read_json
+from h3data.interop.habitat_keys import KeyNotes
+from h3data.interop.habitat_values import mapping, objects, read_object, text
 
-Section = Literal["stages", "objects", "articulated_objects", "scene_instances"]
+Section = Literal[
+    "stages", "objects", "articulated_objects", "light_setups", "scene_instances",
+    "semantic_scene_descriptor_instances",
+]  # fmt: skip
 
 _CONFIG_ENDINGS: dict[Section, str] = {
     "stages": ".stage_config.json",
     "objects": ".object_config.json",
     "articulated_objects": ".ao_config.json",
+    "light_setups": ".lighting_config.json",
     "scene_instances": ".scene_instance.json",
+    "semantic_scene_descriptor_instances": ".semantic_config.json",
 }
 DATASET_ENDING = ".scene_dataset_config.json"
 _NAME_DIRECTIVES = ("%%CONFIG_NAME_AS_ASSET_FILENAME%%", "%%USE_FILENAME%%")
@@ -42,7 +48,11 @@ class Template:
 
     def attributes(self) -> dict[str, Any]:
         """Defaults of the dataset, then the file, then the dataset's overrides (spec/habitat.md 6.1)."""
-        own = read_object(self.path) if self.is_config else {} if self.inline else {"render_asset": self.path.name}
+        own: dict[str, Any] = {}
+        if self.is_config:
+            own = read_object(self.path)
+        elif not self.inline:
+            own = {"urdf_filepath" if self.path.suffix.lower() == ".urdf" else "render_asset": self.path.name}
         merged = {**self.defaults, **own, **self.overrides}
         stem = _short(self.path.name) if not self.inline else self.handle
         for key, value in merged.items():
@@ -59,6 +69,20 @@ class SceneDataset:
 
     path: Path
     sections: Mapping[Section, tuple[Template, ...]]
+    navmeshes: Mapping[str, str] = field(default_factory=dict)
+    """Files (relative to the config) by the name that scenes use."""
+    descriptors: Mapping[str, str] = field(default_factory=dict)
+    """The same for semantic descriptors."""
+    keys: KeyNotes = field(default_factory=KeyNotes)
+
+    @property
+    def scenes(self) -> list[str]:
+        """Names of its scenes, sorted: ``path#name`` opens one."""
+        return self.names("scene_instances")
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.scenes[:12]) + (", ..." if len(self.scenes) > 12 else "")
+        return f"SceneDataset({self.path.name!r}, {len(self.scenes)} scenes: {shown or 'none'})"
 
     def find(self, section: Section, name: str) -> tuple[Template | None, int]:
         """The template that a scene means by ``name``, and how many others would have fitted as well.
@@ -104,34 +128,38 @@ class SceneDataset:
 def load_scene_dataset(path: Path) -> SceneDataset:
     """The templates of a ``*.scene_dataset_config.json``; only names are listed, no template is opened."""
     content = read_object(path)
+    keys = KeyNotes()
+    keys.note("scene_dataset_config", content)
     sections: dict[Section, tuple[Template, ...]] = {}
     for section, ending in _CONFIG_ENDINGS.items():
-        entry = content.get(section, {})
-        if not isinstance(entry, dict):
-            raise FormatError(f"Expected an object under {section!r}, got {type(entry).__name__}: {path}")
+        entry = mapping(content, section, where=path)
+        if section != "semantic_scene_descriptor_instances":  # there names of files may stand beside the keys
+            keys.note("dataset_section", entry)
+        for item in objects(entry, "configs", where=path):
+            keys.note("dataset_override", item)
         sections[section] = tuple(_templates(path, entry, ending))
     if not any(sections.values()):
         raise FormatError(f"This dataset configuration lists no stages, objects or scenes that exist: {path}")
-    return SceneDataset(path=path, sections=sections)
+    navmeshes = mapping(content, "navmesh_instances", where=path)
+    descriptors = mapping(content, "semantic_scene_descriptor_instances", where=path)
+    return SceneDataset(
+        path=path,
+        sections=sections,
+        navmeshes={k: v for k, v in navmeshes.items() if isinstance(v, str)},
+        descriptors={k: v for k, v in descriptors.items() if isinstance(v, str)},
+        keys=keys,
+    )
 
 
-def read_object(path: Path) -> dict[str, Any]:
-    """The content of a JSON file that must hold an object."""
-    _, content = read_json(path)
-    if not isinstance(content, dict):
-        raise FormatError(f"Expected a JSON object, got {type(content).__name__}: {path}")
-    return content
-
-
-def dataset_above(path: Path) -> Path:
-    """The dataset config that a scene instance belongs to: the nearest one in the folders above that lists it."""
+def dataset_above(path: Path) -> SceneDataset:
+    """The dataset that a scene instance belongs to: the nearest one in the folders above whose config lists it."""
     tried: list[Path] = []
     for folder in path.resolve().parents:
         configs = sorted(folder.glob("*" + DATASET_ENDING))
         for config in configs:
-            listed = load_scene_dataset(config).sections["scene_instances"]
-            if any(t.path.resolve() == path.resolve() for t in listed):
-                return config
+            dataset = load_scene_dataset(config)
+            if any(t.path.resolve() == path.resolve() for t in dataset.sections["scene_instances"]):
+                return dataset
         tried += configs
         if len(tried) > 20:
             break
@@ -144,9 +172,9 @@ def dataset_above(path: Path) -> Path:
 
 def _templates(config: Path, entry: Mapping[str, Any], ending: str) -> list[Template]:
     root = config.parent
-    defaults = _mapping(entry.get("default_attributes"))
+    defaults = mapping(entry, "default_attributes", where=config)
     found: dict[Path, Template] = {}
-    for extension, patterns in _mapping(entry.get("paths")).items():
+    for extension, patterns in mapping(entry, "paths", where=config).items():
         wanted = ending if extension == ".json" else extension
         for pattern in patterns if isinstance(patterns, list) else [patterns]:
             for file in _matching(root, str(pattern), wanted):
@@ -155,7 +183,7 @@ def _templates(config: Path, entry: Mapping[str, Any], ending: str) -> list[Temp
     # a mesh that also has a config is offered once, as the config
     result = [t for t in found.values() if t.is_config or t.handle not in configured]
     for item in objects(entry, "configs", where=config):
-        overrides = _mapping(item.get("attributes"))
+        overrides = mapping(item, "attributes", where=config)
         original, handle = (text(item, key, where=config) for key in ("original_file", "template_handle"))
         if original is None:
             if handle is not None:
@@ -194,42 +222,3 @@ def _without_ending(name: str) -> str:
         if name.endswith(ending):
             return name.removesuffix(ending)
     return name
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dict[str, Any]]:
-    """The list of JSON objects under ``key``; empty if there is none."""
-    value = attributes.get(key) or []
-    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        raise FormatError(f"Expected a list of objects under {key!r}, got {str(value)[:60]}: {where}")
-    return value
-
-
-def text(attributes: Mapping[str, Any], key: str, *, where: Path) -> str | None:
-    """The text under ``key``, if there is any."""
-    value = attributes.get(key)
-    if value is not None and not isinstance(value, str):
-        raise FormatError(f"Expected a text under {key!r}, got {str(value)[:60]}: {where}")
-    return value
-
-
-def number(attributes: Mapping[str, Any], key: str, default: float, *, where: Path) -> float:
-    """The number under ``key``."""
-    value = attributes.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FormatError(f"Expected a number under {key!r}, got {str(value)[:60]}: {where}")
-    return float(value)
-
-
-def numbers(attributes: Mapping[str, Any], key: str, default: Sequence[float], *, where: Path) -> tuple[float, ...]:
-    """The numbers under ``key``, as many as ``default`` has."""
-    value = attributes.get(key)
-    if value is None:
-        return tuple(default)
-    fine = isinstance(value, list) and len(value) == len(default) and all(isinstance(v, int | float) for v in value)
-    if not fine:
-        raise FormatError(f"Expected {len(default)} numbers under {key!r}, got {str(value)[:60]}: {where}")
-    return tuple(float(v) for v in value)

@@ -156,7 +156,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
             f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
         )
     _add_stage(files, handle, scene, stage)
-    objects, receptacles = [], [f"stage|{n}" for n, _ in _stage_receptacles(scene, stage)]
+    objects, receptacles = [], [f"stage|{e['name']}" for _, e in _stage_receptacles(scene, stage)]
     counts: dict[str, int] = {}
     inside = {i.name for i in stage}
     for instance in scene.instances:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import H3DataError
+from h3data.errors import H3DataError, MissingAssetError
 from h3data.geometry import normalized, quat_to_matrix
-from h3data.interop.habitat_dataset import numbers
+from h3data.interop.habitat_keys import KeyNotes
+from h3data.interop.habitat_values import numbers, text
 from h3data.interop.meshes import load_mesh
 from h3data.scene.records import Mesh, Receptacle
 
@@ -23,24 +24,32 @@ _MIN_HALF_SIZE_M = 0.01
 
 
 def read_receptacles(
-    user_defined: Mapping[str, Any], *, folder: Path, frame: NDArray[np.float64], stage: bool, where: Path
-) -> tuple[list[Receptacle], list[str]]:
+    user_defined: Mapping[str, Any],
+    *,
+    find: Callable[[str], Path | None],
+    frame: NDArray[np.float64],
+    stage: bool,
+    keys: KeyNotes,
+    where: Path,
+) -> tuple[tuple[Receptacle, ...], list[str]]:
     """Receptacles of one template in its asset's frame (+Y up), and warnings about those that were left out.
 
-    ``frame`` [3, 3] turns the asset file's frame to ours. As in habitat-lab (``receptacle.py``) entries are written in
-    the file's frame, except meshes of a stage, which are in the world's. A box is a volume above a surface: its bottom
-    gives the rectangle, its height the clearance; its ``rotation`` counts on stages only. A mesh gives the largest
-    rectangle along x and z that its level triangles cover.
+    ``frame`` [3, 3] turns the asset file's frame to ours, ``find`` looks for the file of a mesh. As in habitat-lab
+    (``receptacle.py``) entries are written in the file's frame, except meshes of a stage, which are in the world's. A
+    box is a volume above a surface: its bottom gives the rectangle, its height the clearance; its ``rotation`` counts
+    on stages only. A mesh gives the largest rectangle along x and z that its level triangles cover.
     """
-    found, warnings = [], []
+    found: list[Receptacle] = []
+    warnings: list[str] = []
     for key, entry in user_defined.items():
         if not key.startswith("receptacle_") or not isinstance(entry, dict):
             continue
+        keys.note("receptacle", entry)
         try:
             if "receptacle_aabb_" in key:
                 receptacle = _from_box(key, entry, frame, stage, where)
             elif "receptacle_mesh_" in key:
-                receptacle = _from_mesh(key, entry, folder, np.eye(3) if stage else frame, where)
+                receptacle = _from_mesh(key, entry, find, np.eye(3) if stage else frame, where)
             else:
                 continue
         except H3DataError as fault:
@@ -50,7 +59,7 @@ def read_receptacles(
             warnings.append(f"receptacle {key} is left out: it has no horizontal surface that can be used")
         else:
             found.append(receptacle)
-    return found, warnings
+    return tuple(found), warnings
 
 
 def _from_box(
@@ -70,19 +79,29 @@ def _from_box(
     a, b, cos, sin = half[first], half[second], abs(axes[0, first]), abs(axes[2, first])
     shrink = 1.0 if sin < 1e-6 else min(a / (a * cos + b * sin), b / (a * sin + b * cos))
     center = frame @ position - np.array([0, half[up], 0])
-    return _rectangle(entry.get("name") or key, center, np.array([a, b]) * shrink, clearance_m=2 * float(half[up]))
+    return _rectangle(
+        text(entry, "name", where=where) or key, center, np.array([a, b]) * shrink, clearance_m=2 * float(half[up])
+    )
 
 
 def _from_mesh(
-    key: str, entry: Mapping[str, Any], folder: Path, frame: NDArray[np.float64], where: Path
+    key: str,
+    entry: Mapping[str, Any],
+    find: Callable[[str], Path | None],
+    frame: NDArray[np.float64],
+    where: Path,
 ) -> Receptacle | None:
-    mesh = load_mesh(folder / str(entry.get("mesh_filepath", "")))
+    name = text(entry, "mesh_filepath", where=where) or ""
+    file = find(name) if name else None
+    if file is None:
+        raise MissingAssetError(f"There is no such mesh: {name!r}")
+    mesh = load_mesh(file)
     vertices = mesh.vertices.astype(np.float64) * numbers(entry, "scale", (1, 1, 1), where=where) @ frame.T
     covered = largest_rectangle(vertices, mesh)
     if covered is None:
         return None
     center, half = covered
-    return _rectangle(f"{entry.get('name') or key}.0000", center, half, clearance_m=DEFAULT_CLEARANCE_M)
+    return _rectangle(f"{text(entry, 'name', where=where) or key}.0000", center, half, clearance_m=DEFAULT_CLEARANCE_M)
 
 
 def _rectangle(
