@@ -1,13 +1,10 @@
 """habitat-lab's pickled episode datasets (spec/habitat.md 6.5), read without running anything that is in them.
 
-The file holds ``{all_transforms, idx_to_name, all_eps}`` with NumPy arrays. The unpickler below knows the few names
-that pickled arrays use and builds its own, checked objects for them; no function of NumPy is called with what the file says.
+The file holds ``{all_transforms, idx_to_name, all_eps}`` with NumPy arrays.
 """
 
 from __future__ import annotations
 
-import io
-import pickle
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,20 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.interop.array_pickle import PickledArray, unpickle_arrays
 
 _UNFOLD = 64
 """How many values may come out of one byte: more only happens where a file refers to one list again and again."""
 _DEPTH = 100
 
 
-def is_pickle(data: bytes) -> bool:
-    """Whether these bytes start like a pickle of protocol 2 or later."""
-    return len(data) > 1 and data[0] == 0x80 and 2 <= data[1] <= 5
-
-
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
     """Each episode as the JSON text that the unpickled dataset would be written as."""
-    content = _unpickle(data, path)
+    content = unpickle_arrays(data, path)
     if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
         keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__
         raise FormatError(f"Expected a pickle with all_transforms, idx_to_name and all_eps, got {keys}: {path}")
@@ -45,7 +38,7 @@ def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
 
 
 def _transforms(value: Any, path: Path) -> NDArray[Any]:
-    array = value.array if isinstance(value, _Array) else None
+    array = value.array if isinstance(value, PickledArray) else None
     if array is not None and array.size == 0:
         array = np.zeros((0, 4, 4))
     if array is None or array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (4, 4):
@@ -98,10 +91,12 @@ class _Plain:
         self.budget = budget
 
     def __call__(self, value: Any, depth: int = 0) -> Any:
-        self.budget -= value.array.size if isinstance(value, _Array) else 1
+        self.budget -= value.array.size if isinstance(value, PickledArray) else 1
         if self.budget < 0 or depth > _DEPTH:
             raise ValueError("it unfolds to far more than the file holds")
-        if isinstance(value, _Array):
+        if isinstance(value, PickledArray):
+            if value.array.dtype.hasobject:
+                raise TypeError("an array of objects does not belong into an episode")
             if value.array.dtype.kind == "f" and not np.isfinite(value.array).all():
                 raise ValueError("an array holds NaN or infinity")
             return value.array.tolist()
@@ -120,113 +115,3 @@ def _key(key: Any) -> str:
     if type(key) not in (str, int):
         raise TypeError(f"a key is a {type(key).__name__}")
     return str(key)
-
-
-# --- the unpickler ------------------------------------------------------------------------------------------------------
-class _DType:
-    """Stands for a pickled ``numpy.dtype``; only numbers and booleans are let in."""
-
-    def __init__(self, code: Any, align: Any = False, copy: Any = False) -> None:
-        if not isinstance(code, str) or code.lstrip("<>|=") not in _CODES:
-            raise pickle.UnpicklingError(f"arrays of {code!r} are not admitted")
-        self.dtype = np.dtype(code)
-
-    def __setstate__(self, state: Any) -> None:
-        if not isinstance(state, tuple) or len(state) < 2 or state[1] not in ("<", ">", "|", "="):
-            raise pickle.UnpicklingError("the byte order of an array is not understood")
-        self.dtype = self.dtype.newbyteorder(state[1])
-
-
-_CODES = {"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"}
-
-
-class _Array:
-    """Stands for a pickled ``numpy.ndarray``."""
-
-    def __init__(self, array: NDArray[Any] | None = None) -> None:
-        self.array: NDArray[Any] = np.zeros(0) if array is None else array
-
-    def __setstate__(self, state: Any) -> None:
-        if not isinstance(state, tuple) or len(state) != 5:
-            raise pickle.UnpicklingError("the state of an array is not understood")
-        _, shape, dtype, fortran, data = state
-        self.array = _array(data, dtype, shape, "F" if fortran else "C")
-
-
-def _array(data: Any, dtype: Any, shape: Any, order: Any) -> NDArray[Any]:
-    if not isinstance(dtype, _DType) or not isinstance(data, (bytes, bytearray)):
-        raise pickle.UnpicklingError("an array does not hold plain numbers")
-    if not isinstance(shape, tuple) or len(shape) > 8 or not all(type(n) is int and n >= 0 for n in shape):
-        raise pickle.UnpicklingError(f"the shape of an array is {shape!r}")
-    numbers = np.frombuffer(data, dtype.dtype)
-    if numbers.size != _product(shape) or order not in ("C", "F"):
-        raise pickle.UnpicklingError(f"an array of shape {shape} has {numbers.size} numbers")
-    return numbers.reshape(shape, order=order)
-
-
-def _product(shape: tuple[int, ...]) -> int:
-    # in Python numbers, which do not overflow
-    total = 1
-    for n in shape:
-        total *= n
-    return total
-
-
-def _reconstruct(*_: Any) -> _Array:
-    """The empty array whose content follows."""
-    return _Array()
-
-
-def _frombuffer(data: Any, dtype: Any, shape: Any, order: Any) -> _Array:
-    """An array of protocol 5."""
-    return _Array(_array(data, dtype, shape, order))
-
-
-def _scalar(dtype: Any, data: Any) -> Any:
-    return _array(data, dtype, (1,), "C")[0].item()
-
-
-def _encode(text: Any, codec: Any) -> bytes:
-    """Bytes of protocol 2, which are written as text."""
-    if not isinstance(text, str) or codec != "latin1":
-        raise pickle.UnpicklingError("bytes in an unknown codec")
-    return text.encode("latin1")
-
-
-def _no_bytes() -> bytes:
-    """Empty bytes of protocol 2."""
-    return b""
-
-
-_ADMITTED: dict[tuple[str, str], Any] = {
-    ("numpy", "ndarray"): _Array,
-    ("numpy", "dtype"): _DType,
-    ("_codecs", "encode"): _encode,
-    ("__builtin__", "bytes"): _no_bytes,
-}
-for _core in ("numpy.core", "numpy._core"):
-    _ADMITTED |= {
-        (f"{_core}.multiarray", "_reconstruct"): _reconstruct,
-        (f"{_core}.multiarray", "scalar"): _scalar,
-        (f"{_core}.numeric", "_frombuffer"): _frombuffer,
-    }
-
-
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module_name: str, global_name: str, /) -> Any:
-        admitted = _ADMITTED.get((module_name, global_name))
-        if admitted is None:
-            raise pickle.UnpicklingError(f"it asks for {module_name}.{global_name}; only NumPy arrays are admitted")
-        return admitted
-
-    def persistent_load(self, pid: Any, /) -> Any:
-        raise pickle.UnpicklingError("it refers to things outside the file")
-
-
-def _unpickle(data: bytes, path: Path) -> Any:
-    try:
-        return _Unpickler(io.BytesIO(data)).load()
-    except MemoryError:
-        raise FormatError(f"The pickle claims to be larger than the memory: {path}") from None
-    except Exception as fault:  # a broken pickle can raise nearly anything
-        raise FormatError(f"The pickle is refused or damaged: {fault or type(fault).__name__}: {path}") from None

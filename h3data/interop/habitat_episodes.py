@@ -16,8 +16,9 @@ from typing import Any
 import msgspec
 
 from h3data.errors import FormatError, InputError
+from h3data.interop.array_pickle import is_pickle
 from h3data.interop.habitat_episode_json import Notes, decode_episodes, encode_episode, encode_json
-from h3data.interop.habitat_episode_pickle import is_pickle, unpickle_episodes
+from h3data.interop.habitat_episode_pickle import unpickle_episodes
 from h3data.interop.habitat_episode_records import ContentFile, EpisodeSet, RearrangeEpisode
 from h3data.interop.sniff import KIND_WORDS, json_kind, not_json, read_bytes
 
