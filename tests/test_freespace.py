@@ -254,13 +254,13 @@ def test_ends_off_the_floor_are_snapped_or_refused(free):
 
 def test_lattice_distances_are_near_the_exact_ones(free):
     a, b = free.sample(np.random.default_rng(8), 6000).reshape(2, 3000, 2)
-    exact, fast = free.geodesic(a, b), free.geodesic_fast(a, b)
+    exact, fast = free.geodesic(a, b), free.geodesic_lattice(a, b)
     far = exact > 1
     error = (fast - exact)[far] / exact[far]
     assert np.median(np.abs(error)) < 0.003
     assert np.percentile(np.abs(error), 95) < 0.02
     assert error.min() > -0.002  # only the slack of the line of sight can make it shorter
-    np.testing.assert_allclose(free.geodesic_fast(b, a), fast, rtol=1e-5)
+    np.testing.assert_allclose(free.geodesic_lattice(b, a), fast, rtol=1e-5)
 
 
 def test_line_of_sight_agrees_with_shapely(free):
@@ -282,7 +282,7 @@ def test_islands_are_kept_apart():
     assert [len(space.polygon.geoms), *np.round(space.island_areas, 6)] == [2, 6.25, 2.25]
     np.testing.assert_array_equal(space.island([[1, 1], [6, 1], [4, 1]]), [0, 1, -1])
     assert space.geodesic([1, 1], [6, 1]) == np.inf
-    assert space.geodesic_fast([1, 1], [6, 1]) == np.inf
+    assert space.geodesic_lattice([1, 1], [6, 1]) == np.inf
     assert len(space.path([1, 1], [6, 1])) == 0
     assert (space.island(space.sample(np.random.default_rng(0), 50, island=1)) == 1).all()
 

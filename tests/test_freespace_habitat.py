@@ -135,5 +135,5 @@ def test_flat_with_doors_against_the_social_navigation_runs(real):
     ratio = wider.geodesic(a, b)[far] / theirs[far]
     assert np.percentile(ratio, 5) > 0.99
     assert np.percentile(ratio, 95) < 1.01
-    fast = wider.geodesic_fast(a, b)[far] / theirs[far]
+    fast = wider.geodesic_lattice(a, b)[far] / theirs[far]
     assert np.percentile(fast, 95) < 1.03

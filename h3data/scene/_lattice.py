@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
+from h3data.scene._geodesic import geodesic_pair
 from h3data.scene._sdf import line_of_sight
-from h3data.scene._visibility import Graph, geodesic_pair, locate, sees, visible_nodes
+from h3data.scene._visibility import Graph, locate, sees, visible_nodes
 
 LATTICE_M = 0.25
 """Widest spacing of the lattice in homes: with 0.5 m, 12 of 720 pairs fail (research/navigation-and-stepping.md 2.3)."""
@@ -49,10 +50,9 @@ def _table(graph: Graph, points: NDArray, island: NDArray) -> NDArray:
     start = np.zeros(k + 1, np.int64)
     seen = np.empty(1024, np.int32)
     away = np.empty(1024, np.float64)
-    one_seen = np.empty(n, np.int64)
-    one_away = np.empty(n)
     for p in range(k):
-        count = visible_nodes(graph, points[p, 0], points[p, 1], island[p], one_seen, one_away)
+        one_seen, one_away = visible_nodes(graph, points[p, 0], points[p, 1])
+        count = len(one_seen)
         while start[p] + count > len(seen):
             seen = np.concatenate((seen, np.empty_like(seen)))
             away = np.concatenate((away, np.empty_like(away)))

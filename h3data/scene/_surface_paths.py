@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
-from h3data.scene._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment
+from h3data.scene._surface import ANGLE_EPS, TAUT_EPS, TOUCH_M, Surface, _cross, _on_segment, nearest
 
 STARTS_MAX = 64
 """Polygons that may meet in one point."""
@@ -205,3 +205,13 @@ def shortest(surface: Surface, start: NDArray, first: int, end: NDArray, last: i
         points[k] = surface.node[i]
         i = parent[i]
     return best[n], points
+
+
+@kernel()
+def way(surface: Surface, a: NDArray, b: NDArray) -> tuple[float, NDArray]:
+    """`shortest` between the points of the surface nearest to a [3] and b [3]."""
+    first, ax, ay, az = nearest(surface, a[0], a[1], a[2], -1)
+    last, bx, by, bz = nearest(surface, b[0], b[1], b[2], -1)
+    if first < 0 or last < 0:
+        return np.inf, np.empty((0, 3))
+    return shortest(surface, np.array([ax, ay, az]), first, np.array([bx, by, bz]), last)

@@ -1,4 +1,4 @@
-"""Numba kernels of exact shortest paths among polygons: buckets of edges, point location, visibility, two-point queries.
+"""Numba kernels of visibility among polygons: buckets of edges, point location, the corners that a point sees.
 
 The free area is used twice: its corners are the nodes, and the edges of the same area *grown by* `GROW_M` block the view.
 A taut string runs along walls and through corners, where crossing tests on the area itself are a coin toss; against the
@@ -53,6 +53,10 @@ class Graph(NamedTuple):
     """Lower corner of bucket [0, 0], shape [2] [m]."""
     bucket_size: NDArray[np.float64]
     """Side of a bucket, shape [1] [m]."""
+    visible_start: NDArray[np.int32]
+    """Nodes that a taut string from within bucket b may reach first are
+    ``visible_nodes[visible_start[b]:visible_start[b + 1]]``, and some more."""
+    visible_nodes: NDArray[np.int32]
 
 
 @kernel()
@@ -110,6 +114,7 @@ def bucket_edges(edges: NDArray, origin: NDArray, size: float, nx: int, nz: int)
 @kernel()
 def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
     """Whether the straight way from a to b stays in the free area: walks the buckets along it."""
+    edges, items, start = graph.edges, graph.bucket_edges, graph.bucket_start  # taken out in the loop they cost as much
     size = graph.bucket_size[0]
     nx, nz = graph.bucket_label.shape
     px = (ax - graph.bucket_origin[0]) / size
@@ -128,9 +133,9 @@ def sees(graph: Graph, ax: float, az: float, bx: float, bz: float) -> bool:
         if i < 0 or j < 0 or i >= nx or j >= nz:
             return False
         b = i * nz + j
-        for k in range(graph.bucket_start[b], graph.bucket_start[b + 1]):
-            e = graph.bucket_edges[k]
-            if crosses(ax, az, bx, bz, graph.edges[e, 0], graph.edges[e, 1], graph.edges[e, 2], graph.edges[e, 3]):
+        for k in range(start[b], start[b + 1]):
+            e = items[k]
+            if crosses(ax, az, bx, bz, edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]):
                 return False
         if next_i < next_j:
             i += step_i
@@ -215,6 +220,14 @@ def tangent(graph: Graph, x: float, z: float, node: int, slack: float) -> bool:
 
 
 @kernel()
+def bucket_of(graph: Graph, x: float, z: float) -> int:
+    """Index of the bucket of a point in the free area."""
+    i = int(np.floor((x - graph.bucket_origin[0]) / graph.bucket_size[0]))
+    j = int(np.floor((z - graph.bucket_origin[1]) / graph.bucket_size[0]))
+    return i * graph.bucket_label.shape[1] + j
+
+
+@kernel()
 def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
     """Pairs of nodes (i, j) [k, 2], i < j, that see each other and are tangent at both ends, and their lengths [k]."""
     pairs = np.empty((1024, 2), np.int32)
@@ -223,7 +236,11 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
     for island in range(len(graph.first) - 1):
         for i in range(graph.first[island], graph.first[island + 1]):
             ix, iz = graph.nodes[i]
-            for j in range(i + 1, graph.first[island + 1]):
+            b = bucket_of(graph, ix, iz)
+            for k in range(graph.visible_start[b], graph.visible_start[b + 1]):
+                j = graph.visible_nodes[k]
+                if j <= i or j >= graph.first[island + 1]:
+                    continue
                 jx, jz = graph.nodes[j]
                 if not tangent(graph, ix, iz, j, 0.0) or not tangent(graph, jx, jz, i, 0.0):
                     continue
@@ -240,84 +257,33 @@ def visibility_edges(graph: Graph) -> tuple[NDArray, NDArray]:
 
 
 @kernel()
-def visible_nodes(graph: Graph, x: float, z: float, island: int, found: NDArray, away: NDArray) -> int:
-    """How many nodes a taut string from (x, z) can reach first; fills their indices and distances."""
-    count = 0
-    for node in range(graph.first[island], graph.first[island + 1]):
-        vx, vz = graph.nodes[node]
-        if tangent(graph, x, z, node, GROW_M) and sees(graph, x, z, vx, vz):
-            found[count] = node
-            away[count] = np.hypot(vx - x, vz - z)
-            count += 1
-    return count
-
-
-@kernel()
-def geodesic_pair(
-    graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float
-) -> tuple[float, int, int, float, float, float, float]:
-    """Length of the shortest path [m] (inf: none), its first and last node (-1: straight), and the two ends as snapped."""
-    ax, az, island = nearest_free(graph, ax, az, max_snap)
-    bx, bz, other = nearest_free(graph, bx, bz, max_snap)
-    if island < 0 or island != other:
-        return np.inf, -1, -1, ax, az, bx, bz
-    if sees(graph, ax, az, bx, bz):
-        return np.hypot(bx - ax, bz - az), -1, -1, ax, az, bx, bz
-    size = graph.first[island + 1] - graph.first[island]
+def tangent_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
+    """Nodes at which a taut string from a free point (x, z) could bend first, whether seen or not, and how far they are."""
+    nodes, candidates = graph.nodes, graph.visible_nodes
+    b = bucket_of(graph, x, z)
+    size = graph.visible_start[b + 1] - graph.visible_start[b]
     found = np.empty(size, np.int64)
     away = np.empty(size)
-    count = visible_nodes(graph, ax, az, island, found, away)
-    best = np.inf
-    enter = -1
-    leave = -1
-    for node in range(graph.first[island], graph.first[island + 1]):
-        vx, vz = graph.nodes[node]
-        rest = np.hypot(bx - vx, bz - vz)
-        if rest >= best or not tangent(graph, bx, bz, node, GROW_M):
-            continue
-        total = np.inf
-        via = -1
-        for k in range(count):
-            d = away[k] + graph.distance[found[k], node]
-            if d < total:
-                total = d
-                via = found[k]
-        total += rest
-        if total < best and sees(graph, bx, bz, vx, vz):  # the view is the dear test: last
-            best = total
-            enter = via
-            leave = node
-    return best, enter, leave, ax, az, bx, bz
+    count = 0
+    for k in range(graph.visible_start[b], graph.visible_start[b + 1]):
+        node = candidates[k]
+        if tangent(graph, x, z, node, GROW_M):
+            found[count] = node
+            away[count] = np.hypot(nodes[node, 0] - x, nodes[node, 1] - z)
+            count += 1
+    return found[:count], away[:count]
 
 
 @kernel()
-def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float) -> NDArray:
-    """Shortest path lengths [N] [m] between points [N, 2]; inf where there is no way."""
-    out = np.empty(len(starts))
-    for k in range(len(starts)):
-        out[k] = geodesic_pair(graph, starts[k, 0], starts[k, 1], ends[k, 0], ends[k, 1], max_snap)[0]
-    return out
-
-
-@kernel()
-def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
-    """Way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
-    length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
-    if not np.isfinite(length):
-        return np.empty((0, 2))
-    corners = 0
-    node = leave
-    while node >= 0:
-        corners += 1
-        node = graph.previous[enter, node] if node != enter else -1
-    points = np.empty((corners + 2, 2))
-    points[0, 0], points[0, 1] = ax, az
-    points[corners + 1, 0], points[corners + 1, 1] = bx, bz
-    node = leave
-    for k in range(corners, 0, -1):
-        points[k] = graph.nodes[node]
-        node = graph.previous[enter, node] if node != enter else -1
-    return points
+def visible_nodes(graph: Graph, x: float, z: float) -> tuple[NDArray, NDArray]:
+    """Nodes that a taut string from a free point (x, z) can reach first, and how far they are."""
+    found, away = tangent_nodes(graph, x, z)
+    count = 0
+    for k in range(len(found)):
+        if sees(graph, x, z, graph.nodes[found[k], 0], graph.nodes[found[k], 1]):
+            found[count], away[count] = found[k], away[k]
+            count += 1
+    return found[:count], away[:count]
 
 
 @kernel()

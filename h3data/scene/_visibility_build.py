@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
+from h3data.scene._potentially_visible import potentially_visible
 from h3data.scene._visibility import GROW_M, Graph, bucket_edges, visibility_edges
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,12 @@ def build_graph(area: MultiPolygon) -> Graph:
         bucket_label=label,
         bucket_origin=origin,
         bucket_size=np.array([size]),
+        visible_start=np.zeros(0, np.int32),
+        visible_nodes=np.zeros(0, np.int32),
     )
+    used = (label >= 0) | (np.diff(start) > 0).reshape(label.shape)
+    near = potentially_visible(nodes, before, after, first, edges, edge_island, used, origin, size)
+    graph = graph._replace(visible_start=near[0], visible_nodes=near[1])
     pairs, lengths = visibility_edges(graph)
     good = edges_inside(area, nodes[pairs[:, 0]], nodes[pairs[:, 1]])
     if not good.all():

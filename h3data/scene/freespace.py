@@ -18,11 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import MultiPolygon
 
 from h3data.errors import InputError
+from h3data.scene._geodesic import geodesic_many, path_pair
 from h3data.scene._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
 from h3data.scene._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
-from h3data.scene._visibility import Graph, geodesic_many, locate_many, path_pair, snap_many
+from h3data.scene._visibility import Graph, locate_many, snap_many
 
 if TYPE_CHECKING:
+    from h3data.scene.distance_field import DistanceField
     from h3data.scene.records import Scene
 
 __all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
@@ -109,11 +111,11 @@ class FreeSpace:
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, bilinear."""
-        return _each(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
+        return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
         """Gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
-        return _each(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
+        return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Free way [...] [m] between the rim of the agent at points [..., 2] and the nearest obstacle; negative: overlap."""
@@ -131,11 +133,11 @@ class FreeSpace:
 
     def island(self, points: ArrayLike) -> NDArray[np.int32]:
         """Index of the island of points [..., 2], int [...]; -1 where it may not stand."""
-        return _each(lambda p: locate_many(self.graph, p), points)
+        return each_point(lambda p: locate_many(self.graph, p), points)
 
     def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
         """Free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
-        return _each(lambda p: snap_many(self.graph, p, max_distance_m), points)
+        return each_point(lambda p: snap_many(self.graph, p, max_distance_m), points)
 
     def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
         """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""
@@ -177,24 +179,24 @@ class FreeSpace:
         far = np.linalg.norm(points[1:] - points[0], axis=1) > beyond_m
         return points[1 + int(np.argmax(far))] if far.any() else points[-1]
 
-    def geodesic_fast(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
-        """`geodesic` within about 0.1 % (p95 below 1 %), some times sooner in large homes.
+    def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
+        """Exact distance to one goal [2], or to the nearest of several [K, 2], and the way there, from anywhere."""
+        from h3data.scene.distance_field import DistanceField
 
-        Exact where the way is straight or shorter than 3 m, by a table of lattice points beyond. The table is built at the
-        first call.
+        return DistanceField.to(self, goals, max_snap_m=max_snap_m)
+
+    def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """`geodesic` by look-ups in the lattice's table: within about 0.1 % (p95 below 1 %).
+
+        What a back end computes that can gather but not search (a GPU), as its reference; here `geodesic` is faster. Exact
+        where the way is straight or shorter than 3 m. The table is built at the first call.
         """
-        lattice = self.lattice
-        return _pairs(
-            lambda p, q: quick_distance_many(
-                self.graph, self.sdf, self.origin, self.cell_m, self.radius_m, lattice, p, q, max_snap_m
-            ),
-            a,
-            b,
-        )
+        table = (self.graph, self.sdf, self.origin, self.cell_m, self.radius_m, self.lattice)
+        return _pairs(lambda p, q: quick_distance_many(*table, p, q, max_snap_m), a, b)
 
     @cached_property
     def lattice(self) -> Lattice:
-        """A lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_fast` and step kernels."""
+        """A lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
         return build_lattice(self.graph, self.polygon.bounds, step=lattice_step(self.polygon.area))
 
     def _triangles(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -235,7 +237,7 @@ def _one_point(point: ArrayLike) -> NDArray[np.float64]:
     return p
 
 
-def _each(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
+def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
     """Applies a kernel on [N, 2] to points of any leading shape."""
     p = _floor_points(points)
     out = kernel(np.ascontiguousarray(p.reshape(-1, 2)))

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.scene._surface import Surface, height, island_map, navigable, nearest, try_step, wall
+from h3data.scene._surface import REACH_M, Surface, height, island_map, navigable, nearest, try_step, wall
 from h3data.scene._surface_build import build_surface, with_graph
-from h3data.scene._surface_paths import shortest
+from h3data.scene._surface_paths import way
 from h3data.scene.freespace import FreeSpace
 from h3data.scene.navmesh import NavMesh, NavMeshSettings, navmesh_from_free_space
 
@@ -99,28 +99,37 @@ class PathFinder:
     def geodesic_distance(self, start: ArrayLike, end: ArrayLike) -> float:
         """Length [m] of the shortest path from start [3] to end [3], or to the nearest of ends [k, 3]; inf: no path."""
         ends = np.asarray(end, np.float64)
+        if self.free_space is not None and ends.ndim == 1:
+            length = self._over_free_floor(_point(start), _point(ends))
+            if length is not None:
+                return length
         found = self._paths(start, _points(ends) if ends.ndim == 2 else _point(ends)[None])
         return min((length for length, _ in found), default=np.inf)
 
+    def _over_free_floor(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
+        """The distance where both points project straight down or up to the `FreeSpace`, without looking for polygons."""
+        assert self.free_space is not None
+        y = self.free_space.floor_y
+        if abs(a[1] - y) > REACH_M[1] or abs(b[1] - y) > REACH_M[1]:
+            return None
+        length = float(self.free_space.geodesic(a[::2], b[::2], max_snap_m=0.0))
+        return length if length < np.inf else None
+
     def _paths(self, start: ArrayLike, ends: NDArray[np.float64]) -> list[tuple[float, NDArray[np.float64]]]:
         """Length and way points to each end."""
-        first, *a = self._nearest(start)
-        p = np.array(a)
-        none = np.inf, np.zeros((0, 3))
-        found = []
-        for end in ends:
-            last, *b = self._nearest(end)
-            q = np.array(b)
-            if first < 0 or last < 0 or self._surface.island[first] != self._surface.island[last]:
-                found.append(none)
-            elif self.free_space is None:
-                found.append(shortest(self._graph, p, first, q, last))
-            else:
-                flat = self.free_space.path(p[::2], q[::2], max_snap_m=ENDS_TOUCH_M)
-                points = np.stack([flat[:, 0], np.full(len(flat), self.free_space.floor_y), flat[:, 1]], axis=1)
-                length = float(np.linalg.norm(np.diff(flat, axis=0), axis=1).sum()) if len(flat) else np.inf
-                found.append((length, points))
-        return found
+        a = _point(start)
+        if self.free_space is None:
+            return [way(self._graph, a, end) for end in ends]
+        p = self._nearest(a)[1:]
+        return [self._flat_path(p, self._nearest(end)[1:]) for end in ends]
+
+    def _flat_path(self, p: tuple[float, ...], q: tuple[float, ...]) -> tuple[float, NDArray[np.float64]]:
+        """Length and way points over the `FreeSpace` between points of its surface, NaN where there is none."""
+        assert self.free_space is not None
+        flat = self.free_space.path(p[::2], q[::2], max_snap_m=ENDS_TOUCH_M)
+        points = np.stack([flat[:, 0], np.full(len(flat), self.free_space.floor_y), flat[:, 1]], axis=1)
+        length = float(np.linalg.norm(np.diff(flat, axis=0), axis=1).sum()) if len(flat) else np.inf
+        return length, points
 
     # --- where one may be -----------------------------------------------------------------------------------------------
     def snap_point(self, point: ArrayLike, island_index: int = _ANY) -> NDArray[np.float64]:
