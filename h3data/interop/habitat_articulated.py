@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.geometry import normalized, pose_from_matrix, pose_multiply, quat_from_matrix
 from h3data.interop.habitat_values import flag, mapping
-from h3data.interop.meshes import frame_rotation
+from h3data.interop.meshes import frame_rotation, load_mesh
+from h3data.scene.meshes import joined, painted
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Mesh, Shape
 
 if TYPE_CHECKING:
     from h3data.bodies.robot import Robot
+    from h3data.bodies.urdf import UrdfLink
 
 _BALL = 3
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -42,8 +44,10 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
         FormatError, SceneError: the file, or a mesh that it names, cannot be used.
     """
     from h3data.bodies import load_robot
+    from h3data.bodies.urdf import read_urdf
 
     robot = load_robot(urdf, up="y")
+    described = {link.name: link for link in read_urdf(urdf).links}
     frames = link_frames(robot, default_positions(robot))
     links = []
     for index, link in enumerate(robot.links):
@@ -53,7 +57,7 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
                 Link(
                     name=link.name,
                     index=index,
-                    mesh=_turned_mesh(link.mesh, turn),
+                    mesh=_moved(_textured(described[link.name]) or link.mesh or empty_mesh(), turn),
                     shapes=tuple(_turned_shape(s, turn) for s in link.shapes),
                     turn=turn,
                 )
@@ -180,11 +184,34 @@ def _nearest(direction: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArr
     return axes[int(np.argmax(axes @ direction))]
 
 
-def _turned_mesh(mesh: Mesh | None, turn: NDArray[np.float64]) -> Mesh:
-    if mesh is None:
-        return empty_mesh()
-    normals = None if mesh.normals is None else (mesh.normals @ turn.T).astype(np.float32)
-    return replace(mesh, vertices=(mesh.vertices @ turn.T).astype(np.float32), normals=normals)
+def _textured(link: UrdfLink) -> Mesh | None:
+    """The looks of a link with the textures of its files, in its frame; None if not all of them are files."""
+    parts = link.visuals
+    if not parts or any(p.geometry.file is None for p in parts):
+        return None
+    meshes = []
+    for part in parts:
+        assert part.geometry.file is not None
+        mesh = load_mesh(part.geometry.file)
+        mesh = mesh if part.color is None else painted(mesh, part.color)
+        meshes.append(_moved(mesh, part.origin[:3, :3], part.origin[:3, 3], part.geometry.scale))
+    return joined(meshes)
+
+
+def _moved(
+    mesh: Mesh,
+    rotation: NDArray[np.floating],
+    shift: NDArray[np.floating] | Sequence[float] = (0, 0, 0),
+    scale: Sequence[float] = (1, 1, 1),
+) -> Mesh:
+    """The mesh scaled along its own axes, turned, and shifted."""
+    stretch = np.asarray(scale, np.float64)
+    normals = None
+    if mesh.normals is not None:
+        normals = normalized((mesh.normals / stretch) @ rotation.T).astype(np.float32)
+    vertices = (mesh.vertices * stretch) @ rotation.T + shift
+    faces = mesh.faces if np.prod(stretch) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
+    return replace(mesh, vertices=vertices.astype(np.float32), faces=faces, normals=normals)
 
 
 def empty_mesh() -> Mesh:
