@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, cylinder_part, finish, surface
+from h3data.scene.homes.materials import Finish
 from h3data.scene.homes.solids import Color, MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Hull
@@ -70,6 +71,14 @@ def mirror(rng: np.random.Generator, style: Style, width: float = 0.6) -> Furnit
     mesh.span((-width / 2, -h / 2, 0.002), (width / 2, h / 2, 0.022), style.metal, bevel=0.004)
     mesh.span((-width / 2 + 0.02, -h / 2 + 0.02, 0.022), (width / 2 - 0.02, h / 2 - 0.02, 0.024), (206, 220, 226))
     return finish("mirror", mesh, (width, h, 0.025))
+
+
+def mat(rng: np.random.Generator, style: Style) -> Furniture:
+    """A bath mat; it lies flat and does not collide."""
+    mesh, w, d, y = MeshBuilder(), 0.8, 0.5, 0.012
+    pile = Finish(vary(rng, shade(style.accent, 1.15), 0.05), "carpet")
+    mesh.span((-w / 2, 0, -d / 2), (w / 2, y, d / 2), pile, bevel=0.004)
+    return finish("rug", mesh, (w, y, d))
 
 
 def bathtub(rng: np.random.Generator, style: Style) -> Furniture:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.scene.homes.furniture import Furniture, box_part, cabinet_front, cylinder_part, finish, legs, surface
+from h3data.scene.homes.layout import WALL_HEIGHT
 from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
@@ -116,12 +117,41 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
     """Hangs on the wall; the origin is still on the floor."""
     mesh, d, y0, y1 = MeshBuilder(), 0.34, 1.45, 2.15
     mesh.span((-width / 2, y0, -d / 2), (width / 2, y1, d / 2 - 0.02), shade(style.front, 0.92))
+    _splashback(mesh, width, -d / 2, y0, style)
     parts = max(1, round(width / 0.45))
     for i in range(parts):
         x = (-width / 2 + i * width / parts, -width / 2 + (i + 1) * width / parts)
         cabinet_front(mesh, x, (y0, y1), d / 2 - 0.02, vary(rng, style.front, 0.015), style.metal, knob="none")
     shape = box_part((0, (y0 + y1) / 2, 0), (width, y1 - y0, d))
     return finish("kitchen_cabinet", mesh, (width, y1, d), shapes=[shape])
+
+
+def _splashback(mesh: MeshBuilder, width: float, z: float, top: float, style: Style) -> None:
+    """Tiles on the wall from the worktop up; ``z`` is the back of what hangs above."""
+    x, y = width / 2, WORKTOP_HEIGHT
+    mesh.quads([[(-x, y, z), (x, y, z), (x, top, z), (-x, top, z)]], style.wall_tile)
+
+
+def hood(rng: np.random.Generator, style: Style) -> Furniture:
+    """An extractor over the stove, up to the ceiling; the origin is still on the floor."""
+    mesh, w, d, y0, y1 = MeshBuilder(), STOVE_WIDTH - 0.01, 0.48, 1.58, 1.64
+    _splashback(mesh, STOVE_WIDTH, -d / 2, y0, style)
+    steel = style.metal
+    mesh.span((-w / 2, y0, -d / 2), (w / 2, y1, d / 2), steel, bevel=0.004)
+    mesh.span((-w / 2 + 0.04, y0 - 0.002, -d / 2 + 0.04), (w / 2 - 0.04, y0, d / 2 - 0.04), shade(steel, 0.6))
+    low, top = (w / 2, d / 2), (0.13, 0.11)
+    back = -d / 2
+    ring = [(-low[0], d / 2), (low[0], d / 2), (low[0], back), (-low[0], back)]
+    cap = [(-top[0], back + 2 * top[1]), (top[0], back + 2 * top[1]), (top[0], back), (-top[0], back)]
+    for k in range(4):
+        (ax, az), (bx, bz), (cx, cz), (ex, ez) = ring[k], ring[(k + 1) % 4], cap[(k + 1) % 4], cap[k]
+        mesh.quads([[(ax, y1, az), (bx, y1, bz), (cx, 1.86, cz), (ex, 1.86, ez)]], shade(steel, 0.96))
+    mesh.span((-top[0], 1.86, back), (top[0], WALL_HEIGHT - 0.002, back + 2 * top[1]), steel)
+    shapes = [
+        box_part((0, (y0 + 1.86) / 2, 0), (w, 1.86 - y0, d)),
+        box_part((0, (1.86 + WALL_HEIGHT) / 2, back + top[1]), (2 * top[0], WALL_HEIGHT - 0.01 - 1.86, 2 * top[1])),
+    ]
+    return finish("kitchen_cabinet", mesh, (w, WALL_HEIGHT, d), shapes=shapes)
 
 
 def dining_table(rng: np.random.Generator, style: Style, seats: int = 4) -> Furniture:

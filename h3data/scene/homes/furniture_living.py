@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from h3data.scene.homes.furniture import (
@@ -16,7 +18,7 @@ from h3data.scene.homes.furniture import (
     surface,
 )
 from h3data.scene.homes.materials import Finish
-from h3data.scene.homes.solids import MeshBuilder, shade, turn_x, turn_y, vary
+from h3data.scene.homes.solids import Color, MeshBuilder, shade, turn_x, turn_y, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
 
@@ -243,14 +245,46 @@ def picture(rng: np.random.Generator, style: Style) -> Furniture:
     )
     mesh.span((-w / 2 + 0.025, -h / 2 + 0.025, 0.022), (w / 2 - 0.025, h / 2 - 0.025, 0.0235), (240, 236, 226))
     a, b = w / 2 - 0.08, h / 2 - 0.08
-    horizon = rng.uniform(-0.3, 0.2) * b
+    share = rng.uniform(-0.3, 0.2)
     sky, land = vary(rng, (170, 196, 214), 0.15), vary(rng, style.accent, 0.2)
+    place, light = rng.uniform(-0.5, 0.5), vary(rng, (240, 214, 140))
+    motif = (_landscape, _shapes, _mountains)[int((share + 0.3) * 6)]
+    motif(mesh, (a, b), share * b, place * a, (sky, land, light))
+    return finish("picture", mesh, (w, h, 0.025))
+
+
+_Motif = tuple[Color, Color, Color]
+"""Sky, land, light."""
+
+
+def _landscape(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
+    """A sun over the land; ``half`` is half the size of the sheet."""
+    (a, b), (sky, land, light) = half, colors
     mesh.span((-a, horizon, 0.0235), (a, b, 0.0245), sky)
     mesh.span((-a, -b, 0.0235), (a, horizon, 0.0245), land)
-    r = 0.22 * min(a, b)
-    at = (rng.uniform(-0.5, 0.5) * a, horizon + (b - horizon) * 0.55, 0.0252)
-    mesh.cylinder(at, r, 0.0014, vary(rng, (240, 214, 140)), segments=18, turn=turn_x(np.pi / 2))
-    return finish("picture", mesh, (w, h, 0.025))
+    at = (x, horizon + (b - horizon) * 0.55, 0.0252)
+    mesh.cylinder(at, 0.22 * min(a, b), 0.0014, light, segments=18, turn=turn_x(np.pi / 2))
+
+
+def _shapes(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
+    """An abstract: a disc and bars that cross."""
+    (a, b), (sky, land, light) = half, colors
+    mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(light, 0.98))
+    r = 0.5 * min(a, b)
+    mesh.cylinder((x * 0.6, horizon + 0.3 * b, 0.0246), r, 0.001, land, segments=26, turn=turn_x(np.pi / 2))
+    mesh.span((-0.8 * a, -0.75 * b, 0.0246), (0.25 * a, -0.35 * b, 0.0252), shade(sky, 0.55))
+    mesh.span((0.1 * a, -0.8 * b, 0.0252), (0.3 * a, 0.8 * b, 0.0256), shade(land, 0.55))
+
+
+def _mountains(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
+    """Two ridges one behind the other."""
+    (a, b), (sky, land, light) = half, colors
+    mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(sky, 1.1))
+    mesh.cylinder((-x, 0.6 * b, 0.0244), 0.14 * min(a, b), 0.001, light, segments=18, turn=turn_x(np.pi / 2))
+    for top, peak, z, color in ((0.45 * b, x, 0.0248, shade(sky, 0.7)), (horizon, -0.6 * x, 0.0252, shade(land, 0.8))):
+        ridge = [(-a, -0.35 * b), (peak - 0.35 * a, 0.3 * top), (peak, top), (peak + 0.3 * a, 0.1 * b), (a, -0.2 * b)]
+        for (x0, y0), (x1, y1) in pairwise(ridge):
+            mesh.quads([[(x0, -b, z), (x1, -b, z), (x1, y1, z), (x0, y0, z)]], color)
 
 
 def console(rng: np.random.Generator, style: Style) -> Furniture:

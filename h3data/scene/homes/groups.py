@@ -12,7 +12,18 @@ from h3data.scene.homes import furniture_bed as sleeping
 from h3data.scene.homes import furniture_kitchen as kitchen
 from h3data.scene.homes import furniture_living as living
 from h3data.scene.homes.furniture import Furniture
-from h3data.scene.homes.place import Member, Placed, RoomState, footprint, overlap, side_span, turned, wall_point
+from h3data.scene.homes.place import (
+    Member,
+    Placed,
+    RoomState,
+    around,
+    commit,
+    footprint,
+    overlap,
+    side_span,
+    turned,
+    wall_point,
+)
 from h3data.scene.homes.search import place_at_wall, place_free
 from h3data.scene.homes.solids import shade
 from h3data.scene.homes.style import Style
@@ -122,6 +133,25 @@ def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Memb
     return [*members, *(Member(piece=chair, x=s * beside, z=z, quarter=2) for s in (-1, 1)[:chairs])]
 
 
+def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
+    """A sofa with armchairs in the open; searched for longer than other groups, as a large room is empty without it."""
+    for chairs in (2, 2, 2, 1, 1):
+        found = place_free(rng, state, talk_group(rng, style, chairs))
+        if found:
+            return found
+    return None
+
+
+def place_rug(state: RoomState, rug: Furniture, by: Placed, away: float) -> None:
+    """A rug before a piece of furniture, its middle that far from the piece's; moved aside as far as walls ask for."""
+    dx, dz = turned(by.quarter, 0.0, away)
+    x, z = by.x + dx, by.z + dz
+    x0, z0, x1, z1 = around(0.0, 0.0, rug.size[0] + 0.04, rug.size[2] + 0.04, by.quarter)
+    a0, b0, a1, b1 = state.interior
+    x, z = min(max(x, a0 - x0), a1 - x1), min(max(z, b0 - z0), b1 - z1)
+    commit(state, [Placed(piece=rug, room=by.room, x=x, z=z, quarter=by.quarter)])
+
+
 def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
     """Up to ``count`` equal shelves side by side, with books or, where things are kept, with stores."""
     shelf = living.shelf(rng, style, stores=state.room.category in ("pantry", "laundry", "kitchen", "bathroom"))
@@ -136,6 +166,8 @@ def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats
         table, chair = kitchen.dining_table(rng, style, count), kitchen.chair(rng, style)
         w, _, d = table.size
         members = [Member(piece=table)]
+        if state.room.category == "dining":
+            members.append(Member(piece=living.rug(rng, style, (w + 1.2, d + 1.5))))
         per_side = count // 2
         for i in range(per_side):
             x = 0.0 if per_side == 1 else (i / (per_side - 1) - 0.5) * (w - 0.64)

@@ -91,7 +91,7 @@ def _grain(rng: np.random.Generator) -> Pattern:
     rings = _wave(rows * (6 / _PX) + 1.1 * _noise(rng, 2, 4))
     fine = 0.5 * _noise(rng, 4, 64) + 0.5 * _noise(rng, 8, 128)
     pores = _noise(rng, 16, 128)
-    return 0.5 * rings * rings + 0.6 * fine + 1.2 * (pores > 0.86) + 0.5 * _noise(rng, 2, 16)
+    return 0.5 * rings * rings + 0.6 * fine + 0.7 * (pores > 0.86) + 0.5 * _noise(rng, 2, 16)
 
 
 def _boards(rng: np.random.Generator) -> Pattern:
@@ -104,7 +104,7 @@ def _boards(rng: np.random.Generator) -> Pattern:
         grain[part] = np.roll(grain[part], 37 * k, axis=1)
     joint = (rows % tall == 0) | (columns == 0)
     beside = (rows % tall == tall - 1) | (columns == _PX - 1)
-    return grain + 5.0 * joint + 1.5 * beside
+    return grain + 3.2 * joint + 1.0 * beside
 
 
 def _tiles(rng: np.random.Generator) -> Pattern:
@@ -159,7 +159,7 @@ def _stone(rng: np.random.Generator) -> Pattern:
     """Speckled stone of a worktop."""
     cloud = 0.6 * _noise(rng, 8, 8) + 0.4 * _noise(rng, 32, 32)
     grains = _noise(rng, 64, 64)
-    return 0.7 * cloud + 1.6 * (grains > 0.8) + 2.5 * _speckle(rng, 0.03)
+    return 0.7 * cloud + 1.6 * (grains > 0.8) + 1.6 * _speckle(rng, 0.03)
 
 
 def _brick(rng: np.random.Generator) -> Pattern:

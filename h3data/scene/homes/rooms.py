@@ -20,8 +20,10 @@ from h3data.scene.homes.groups import (
     need,
     place_desk,
     place_dining,
+    place_rug,
     place_shelves,
     place_single,
+    place_talk,
     talk_group,
 )
 from h3data.scene.homes.place import Member, Placed, RoomState, commit, side_depth, turned
@@ -85,7 +87,7 @@ def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, di
     """Shelves along the walls, seats in the middle."""
     del dining
     need(place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
-    place_free(rng, state, talk_group(rng, style, 2))
+    place_talk(rng, style, state)
     for count in (4, 3, 3, 2):
         place_shelves(rng, style, state, count)
     place_desk(rng, style, state)
@@ -101,7 +103,7 @@ def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, din
     need(place_desk(rng, style, state), "desk", state)
     if state.room.area > 20:
         place_desk(rng, style, state)
-        place_free(rng, state, talk_group(rng, style, 2))
+        place_talk(rng, style, state)
     for count in (3, 2):
         place_shelves(rng, style, state, count)
     place_single(rng, state, living.console(rng, style))
@@ -119,7 +121,7 @@ def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, din
     for _ in range(2):
         place_single(rng, state, living.console(rng, style), middle=True)
     if state.room.area > 38:
-        place_free(rng, state, talk_group(rng, style, 2))
+        place_talk(rng, style, state)
     place_shelves(rng, style, state, 2)
     for _ in range(3):
         place_single(rng, state, living.plant(rng, style), only_corner=True)
@@ -202,18 +204,22 @@ def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
 
 
 def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, row: Sequence[Placed]) -> None:
+    """Cabinets over the counters and a hood over the stove, where there is no window."""
     cabinets: dict[float, Furniture] = {}
     for p in row:
-        if p.piece.category != "kitchen_counter":
+        if p.piece.category not in ("kitchen_counter", "stove"):
             continue
         u, half = (p.x if p.quarter % 2 == 0 else p.z), p.piece.size[0] / 2
         holes = [*state.windows, *state.doors]
         if any(side == p.quarter and o.span[0] - 0.08 < u + half and u - half < o.span[1] + 0.08 for side, o in holes):
             continue
         width = p.piece.size[0]
-        cabinets.setdefault(width, kitchen.upper_cabinet(rng, style, width))
-        dx, dz = turned(p.quarter, 0.0, -(p.piece.size[2] - cabinets[width].size[2]) / 2)
-        state.placed.append(Placed(piece=cabinets[width], room=p.room, x=p.x + dx, z=p.z + dz, quarter=p.quarter))
+        if p.piece.category == "stove":
+            piece = kitchen.hood(rng, style)
+        else:
+            piece = cabinets.setdefault(width, kitchen.upper_cabinet(rng, style, width))
+        dx, dz = turned(p.quarter, 0.0, -(p.piece.size[2] - piece.size[2]) / 2)
+        state.placed.append(Placed(piece=piece, room=p.room, x=p.x + dx, z=p.z + dz, quarter=p.quarter))
 
 
 # --- bedrooms ---------------------------------------------------------------------------------------------------------
@@ -237,9 +243,7 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
             rng, state, _bed_group(rng, style, width, tables), middle=tables == 2, corner=tables < 2
         )
     bed = need(group, "bed", state)[0]
-    dx, dz = turned(bed.quarter, 0.0, 0.55)
-    carpet = living.rug(rng, style, (min(bed.piece.size[0] + 0.9, 2.4), 1.5))
-    commit(state, [Placed(piece=carpet, room=bed.room, x=bed.x + dx, z=bed.z + dz, quarter=bed.quarter)])
+    place_rug(state, living.rug(rng, style, (min(bed.piece.size[0] + 0.9, 2.4), 1.5)), bed, 0.55)
     need(place_single(rng, state, sleeping.wardrobe(rng, style), corner=True), "wardrobe", state)
     if large:
         _bedroom_extras(rng, style, state)
@@ -255,7 +259,7 @@ def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) ->
     stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
     back = stand.wall_gap_m + stand.size[2] / 2
     place_at_wall(rng, state, [backed(stand), Member(piece=screen, z=back - 0.06, y=stand.size[1])], middle=True)
-    place_free(rng, state, talk_group(rng, style, 2))
+    place_talk(rng, style, state)
     place_single(rng, state, living.bench(rng, style))
     place_single(rng, state, living.armchair(rng, style), corner=True)
     place_single(rng, state, living.floor_lamp(rng, style), only_corner=True)
@@ -275,17 +279,22 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
     if state.room.area > 12:
         second = place_single(rng, state, bath.bathroom_sink(rng, style))
         if second:
-            glass, p = bath.mirror(rng, style, 0.6), second[0]
-            hang(state, glass, p.quarter, p.x if p.quarter % 2 == 0 else p.z, 1.52)
+            _mirror(rng, style, state, second[0], 0.6)
     if first and done[0].piece.category == "bathtub":
         place_single(rng, state, bath.shower(rng, style), left_corner=True)
-    glass = bath.mirror(rng, style, min(0.7, basin.piece.size[0]))
-    hang(state, glass, basin.quarter, basin.x if basin.quarter % 2 == 0 else basin.z, 1.52)
+    _mirror(rng, style, state, basin, min(0.7, basin.piece.size[0]))
     place_single(rng, state, living.plant(rng, style), only_corner=True)
     if state.room.area > 12:
         place_shelves(rng, style, state, 1)
         place_single(rng, state, living.bench(rng, style))
     hang_pictures(rng, style, state, 1)
+    place_rug(state, bath.mat(rng, style), done[0], done[0].piece.size[2] / 2 + 0.3)
+
+
+def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Placed, width: float) -> None:
+    """A mirror over a basin, narrower where a door or window is near."""
+    u = basin.x if basin.quarter % 2 == 0 else basin.z
+    any(hang(state, bath.mirror(rng, style, w), basin.quarter, u, 1.52) for w in (width, 0.45, 0.35))
 
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
