@@ -101,7 +101,7 @@ def test_meshes_of_every_sort_of_uri(tmp_path: Path) -> None:
     assert library.mesh(AssetRef(name="gone2", uri="data/gone.glb")) is None
     assert library.missing == ["data/gone.glb"]
     assert library.mesh(AssetRef(name="broken", uri="broken.glb")) is None
-    assert "damaged" in library.unreadable["broken.glb"]
+    assert "Truncated" in library.unreadable["broken.glb"]
     assert library.mesh(AssetRef(name="teapot", uri="primitive:teapotSolid")) is None
     assert "primitive:teapotSolid" in library.unreadable
 

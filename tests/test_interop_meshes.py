@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from h3data.errors import MissingAssetError, SceneError
+from h3data.interop.gltf_primitives import nearest_texels
 from h3data.interop.meshes import frame_rotation, load_mesh
 from h3data.interop.placeholders import placeholder_mesh, striped_box
 from h3data.interop.primitives import box_mesh, capsule_mesh, is_primitive, primitive_mesh
@@ -185,8 +186,12 @@ def test_material_colour_vertex_colour_and_texture(brick: trimesh.Trimesh, tmp_p
     uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [1.25, 0.75]])  # the last wraps around to the left
     quad.visual = TextureVisuals(uv=uv, material=PBRMaterial(baseColorTexture=Image.fromarray(pixels)))
     quad.export(tmp_path / "quad.glb")
-    colors = load_mesh(tmp_path / "quad.glb").colors
-    assert colors.tolist() == [[0, 0, 255], [9, 9, 9], [0, 255, 0], [255, 0, 0]]
+    seen = load_mesh(tmp_path / "quad.glb")
+    assert seen.uv is not None
+    assert np.all(seen.colors == 255)
+    np.testing.assert_array_equal(seen.textures[0].pixels[..., :3], pixels)
+    texels = nearest_texels(seen.textures[0], seen.uv)
+    assert texels[:, :3].tolist() == [[0, 0, 255], [9, 9, 9], [0, 255, 0], [255, 0, 0]]
 
 
 def test_normals_are_kept_only_if_the_file_has_them(tmp_path: Path) -> None:
@@ -248,4 +253,4 @@ def test_real_chair_origin_is_off_its_box_centre() -> None:
     chair = load_mesh(REAL / "objects" / "chair.glb")
     np.testing.assert_allclose(-chair.bounds.mean(0), [0.0740, 0.2070, -0.0059], atol=1e-4)
     assert chair.normals is not None
-    assert len(np.unique(chair.colors, axis=0)) > 10  # texture
+    assert len(np.unique(chair.textures[0].pixels, axis=0)) > 10

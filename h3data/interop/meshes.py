@@ -1,29 +1,26 @@
-"""Meshes from files: GLB, glTF, OBJ, PLY and STL through trimesh, in our frame and with a colour per vertex."""
+"""Meshes from files: GLB and glTF, OBJ, PLY and STL, in our frame and metres, with their colours and textures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import normalized
+from h3data.interop.gltf import GltfFile, local_matrix
+from h3data.interop.gltf_primitives import DEFAULT_COLOR, PlainMesh
+from h3data.interop.trimesh_files import read_with_trimesh
 from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
-from h3data.srgb import bytes_to_linear, linear_to_bytes
+
+__all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
-DEFAULT_COLOR = (204, 204, 204)
-"""sRGB of a surface whose file says nothing about its colour."""
-
-_COMPRESSIONS = {"KHR_draco_mesh_compression": "DracoPy", "EXT_meshopt_compression": None}
-"""glTF extensions that pack triangles, and the module with which trimesh unpacks them."""
+_GLTF_SUFFIXES = (".glb", ".gltf")
 
 Vector3 = tuple[float, float, float]
 
@@ -38,10 +35,21 @@ def load_mesh(
     """The triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
-    (spec/habitat.md 5.1): YCB files have up +Z, front +Y. Colours are sRGB per vertex, from the file's vertex
-    colours, the material's base colour, or its texture sampled at the vertices (detail inside a triangle is lost;
-    KTX2/Basis textures are not read and give grey). Normals are kept if the file has them; else None, which shades
-    flat. The result is cached per file, time stamp and frame: do not write to it.
+    (spec/habitat.md 5.1): YCB files have up +Z, front +Y.
+
+    Colours are sRGB per vertex: the file's vertex colours times the material's base colour, in linear light. Base
+    colour textures are kept (PNG, JPEG, WebP; KTX2 with Basis Universal if ``h3data[gltf]`` is installed), equal
+    images as one `Texture`, reduced to at most 2048 texels a side; samplers that clamp or mirror repeat instead. Where
+    every triangle sees a single texel, as with a palette, that is its colour and the texture is left out. If an image
+    cannot be had, its surfaces keep the material's colour and one warning per file says why. Normals are kept if the
+    file has them; else None, which shades flat.
+
+    The result is cached per file, time stamp and frame: do not write to it.
+
+    Raises:
+        MissingAssetError: there is no such file.
+        SceneError: it is damaged, of another kind, compressed in a way that is not read, has no triangles or vertices
+            that are not finite, or names files outside its folder.
     """
     path = Path(path)
     if not is_file(path):
@@ -77,30 +85,43 @@ def node_box(
     """
     path = Path(path)
     rotation = frame_rotation(_vector3(up), _vector3(front))
-    with _reading(str(path)) as scene:
-        found = _node_box(scene)
+    try:
+        found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
+    except Exception as fault:
+        raise _unreadable(fault, path) from None
     if not len(found) or not np.isfinite(found).all():
         raise SceneError(f"A mesh file without triangles: {path}")
     turned = _corners(found) @ rotation.T * units_m
     return np.stack([turned.min(0), turned.max(0)])
 
 
-def _node_box(scene: Any) -> NDArray[np.float64]:
-    children, edges = scene.graph.transforms.children, scene.graph.transforms.edge_data
+def _node_box(file: GltfFile) -> NDArray[np.float64]:
+    """The box of the root, [2, 3] or [0, 3] if nothing is in it."""
+    nothing = np.zeros((0, 3))
+    if not file.nodes:
+        return _box_around([_bounds(part) for part, _ in file.parts()])
+    inside: list[list[NDArray[np.float64]]] = [[] for _ in file.nodes]
+    outermost = []
+    for at in range(len(file.nodes) - 1, -1, -1):  # children before parents
+        index, parent, _ = file.nodes[at]
+        mesh = file.node(index).get("mesh")
+        own = [] if mesh is None else [_bounds(part) for part in file.mesh(mesh)]
+        box = _box_around([*own, *inside[at]])
+        if len(box):
+            matrix = local_matrix(file.node(index), f"nodes[{index}]")
+            corners = _corners(box) @ matrix[:3, :3].T + matrix[:3, 3]
+            (inside[parent] if parent >= 0 else outermost).append(corners)
+    return _box_around(outermost) if outermost else nothing
 
-    def box(node: str) -> NDArray[np.float64]:
-        _, geometry = scene.graph[node]
-        bounds = None if geometry is None else scene.geometry[geometry].bounds
-        boxes = [np.zeros((0, 3)) if bounds is None else np.asarray(bounds)]
-        for child in children.get(node, ()):
-            inner = box(child)
-            if len(inner):
-                matrix = np.asarray(edges[(node, child)].get("matrix", np.eye(4)), np.float64)
-                boxes.append(_corners(inner) @ matrix[:3, :3].T + matrix[:3, 3])
-        points = np.concatenate(boxes)
-        return np.stack([points.min(0), points.max(0)]) if len(points) else points
 
-    return box(scene.graph.base_frame)
+def _bounds(part: PlainMesh) -> NDArray[np.float64]:
+    points = part.vertices.astype(np.float64)
+    return np.stack([points.min(0), points.max(0)]) if len(points) else np.zeros((0, 3))
+
+
+def _box_around(points: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    everything = np.concatenate([np.zeros((0, 3)), *points])
+    return np.stack([everything.min(0), everything.max(0)]) if len(everything) else everything
 
 
 def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,135 +145,59 @@ def _vector3(value: Sequence[float]) -> Vector3:
     return (x, y, z)
 
 
+def _is_gltf(path: Path) -> bool:
+    return path.suffix.lower() in _GLTF_SUFFIXES
+
+
 @lru_cache(maxsize=2048)
-def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
+def _load_cached(name: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
     del mtime_ns  # only part of the key: a changed file is read again
-    rotation = frame_rotation(up, front)
-    glb = path.lower().endswith(("glb", "gltf"))
-    with _reading(path) as scene:
-        parts = [_part(geometry, matrix, glb=glb) for geometry, matrix in _triangles(scene)]
-    parts = [p for p in parts if len(p.faces)]
-    if not parts:
-        raise SceneError(f"A mesh file without triangles: {path}")
-    mesh = joined(parts)
-    with np.errstate(over="ignore", invalid="ignore"):
-        vertices = (mesh.vertices @ rotation.T * units_m).astype(np.float32)
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(vertices):
-        raise SceneError(f"A mesh with triangles between vertices that do not exist: {path}")
-    if not np.isfinite(vertices).all():
-        raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
-    return Mesh(
-        vertices=vertices,
-        faces=mesh.faces,
-        colors=mesh.colors,
-        normals=None if mesh.normals is None else (mesh.normals @ rotation.T).astype(np.float32),
-    )
-
-
-def _triangles(scene: Any) -> list[tuple[Any, NDArray[np.float64]]]:
-    """Pairs of trimesh geometry and its 4x4 to the file's root."""
-    import trimesh
-
-    nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
-    pairs = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in nodes]
-    return [(geometry, matrix) for geometry, matrix in pairs if isinstance(geometry, trimesh.Trimesh)]
-
-
-@contextmanager
-def _reading(path: str) -> Iterator[Any]:
-    """The file as trimesh's scene, for reading in the block; `SceneError` names the reason if that fails.
-
-    Much is decoded only when it is asked for (textures, bounds), and trimesh raises whatever its loaders meet.
-    """
-    import trimesh
-
-    _refuse_compressed(path)
+    path, rotation = Path(name), frame_rotation(up, front)
+    to_metres = np.eye(4)
+    to_metres[:3, :3] = rotation * units_m
     try:
-        with np.errstate(all="ignore"):  # of values that are refused afterwards
-            yield trimesh.load_scene(path, process=False)
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+            if _is_gltf(path):
+                parts = [
+                    _placed(part, to_metres @ matrix) for part, matrix in GltfFile(path).parts() if len(part.faces)
+                ]
+            else:
+                parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
+        mesh = joined(parts) if parts else None
     except Exception as fault:
-        reason = f"{type(fault).__name__}: {fault}".splitlines()[0][:200]
-        raise SceneError(
-            f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}"
-        ) from None
+        raise _unreadable(fault, path) from None
+    if mesh is None:
+        raise SceneError(f"A mesh file without triangles: {path}")
+    if not np.isfinite(mesh.vertices).all():
+        raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
+    return mesh
 
 
-def _refuse_compressed(path: str) -> None:
-    """`SceneError` for glTF whose triangles are compressed: trimesh would return zeros in their place."""
-    if not path.lower().endswith((".glb", ".gltf")):
-        return
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise SceneError(f"The mesh file cannot be read ({error.strerror}): {path}") from None
-    header = data[20 : 20 + int.from_bytes(data[12:16], "little")] if data.startswith(b"glTF") else data
-    for extension, module in _COMPRESSIONS.items():
-        if extension.encode() in header and (module is None or find_spec(module) is None):
-            hint = "" if module is None else f" Hint: pip install {module}."
-            raise SceneError(
-                f"The triangles of this file are compressed ({extension}), which is not read.{hint} {path}"
-            )
+def _unreadable(fault: Exception, path: Path) -> SceneError:
+    """What the reader of a file met, with the file's name."""
+    if str(path) in str(fault):
+        return SceneError(str(fault))
+    plain = isinstance(fault, ValueError | SceneError) and str(fault)
+    reason = (str(fault) if plain else f"{type(fault).__name__}: {fault}").splitlines()[0][:300]
+    return SceneError(f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}")
 
 
-def _part(geometry: Any, matrix: NDArray[np.float64], *, glb: bool) -> Mesh:
-    """One trimesh geometry, moved into the file's root frame."""
-    vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    faces = np.asarray(geometry.faces, np.int32).reshape(-1, 3)
-    if np.linalg.det(matrix[:3, :3]) < 0:  # a mirrored node turns its triangles inside out
+def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
+    """A part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
+    linear, faces = matrix[:3, :3], part.faces
+    if np.linalg.det(linear) < 0:
         faces = faces[:, ::-1]
     normals = None
-    if "vertex_normals" in geometry._cache:  # set by trimesh's loaders only if the file has normals
-        inverse = np.linalg.inv(matrix[:3, :3])
-        normals = normalized(np.asarray(geometry.vertex_normals, np.float64) @ inverse).astype(np.float32)
+    if part.normals is not None:
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])  # also of flat matrices, which have no inverse
+        sign = -1 if np.linalg.det(linear) < 0 else 1
+        normals = normalized(np.nan_to_num(part.normals.astype(np.float64)) @ (sign * cofactors).T).astype(np.float32)
+    textures = part.textures if isinstance(part, Mesh) else (() if part.texture is None else (part.texture,))
     return Mesh(
-        vertices=vertices.astype(np.float32),
+        vertices=(part.vertices.astype(np.float64) @ linear.T + matrix[:3, 3]).astype(np.float32),
         faces=np.ascontiguousarray(faces),
-        colors=_colors(geometry, glb=glb),
+        colors=part.colors,
         normals=normals,
+        uv=part.uv,
+        textures=textures,
     )
-
-
-def _colors(geometry: Any, *, glb: bool) -> NDArray[np.uint8]:
-    """sRGB per vertex, shape [V, 3]. In glTF factors and vertex colours are linear, textures sRGB (glTF 2.0, 3.9.2)."""
-    count, visual = len(geometry.vertices), geometry.visual
-    if visual.kind == "vertex":
-        colors = np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8)
-        return linear_to_bytes(colors / 255) if glb else colors
-    if visual.kind == "face":
-        face_colors = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
-        colors = np.full((count, 3), DEFAULT_COLOR, np.uint8)
-        colors[np.asarray(geometry.faces).ravel()] = np.repeat(face_colors, 3, axis=0)
-        return colors
-    material = getattr(visual, "material", None)
-    factor = _first(material, "baseColorFactor", "diffuse") if material is not None else None
-    image = _first(material, "baseColorTexture", "image") if material is not None else None
-    uv = getattr(visual, "uv", None)
-    if image is not None and uv is not None:
-        texels = _sample(image, np.asarray(uv, np.float64))
-        if factor is None or not glb or np.all(np.asarray(factor)[:3] == 255):
-            return texels
-        linear = bytes_to_linear(texels) * (np.asarray(factor, np.float64)[:3] / 255)
-        return linear_to_bytes(linear)
-    if factor is None:
-        return np.full((count, 3), DEFAULT_COLOR, np.uint8)
-    rgb = np.asarray(factor, np.float64)[:3] / 255
-    return np.broadcast_to(linear_to_bytes(rgb) if glb else _to_uint8(rgb), (count, 3)).copy()
-
-
-def _first(material: Any, *names: str) -> Any:
-    values = (getattr(material, name, None) for name in names)
-    return next((v for v in values if v is not None), None)
-
-
-def _to_uint8(unit: ArrayLike) -> NDArray[np.uint8]:
-    return np.rint(np.asarray(unit) * 255).astype(np.uint8)
-
-
-def _sample(image: Any, uv: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Nearest texels [V, 3] of a PIL image at ``uv`` [V, 2]: origin at the lower left, repeated outside 0..1."""
-    pixels = np.asarray(image.convert("RGB"))
-    height, width = pixels.shape[:2]
-    uv = np.nan_to_num(uv)
-    column = np.minimum((uv[:, 0] % 1.0 * width).astype(int), width - 1)
-    row = np.minimum(((1.0 - uv[:, 1]) % 1.0 * height).astype(int), height - 1)
-    return pixels[row, column]
