@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from h3data.bodies import Robot, load_robot
+from h3data.bodies import Robot, load_robot, robot_names
 from h3data.bodies.meshes import read_plain_glb
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
@@ -54,7 +54,7 @@ def test_feet_stand_on_the_floor(robot: Robot) -> None:
         assert abs(vertices[:, 1].min()) < 2e-3
     everything = np.concatenate(list(parts.values()))
     size = np.ptp(everything, axis=0)
-    np.testing.assert_allclose(size, [1.1, 0.93, 0.5], atol=0.05)
+    np.testing.assert_allclose(size, [1.1, 0.85, 0.4], atol=0.05)
     front = np.mean([v[:, 0].mean() for n, v in feet.items() if n.startswith("front")])
     left = np.mean([v[:, 2].mean() for n, v in feet.items() if "left" in n])
     assert front > 0.2  # x is forward
@@ -69,37 +69,87 @@ def test_stowed_arm_does_not_touch_the_body(robot: Robot) -> None:
     assert parts["arm_forearm"][:, 1].min() > parts["arm_upper"][:, 1].max() - 0.03
 
 
-@pytest.mark.parametrize("name", ["robot_arm", "robot_arm_habitat"])
-def test_arm_camera_looks_forward_and_a_little_down(robot: Robot, name: str) -> None:
+def test_places_and_limits_are_spots(robot: Robot) -> None:
+    """spec/habitat.md 4 (base offset); limits as published (hip 45 deg to both sides, knee 14 to 160 deg bent)."""
+    assert robot.base_height_m == pytest.approx(0.48, abs=1e-3)
+    assert [d.tolist() for d in (robot.base_discs, robot.base_profiles["three"])] == [[0, 0.225], [0, 0.25, -0.25]]
+    assert [c.pose[0] for c in robot.base_cylinders("three")] == [0, 0.25, -0.25]
+    with pytest.raises(InputError, match=r"no base profile 'four'.*three"):
+        robot.base_cylinders("four")
+    degrees = np.degrees(np.stack([robot.lower, robot.upper], -1)).round()
+    assert degrees[:8].tolist() == [
+        [-150, 180], [-180, 30], [-160, 160], [0, 180], [-160, 160], [-105, 105], [-165, 165], [-90, 0],
+    ]  # fmt: skip
+    for leg in range(4):
+        assert degrees[8 + 3 * leg : 11 + 3 * leg].tolist() == [[-45, 45], [-52, 131], [-160, -14]]
+
+
+def test_the_arm_reaches_as_far_as_spots(robot: Robot) -> None:
+    """0.984 m from the shoulder to the end of the hand, arm straight; hand and arm are then at the shoulder's height."""
+    straight = robot.rest.copy()
+    straight[[1, 3]] = 0
+    frames = robot.link_matrices(ROOT, straight[None])[0]
+    shoulder, hand = (frames[robot.link_index(n)] for n in ("arm_upper", "arm_hand"))
+    np.testing.assert_allclose(shoulder[:3, 3], [0.292, robot.base_height_m + 0.188, 0], atol=1e-6)
+    tip = (hand @ [0.17, 0, 0, 1])[:3]
+    assert np.linalg.norm(tip - shoulder[:3, 3]) == pytest.approx(0.984, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "hfov"),
+    [("robot_arm", (224, 171), 55), ("robot_arm_habitat", (171, 224), 55), ("robot_arm_rgb", (640, 480), 47)],
+)
+def test_hand_cameras_look_along_the_hand(robot: Robot, name: str, size: tuple[int, int], hfov: float) -> None:
+    """As in Habitat: the stowed hand, and with it the picture's middle, points 0.14 rad upwards."""
     camera = robot.camera(name)
-    assert (camera.width, camera.height) == ((224, 171) if name == "robot_arm" else (171, 224))
+    assert (camera.width, camera.height, camera.hfov_deg) == (*size, hfov)
     pose = robot.camera_poses(name, robot.link_matrices(ROOT, robot.rest[None]))[0]
     np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-9)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
-    down = np.degrees(np.arcsin(-pose[1, 2]))
-    assert 5 < down < 15
-    assert pose[0, 2] > 0.95
+    np.testing.assert_allclose(pose[:3, 2], [np.cos(0.14), np.sin(0.14), 0], atol=1e-6)
     np.testing.assert_allclose(pose[:3, 0], [0, 0, 1], atol=1e-6)  # the picture's right is the robot's right
 
 
-@pytest.mark.parametrize("name", ["robot_arm", "robot_arm_habitat"])
+def test_five_cameras_look_around(robot: Robot) -> None:
+    """Front ones from Habitat's Euler angles (spec/habitat.md 4): Rz Ry Rx in the root frame, a camera that looks along -z."""
+    frames = robot.link_matrices(ROOT, robot.rest[None])
+    poses = {
+        n: robot.camera_poses(f"robot_{n}", frames)[0] for n in ("front_left", "front_right", "left", "right", "back")
+    }
+    given = {
+        "front_right": ((0.41648, 0, 0.036148), (0.0290787, -0.940569, -0.38998877)),
+        "front_left": ((0.41648, 0, -0.037403), (-3.1125141, -0.940569, 2.751605)),
+    }
+    for name, (position, angles) in given.items():
+        x, y, z = (quat_to_matrix(quat_from_axis_angle(np.eye(3)[k], angles[k])) for k in range(3))
+        np.testing.assert_allclose(poses[name][:3, :3], z @ y @ x @ np.diag([1, -1, -1]), atol=2e-3)
+        np.testing.assert_allclose(poses[name][:3, 3] - [0, robot.base_height_m, 0], position, atol=1e-3)
+    bearing = {n: np.degrees(np.arctan2(-p[2, 2], p[0, 2])) for n, p in poses.items()}
+    expected = {"front_left": -38, "front_right": 38, "left": 90, "right": -90, "back": 180}
+    for name, angle in expected.items():
+        assert (bearing[name] - angle + 180) % 360 - 180 == pytest.approx(0, abs=0.5), name
+        assert -0.5 < poses[name][1, 2] < -0.2  # down
+    sizes = {(c.width, c.height, c.hfov_deg) for c in robot.cameras if c.name.removeprefix("robot_") in poses}
+    assert sizes == {(120, 212, 58.0)}
+
+
 @pytest.mark.parametrize("gripper", [0.0, -1.56])
-def test_nothing_of_the_robot_is_in_its_own_picture(robot: Robot, name: str, gripper: float) -> None:
-    """Points all over every triangle: none is before the camera and inside its picture."""
+def test_nothing_of_the_robot_is_in_its_own_pictures(robot: Robot, gripper: float) -> None:
+    """Points all over every triangle: none is before a camera and inside its picture."""
     joints = robot.rest.copy()
     joints[7] = gripper
     frames = robot.link_matrices(ROOT, joints[None])
-    camera, pose = robot.camera(name), robot.camera_poses(name, frames)[0]
-    tan_x = np.tan(np.radians(camera.hfov_deg / 2))
-    tan_y = tan_x * camera.height / camera.width
     parts = _vertices(robot, frames[0])
     grid = np.array([(i, j, 9 - i - j) for i in range(10) for j in range(10 - i)]) / 9
-    for link in robot.links:
-        if link.mesh is None:
-            continue
-        corners = parts[link.name][link.mesh.faces]
-        x, y, z = np.moveaxis((np.einsum("gk,fkc->fgc", grid, corners) - pose[:3, 3]) @ pose[:3, :3], -1, 0)
-        assert not np.any((z > 1e-4) & (np.abs(x) < z * tan_x) & (np.abs(y) < z * tan_y)), link.name
+    meshes = [(link.name, link.mesh.faces) for link in robot.links if link.mesh is not None]
+    points = {name: np.einsum("gk,fkc->fgc", grid, parts[name][faces]) for name, faces in meshes}
+    for camera in robot.cameras:
+        pose = robot.camera_poses(camera.name, frames)[0]
+        tan_x = np.tan(np.radians(camera.hfov_deg / 2))
+        tan_y = tan_x * camera.height / camera.width
+        for name, where in points.items():
+            x, y, z = np.moveaxis((where - pose[:3, 3]) @ pose[:3, :3], -1, 0)
+            assert not np.any((z > 1e-4) & (np.abs(x) < z * tan_x) & (np.abs(y) < z * tan_y)), (camera.name, name)
 
 
 def test_link_matrices_against_the_plain_product(robot: Robot) -> None:
@@ -194,6 +244,75 @@ def test_unknown_names_say_what_there_is(robot: Robot) -> None:
         robot.camera("x")
 
 
+def test_joint_targets_beyond_limits_are_clamped_and_named(robot: Robot) -> None:
+    wanted = np.stack([robot.rest, robot.rest])
+    wanted[1, [1, 3, 10]] = [-4, 9, 0.1]
+    targets = robot.clamp(wanted)
+    assert np.argwhere(targets.clamped).tolist() == [[1, 1], [1, 3], [1, 10]]
+    np.testing.assert_allclose(targets.positions[1, [1, 3, 10]], [robot.lower[1], robot.upper[3], robot.upper[10]])
+    np.testing.assert_array_equal(targets.positions[0], robot.rest)
+    assert not robot.clamp(targets.positions).clamped.any()
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ([np.nan] + [0.0] * 19, "NaN or infinity for arm_0"),
+        ([0.0] * 19 + [np.inf], "NaN or infinity for rear_right_knee"),
+        ([0.0] * 7, r"\[..., 20\] of quad_arm, got \[7\]"),
+        (0.0, r"got \[\]"),
+        (["a"] * 20, "something else"),
+    ],
+)
+def test_joint_targets_that_are_none_are_refused(robot: Robot, wanted: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        robot.clamp(wanted)  # pyright: ignore[reportArgumentType]
+
+
+# --- the other one ----------------------------------------------------------------------------------------------------
+def test_the_arm_of_lift_arm_goes_out_in_four_stages_alike() -> None:
+    robot = load_robot("lift_arm")
+    assert robot.joint_names == (
+        "wheel_left", "wheel_right", "lift", "arm_extend", "wrist_yaw", "wrist_pitch", "wrist_roll", "gripper", "head_pan",
+        "head_tilt",
+    )  # fmt: skip
+    joints = np.tile(robot.rest, (3, 1))
+    joints[1, 3], joints[2, [2, 3]] = 0.13, [1.0, 0.13]
+    frames = robot.link_matrices(np.tile(ROOT, (3, 1)), joints)
+    wrist = frames[:, robot.link_index("wrist_yaw"), :3, 3]
+    np.testing.assert_allclose(wrist[1] - wrist[0], [0, 0, 0.52], atol=1e-9)  # to the right
+    np.testing.assert_allclose(wrist[2] - wrist[1], [0, 0.4, 0], atol=1e-9)
+    stages = [frames[1, robot.link_index(f"arm_stage_{k}"), 2, 3] for k in range(4)]
+    np.testing.assert_allclose(np.diff(stages), 0.13, atol=1e-9)
+    parts = np.concatenate(list(_vertices(robot, frames[0]).values()))
+    assert abs(parts[:, 1].min()) < 1e-3
+    assert 1.35 < parts[:, 1].max() < 1.47
+
+
+def test_fingers_of_lift_arm_close_together() -> None:
+    robot = load_robot("lift_arm")
+    joints = np.tile(robot.rest, (2, 1))
+    joints[1, 7] = 0.4
+    frames = robot.link_matrices(np.tile(ROOT, (2, 1)), joints)
+    hand = np.linalg.inv(frames[:, robot.link_index("hand")])
+    left, right = (
+        (hand @ frames[:, robot.link_index(f"finger_{side}")] @ np.array([0, -0.18, 0, 1]))[:, :3]
+        for side in ("left", "right")
+    )
+    np.testing.assert_allclose(left * [-1, 1, 1], right, atol=1e-9)
+    assert left[1, 0] - right[1, 0] > left[0, 0] - right[0, 0] + 0.1
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_every_built_in_robot_stands_inside_its_limits_with_shapes_and_a_hand(name: str) -> None:
+    robot = load_robot(name)
+    assert robot.name == name
+    assert not robot.clamp(robot.rest).clamped.any()
+    assert all(link.mesh is not None and link.shapes for link in robot.links)
+    assert robot.hand_link >= 0
+    assert {"robot_arm"} <= {c.name for c in robot.cameras}
+
+
 @pytest.mark.parametrize(
     ("settings_text", "message"),
     [
@@ -201,6 +320,13 @@ def test_unknown_names_say_what_there_is(robot: Robot) -> None:
         ("rest = [0.0, 1.0]", "rest has 2 positions, the URDF 1"),
         ("base_height_m = 'high'", "robot description"),
         ("not toml at all [", "robot description"),
+        ('hand_link = "z"', "hand_link is 'z'"),
+        ("base_discs_m = []", "no discs"),
+        ('[[legs]]\njoints=["j", "j", "k"]\nfoot=[0,0,0]', "joint 'k', which is no movable one"),
+        (
+            '[[cameras]]\nname="c"\nlink="b"\nposition=[0,0,0]\nforward=[0,0,1]\nwidth=4\nheight=3\nhfov_deg=60',
+            "camera c has no picture",
+        ),
         (
             '[[cameras]]\nname="c"\nlink="z"\nposition=[0,0,0]\nforward=[1,0,0]\nwidth=4\nheight=3\nhfov_deg=60',
             "camera c is fixed to 'z'",
