@@ -1,13 +1,14 @@
-"""Meshes as GLB (glTF 2.0 binary) with their colours in a small texture, which every viewer and habitat-sim draws.
+"""Meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim draws.
 
 `h3data.scene.save_scene` keeps scenes exactly, with vertex colours; many programs drop those of meshes that have a
-material (habitat-sim's PBR shader among them), so what is meant for others comes from here.
+material (habitat-sim's PBR shader among them), so what is meant for others comes from here: colours of triangles without
+a texture lie in a small palette image, triangles with a texture have a material for each pair of texture and colour.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,15 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, normalized
 from h3data.scene.glb import FLOAT32, INDICES, UINT32, VERTICES, GlbChunk, pack_glb
-from h3data.scene.records import Mesh
+from h3data.scene.meshes import face_texture_indices
+from h3data.scene.png import png_bytes
+from h3data.scene.records import Mesh, Texture
+from h3data.srgb import bytes_to_linear
 
-_NEAREST, _CLAMP = 9728, 33071
+_PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
+"""Sampler: nearest, clamped."""
+_SMOOTH = {"magFilter": 9729, "minFilter": 9987}
+"""Sampler: linear with mipmaps, repeated."""
 _BLOCK_PX = 4
 """Side of the square of one colour in the palette: the first two mipmaps of a viewer that makes some are still clean."""
 
@@ -40,53 +47,118 @@ class GlbNode:
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
     """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
-    Positions are exact. Colours are exact where a triangle has one; a triangle whose corners differ gets their mean.
+    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has one; a triangle whose
+    corners differ gets their mean.
     """
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
     meshes = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
-    palette = np.unique(np.concatenate([m.colors for m in meshes]), axis=0)
-    side = int(np.ceil(np.sqrt(len(palette))))
     chunk = GlbChunk()
-    image = chunk.view(_palette_png(palette, side))
-    records = [
-        {"name": f"mesh_{k}", "primitives": [_primitive(chunk, mesh, palette, side)]} for k, mesh in enumerate(meshes)
-    ]
+    materials = _Materials(chunk, _plain_colors(meshes))
     document = {
         "asset": {"version": "2.0", "generator": "h3data"},
         "scene": 0,
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": [_node(node) for node in nodes],
-        "meshes": records,
-        "materials": [
-            {
-                "name": "palette",
-                "pbrMetallicRoughness": {
-                    "baseColorTexture": {"index": 0}, "metallicFactor": 0.0, "roughnessFactor": 1.0
-                },
-            }
+        "meshes": [
+            {"name": f"mesh_{k}", "primitives": _primitives(chunk, mesh, materials)} for k, mesh in enumerate(meshes)
         ],
-        "textures": [{"sampler": 0, "source": 0}],
-        "samplers": [{"magFilter": _NEAREST, "minFilter": _NEAREST, "wrapS": _CLAMP, "wrapT": _CLAMP}],
-        "images": [{"bufferView": image, "mimeType": "image/png"}],
+        "materials": materials.materials,
+        "textures": materials.textures,
+        "samplers": [_PIXELS, _SMOOTH],
+        "images": materials.images,
         "accessors": chunk.accessors,
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": chunk.size}],
-    }  # fmt: skip
+    }
     return pack_glb(document, chunk)
 
 
-def _primitive(chunk: GlbChunk, mesh: Mesh, palette: NDArray[np.uint8], side: int) -> dict[str, Any]:
-    low, high = mesh.bounds.tolist()
-    attributes = {"POSITION": chunk.array(mesh.vertices.astype("<f4"), "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+class _Materials:
+    """The materials of a file: the palette of colours without a texture, then pairs of texture and colour."""
+
+    def __init__(self, chunk: GlbChunk, palette: NDArray[np.uint8]) -> None:
+        self._chunk, self._palette = chunk, palette
+        self._side = int(np.ceil(np.sqrt(len(palette))))
+        self._images: dict[int, int] = {}
+        self._pairs: dict[tuple[int, int], int] = {}
+        self.materials: list[dict[str, Any]] = []
+        self.textures: list[dict[str, Any]] = []
+        self.images: list[dict[str, Any]] = []
+        if len(palette):
+            image = self._image("palette", _palette_pixels(palette, self._side), sampler=0)
+            self.materials.append({"name": "palette", "pbrMetallicRoughness": _matte(image)})
+
+    def palette_uv(self, colors: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Where the palette, which is material 0, has each colour; shape [V, 2]."""
+        index = np.searchsorted(_codes(self._palette), _codes(colors))  # np.unique sorts rows as the codes do
+        return (np.stack([index % self._side + 0.5, index // self._side + 0.5], -1) / self._side).astype(np.float32)
+
+    def pair(self, texture: Texture, color: NDArray[np.uint8]) -> int:
+        """The material that shows a texture in an sRGB colour [3]."""
+        key = (id(texture), int(_codes(color)))
+        if key not in self._pairs:
+            if id(texture) not in self._images:
+                self._images[id(texture)] = self._image(texture.name, texture.pixels, sampler=1)
+            factor = [*bytes_to_linear(color).tolist(), 1.0]
+            clear = {} if (texture.pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
+            look = {**_matte(self._images[id(texture)]), "baseColorFactor": factor}
+            name = f"{texture.name or 'texture'} #{bytes(color.tolist()).hex()}"
+            self._pairs[key] = len(self.materials)
+            self.materials.append({"name": name, "pbrMetallicRoughness": look, **clear})
+        return self._pairs[key]
+
+    def _image(self, name: str, pixels: NDArray[np.uint8], *, sampler: int) -> int:
+        view = self._chunk.view(png_bytes(pixels, gray=False))
+        self.images.append({"bufferView": view, "mimeType": "image/png", "name": name})
+        self.textures.append({"sampler": sampler, "source": len(self.images) - 1})
+        return len(self.textures) - 1
+
+
+def _matte(texture: int) -> dict[str, Any]:
+    return {"baseColorTexture": {"index": texture}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
+
+
+def _primitives(chunk: GlbChunk, mesh: Mesh, materials: _Materials) -> list[dict[str, Any]]:
+    """One primitive for the triangles without a texture, one for each pair of texture and colour."""
+    kinds = face_texture_indices(mesh)
+    groups = np.stack([kinds.astype(np.int64), np.where(kinds < 0, 0, _codes(mesh.colors[mesh.faces[:, 0]]))], -1)
+    primitives = []
+    for (kind, _), faces in _grouped(groups, mesh.faces):
+        used, corners = np.unique(faces, return_inverse=True)
+        if kind < 0:
+            material, uv = 0, materials.palette_uv(mesh.colors[used])
+        else:
+            assert mesh.uv is not None
+            material, uv = materials.pair(mesh.textures[kind], mesh.colors[used[0]]), mesh.uv[used]
+        primitives.append(_primitive(chunk, mesh, used, corners, uv, material))
+    return primitives
+
+
+def _grouped(groups: NDArray[Any], faces: NDArray[np.int32]) -> Iterator[tuple[list[int], NDArray[np.int32]]]:
+    """Distinct rows of ``groups`` [F, 2] in ascending order, with their faces."""
+    keys, group = np.unique(groups, axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    ends = np.cumsum(np.bincount(group.ravel()))
+    yield from zip(keys.tolist(), np.split(faces[order], ends[:-1]), strict=True)
+
+
+def _primitive(
+    chunk: GlbChunk,
+    mesh: Mesh,
+    used: NDArray[Any],
+    corners: NDArray[Any],
+    uv: NDArray[np.float32],
+    material: int,
+) -> dict[str, Any]:
+    points = mesh.vertices[used].astype("<f4")
+    low, high = points.min(0).tolist(), points.max(0).tolist()
+    attributes = {"POSITION": chunk.array(points, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
     if mesh.normals is not None:
-        attributes["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
-    codes, wanted = _codes(palette), _codes(mesh.colors)
-    index = np.searchsorted(codes, wanted)  # np.unique sorts rows as the codes do
-    uv = np.stack([index % side + 0.5, index // side + 0.5], -1) / side
+        attributes["NORMAL"] = chunk.array(mesh.normals[used].astype("<f4"), "VEC3", FLOAT32, VERTICES)
     attributes["TEXCOORD_0"] = chunk.array(uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
-    faces = chunk.array(mesh.faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
-    return {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
+    faces = chunk.array(corners.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+    return {"attributes": attributes, "indices": faces, "material": material, "mode": 4}
 
 
 def _node(node: GlbNode) -> dict[str, Any]:
@@ -100,13 +172,16 @@ def _node(node: GlbNode) -> dict[str, Any]:
     return {**record, "extras": dict(node.extras)} if node.extras else record
 
 
-def _palette_png(palette: NDArray[np.uint8], side: int) -> bytes:
-    import cv2
+def _plain_colors(meshes: Sequence[Mesh]) -> NDArray[np.uint8]:
+    """The colours of all triangles without a texture, each once, shape [K, 3]."""
+    colors = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m in meshes]
+    return np.unique(np.concatenate(colors), axis=0)
 
-    texels = np.zeros((side * side, 3), np.uint8)
-    texels[: len(palette)] = palette
-    image = texels.reshape(side, side, 3).repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
-    return cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+
+def _palette_pixels(palette: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    texels = np.full((side * side, 4), (0, 0, 0, 255), np.uint8)
+    texels[: len(palette), :3] = palette
+    return texels.reshape(side, side, 4).repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
 
 
 def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -123,18 +198,23 @@ def _one_color_per_triangle(mesh: Mesh) -> Mesh:
     mean = np.rint(corners[mixed].mean(1)).astype(np.uint8)
     faces = mesh.faces.copy()
     faces[mixed] = len(mesh.vertices) + np.arange(old.size, dtype=np.int32).reshape(-1, 3)
-    normals = None if mesh.normals is None else np.concatenate([mesh.normals, mesh.normals[old.ravel()]])
-    return Mesh(
-        vertices=np.concatenate([mesh.vertices, mesh.vertices[old.ravel()]]),
+
+    def with_corners(values: NDArray[Any] | None) -> Any:
+        return None if values is None else np.concatenate([values, values[old.ravel()]])
+
+    return replace(
+        mesh,
+        vertices=with_corners(mesh.vertices),
         faces=faces,
         colors=np.concatenate([mesh.colors, np.repeat(mean, 3, axis=0)]),
-        normals=normals,
+        normals=with_corners(mesh.normals),
+        uv=with_corners(mesh.uv),
     )
 
 
 def _checked(mesh: Mesh) -> Mesh:
     faults = [
-        what for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals))
+        what for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
         if values is not None and not np.isfinite(values).all()
     ]  # fmt: skip
     if faults or not len(mesh.faces):

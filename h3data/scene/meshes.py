@@ -34,12 +34,16 @@ def _uv(mesh: Mesh) -> NDArray[np.float32]:
 
 def _face_textures(mesh: Mesh, textures: Sequence[Texture]) -> NDArray[np.int16]:
     """The mesh's texture of each triangle as an index into ``textures``."""
-    if not mesh.textures:
-        return np.full(len(mesh.faces), -1, np.int16)
     place = {id(t): k for k, t in enumerate(textures)}
     index = np.array([place[id(t)] for t in mesh.textures] + [-1], np.int16)  # the last one answers -1
-    own = np.zeros(len(mesh.faces), np.int16) if mesh.face_textures is None else mesh.face_textures
-    return index[own]
+    return index[face_texture_indices(mesh)]
+
+
+def face_texture_indices(mesh: Mesh) -> NDArray[np.int16]:
+    """The texture of each triangle as an index into the mesh's ``textures``, -1 = none, shape [F]."""
+    if mesh.face_textures is not None:
+        return mesh.face_textures
+    return np.full(len(mesh.faces), 0 if mesh.textures else -1, np.int16)
 
 
 def painted(mesh: Mesh, color: Sequence[int]) -> Mesh:

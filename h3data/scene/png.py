@@ -11,13 +11,16 @@ MAX_PX = 1 << 26
 """Larger images (8192 x 8192) are refused, before anything is decoded."""
 
 
-def png_bytes(pixels: NDArray[np.uint8]) -> bytes:
-    """The PNG of texels [H, W, 4]. The same texels give the same bytes. Raises `ValueError` above `MAX_PX`."""
+def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
+    """The PNG of texels [H, W, 4]; the same texels give the same bytes. Raises `ValueError` above `MAX_PX`.
+
+    Without ``gray`` there are three colour channels also where they are equal, as some programs show a single one as red.
+    """
     from PIL import Image
 
     if pixels[..., 0].size > MAX_PX:
         raise ValueError(f"an image of {pixels.shape[1]} x {pixels.shape[0]} texels, the most are {MAX_PX}")
-    gray = bool((pixels[..., :1] == pixels[..., 1:3]).all())
+    gray = gray and bool((pixels[..., :1] == pixels[..., 1:3]).all())
     opaque = bool((pixels[..., 3] == 255).all())
     channels = ([0] if gray else [0, 1, 2]) + ([] if opaque else [3])
     kept = np.ascontiguousarray(pixels[..., channels[0]] if len(channels) == 1 else pixels[..., channels])
