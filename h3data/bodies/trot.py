@@ -48,7 +48,7 @@ def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np
     rest = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), robot.rest[None])[0]
     shanks = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
     feet = np.stack([rest[k, :3, :3] @ leg.foot + rest[k, :3, 3] for k, leg in zip(shanks, robot.legs, strict=True)])
-    there = np.isfinite(bases).all(axis=1)
+    there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1)
     jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > JUMP_M
     begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
@@ -59,6 +59,12 @@ def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np
             for k, leg in enumerate(robot.legs):
                 out[part, leg.columns] = leg_angles(robot, leg, spots[:, k])
     return out
+
+
+def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
+    """Whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
+    columns = [c for leg in robot.legs for c in leg.columns]
+    return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
 
 
 def _feet(bases: Array, feet: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.bodies.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.interop import AssetLibrary
@@ -83,13 +84,15 @@ class Replay:
     """Poses and pictures of a recording.
 
     ``assets`` finds the files that a foreign recording names; what is missing is drawn as a marked placeholder and listed
-    in `missing`. ``detail`` chooses the full body meshes instead of the reduced ones.
+    in `missing`. ``detail`` chooses the full body meshes instead of the reduced ones. ``stepping`` lets legs trot that the
+    recording only holds in their resting posture (`h3data.bodies.trot`); nothing but their looks depends on it.
     """
 
     def __init__(self, recording: Recording, *, assets: AssetLibrary | Sequence[str | Path] | None = None,
-                 detail: bool = True) -> None:  # fmt: skip
+                 detail: bool = True, stepping: bool = True) -> None:  # fmt: skip
         self.recording = recording
         self.detail = detail
+        self.stepping = stepping
         self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
         self.scene: Scene | None = None
         if "scene.glb" in recording.attachments:
@@ -209,6 +212,8 @@ class Replay:
                 raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a robot with links.")
             base = self.recording.agent_column(agent, "base_pose")
             joints = self.recording.agent_column(agent, "joint_pos")
+            if self.stepping and legs_are_posed(robot, joints):
+                joints = trot(robot, base, joints)
             self._links[agent] = robot.link_matrices(base, joints).astype(np.float32)
         return self._links[agent]
 

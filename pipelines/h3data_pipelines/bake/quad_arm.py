@@ -63,7 +63,7 @@ def torso() -> Link:
         disc_points(0.014, 0.010, axis=1, center=(-0.05, y, 0.030), bevel=0.003, sides=14) for y in (-0.134, 0.134)
     ]
     eyes += [disc_points(0.014, 0.010, axis=0, center=(-0.418, 0, 0.012), bevel=0.003, sides=14)]
-    seat = [disc_points(0.075, 0.03, axis=2, center=(SHOULDER[0] - 0.01, 0, 0.098))]
+    seat = [disc_points(0.078, 0.044, axis=2, center=(SHOULDER[0], 0, 0.106))]
     rails = [
         solid(
             [
