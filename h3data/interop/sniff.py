@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import zlib
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +32,10 @@ KIND_WORDS: dict[str, str] = {
     "scene_filter": "a receptacle filter",
     "json": "JSON of an unknown kind",
 }
+
+UNPACKED_BYTES = 64 << 20
+UNPACKED_RATIO = 200
+"""Gzip data may unpack to so many bytes, or to so many times their own size (JSON of recordings: 5 to 30 times)."""
 
 _MAGIC: tuple[tuple[bytes, FileKind], ...] = (
     (b"\x89MCAP0\r\n", "mcap"),
@@ -103,11 +108,24 @@ def read_bytes(path: Path) -> bytes:
     if not data.startswith(b"\x1f\x8b"):
         return data
     try:
-        return gzip.decompress(data)
+        return _unpacked(data, path)
     except (OSError, EOFError, zlib.error) as fault:
         raise FormatError(
             f"The gzip data are damaged or cut off ({fault}). Hint: copy the file again. {path}"
         ) from None
+
+
+def _unpacked(data: bytes, path: Path) -> bytes:
+    """The content of gzip data, as long as it is not out of all proportion to their size."""
+    most = max(UNPACKED_RATIO * len(data), UNPACKED_BYTES)
+    with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
+        content = stream.read(most + 1)
+    if len(content) > most:
+        raise FormatError(
+            f"The {len(data)} bytes of gzip data unpack to more than {most >> 20} MiB, so they are not read. Hint: if "
+            f"that is right, unpack the file first. {path}"
+        )
+    return content
 
 
 def decode_json(data: bytes, kind: Any = Any) -> Any:
