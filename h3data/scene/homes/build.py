@@ -176,7 +176,7 @@ def _furnish_room(
 
 def _add_structure(home: _Collector, layout: Layout, style: Style, spec: HomeSpec, attempt: int) -> None:
     rng = stage_rng(spec, "structure", attempt)
-    home.structure(structure.walls_asset(layout, style, rng))
+    home.structure(structure.walls_asset(layout, style))
     for room in layout.rooms:
         mesh = floor_mesh(room, style, rng)
         home.structure(Asset(name=f"floor_{room.name}", mesh=mesh, category="floor"))

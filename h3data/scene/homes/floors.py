@@ -7,14 +7,14 @@ from itertools import pairwise
 import numpy as np
 
 from h3data.scene.homes.layout import RoomPlan
-from h3data.scene.homes.materials import BOARDS
+from h3data.scene.homes.materials import BOARDS, MATERIALS, TILES
 from h3data.scene.homes.solids import MeshBuilder, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.homes.zoning import Rect
 from h3data.scene.records import Mesh
 
-TILE_M = 0.3
-_PLANK_WIDTH, _PLANK_LENGTH = 0.14, 1.2
+_PLANK_LENGTH, _PLANK_WIDTH = MATERIALS["boards"].size_m[0], MATERIALS["boards"].size_m[1] / BOARDS
+TILE_M = MATERIALS["tiles"].size_m[0] / TILES
 
 
 def _flat(rects: np.ndarray, y: float = 0.0) -> np.ndarray:
@@ -37,7 +37,7 @@ def _planks(rect: Rect, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
         ends = np.concatenate([[a0], cuts[(cuts > a0 + 0.08) & (cuts < a1 - 0.08)], [a1]])
         for k, (s, e) in enumerate(pairwise(ends.tolist())):
             boards.append((s, low, e, high))
-            top = (len(boards) * 7 + k) % BOARDS * _PLANK_WIDTH  # any of the boards that are drawn
+            top = len(boards) % BOARDS * _PLANK_WIDTH  # neighbours show different ones of the boards drawn
             left = s - float(cuts[0]) if k == 0 else 0.0
             places.append((left, top, left + e - s, top + min(high - low, _PLANK_WIDTH)))
     out = np.array(boards)

@@ -66,7 +66,8 @@ def counter(
     mesh.quads([[(x0, bottom, z1), (x1, bottom, z1), (x1, bottom, z0), (x0, bottom, z0)]], shade(steel, 0.85))
     ring = [(x0, z0), (x1, z0), (x1, z1), (x0, z1)]
     for (ax, az), (bx, bz) in zip(ring, ring[1:] + ring[:1], strict=True):
-        mesh.quads([[(ax, bottom, az), (bx, bottom, bz), (bx, y, bz), (ax, y, az)]], shade(steel, 0.95))
+        rim = y - 0.04  # below the edges of the worktop
+        mesh.quads([[(ax, bottom, az), (bx, bottom, bz), (bx, rim, bz), (ax, rim, az)]], shade(steel, 0.95))
     middle = (x0 + x1) / 2
     mesh.cylinder((middle, bottom + 0.003, 0.01), 0.03, 0.004, style.black, segments=12)
     mesh.cylinder((middle, y + 0.13, -0.22), 0.014, 0.26, steel, segments=10)

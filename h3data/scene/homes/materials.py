@@ -22,6 +22,9 @@ _PX = 128
 _STEPS = 256
 """Texels take multiples of this part of full light: none lies on the border of two sRGB bytes, and files stay small."""
 
+BOARDS, TILES = 4, 2
+"""Boards in the height of "boards", tiles along either side of "tiles": so floors cut their pieces along the joints."""
+
 Pattern = NDArray[np.float64]
 """How much darker than white each texel is, in any unit, shape [H, W]."""
 
@@ -41,6 +44,9 @@ class Finish(tuple[int, int, int]):
         finish.material = material
         return finish
 
+    def __getnewargs__(self) -> tuple[Sequence[int], str]:
+        return tuple(self), self.material
+
     def __repr__(self) -> str:
         return f"Finish({tuple(self)}, {self.material!r})"
 
@@ -56,11 +62,11 @@ class Material:
     """Mean loss of light, 0..1: what a surface loses of its colour's brightness."""
 
 
-def _noise(rng: np.random.Generator, across: int, down: int, shape: tuple[int, int] = (_PX, _PX)) -> Pattern:
-    """Smooth random values 0..1 that repeat, from ``across`` x ``down`` random points (divisors of the shape)."""
+def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
+    """Smooth random values 0..1 that repeat, from ``across`` x ``down`` random points (powers of two)."""
     values = rng.integers(0, 1 << 16, (down, across)) / (1 << 16)
     for axis, count in enumerate((down, across)):
-        steps = shape[axis] // count
+        steps = _PX // count
         t = (np.arange(steps) + 0.5) / steps
         t = t * t * (3 - 2 * t)
         here, there = np.repeat(values, steps, axis), np.repeat(np.roll(values, -1, axis), steps, axis)
@@ -184,9 +190,6 @@ def _concrete(rng: np.random.Generator) -> Pattern:
     cloud = 0.5 * _noise(rng, 4, 4) + 0.3 * _noise(rng, 16, 16) + 0.2 * _noise(rng, 64, 64)
     return 1.2 * cloud + 2.0 * _speckle(rng, 0.015)
 
-
-BOARDS, TILES = 4, 2
-"""Boards in the height of "boards", tiles along either side of "tiles": a floor may choose one for each of its pieces."""
 
 MATERIALS: Mapping[str, Material] = MappingProxyType(
     {

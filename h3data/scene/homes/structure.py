@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from h3data.geometry import IDENTITY_POSE
 from h3data.scene.homes.floors import TILE_M
 from h3data.scene.homes.layout import WALL_HEIGHT, WALL_THICKNESS, Layout, Opening, RoomPlan
-from h3data.scene.homes.materials import TILES
 from h3data.scene.homes.solids import Color, MeshBuilder, shade, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.homes.zoning import Rect, shared_wall
@@ -155,31 +153,14 @@ def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, fl
     return sides
 
 
-def _tiled(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Piece]]:
-    """The pieces split into tiles below a height and the rest above it."""
-    tiles, rest = [], []
-    for u0, y0, u1, y1 in pieces:
-        if y0 >= height:
-            rest.append((u0, y0, u1, y1))
-            continue
-        top = min(y1, height)
-        if y1 > height:
-            rest.append((u0, height, u1, y1))
-        us = np.linspace(u0, u1, max(1, round((u1 - u0) / TILE_M)) + 1).tolist()
-        ys = np.linspace(y0, top, max(1, round((top - y0) / TILE_M)) + 1).tolist()
-        tiles += [(a, b, c, d) for a, c in pairwise(us) for b, d in pairwise(ys)]
-    return tiles, rest
+def _below_above(pieces: list[_Piece], height: float) -> tuple[list[_Piece], list[_Piece]]:
+    """The parts of the pieces below a height and those above it."""
+    below = [(u0, y0, u1, min(y1, height)) for u0, y0, u1, y1 in pieces if y0 < height]
+    above = [(u0, max(y0, height), u1, y1) for u0, y0, u1, y1 in pieces if y1 > height]
+    return below, above
 
 
-def _tile_places(tiles: list[_Piece]) -> np.ndarray:
-    """Places on "tiles" [Q, 4, 2] of the quads of `_face_quad`: every piece is one whole tile, any of those drawn."""
-    number = np.arange(len(tiles))
-    corner = TILE_M * np.stack([number % TILES, (number * 3 // 2) % TILES], 1)
-    ring = np.array([(0, TILE_M), (TILE_M, TILE_M), (TILE_M, 0), (0, 0)])
-    return corner[:, None] + ring
-
-
-def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset:
+def walls_asset(layout: Layout, style: Style) -> Asset:
     """All walls: painted per room inside, tiled up to 1.5 m in bathrooms; their boxes are the collision shapes."""
     mesh = MeshBuilder()
     for room in layout.rooms:
@@ -187,9 +168,8 @@ def walls_asset(layout: Layout, style: Style, rng: np.random.Generator) -> Asset
         for axis, face, sign, low, high, openings in room_sides(layout, room):
             pieces = _pieces(low, high, openings)
             if room.category == "bathroom":
-                tiles, pieces = _tiled(pieces, 1.5)
-                colors = [vary(rng, style.wall_tile, 0.022) for _ in tiles]
-                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], colors, place=_tile_places(tiles))
+                tiles, pieces = _below_above(pieces, 5 * TILE_M)
+                mesh.quads([_face_quad(axis, face, sign, t) for t in tiles], style.wall_tile)
             mesh.quads([_face_quad(axis, face, sign, p) for p in pieces], paint)
     _facade(mesh, layout, style)
     for opening in layout.openings:
@@ -304,7 +284,7 @@ def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> 
     _bar(mesh, opening.axis, (u0, u1), frame, (y0, y0 + bar), style.trim)
     _bar(mesh, opening.axis, (u0, u1), frame, (y1 - bar, y1), style.trim)
     _bar(mesh, opening.axis, (u0, u1), (middle - 0.005, middle + 0.005), (y0 + bar, y1 - bar), style.glass)
-    _bar(mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0), style.trim)
+    _bar(mesh, opening.axis, (u0 - 0.05, u1 + 0.05), (inner, inner + into * 0.06), (y0 - 0.03, y0 + 0.004), style.trim)
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (min(inner, outer), max(inner, outer)))
     shape = box_shape((x0, y0, z0), (x1, y1, z1))
     return Asset(name=f"window_{index}", mesh=mesh.mesh(), category="window", shapes=(shape,))
@@ -343,7 +323,14 @@ def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng:
     top, down = y1 + 0.11, rng.uniform(0.1, 0.5) * (y1 - y0)
     cloth = vary(rng, shade(style.fabric_2, 1.25), 0.05)
     _bar(mesh, opening.axis, (u0 - 0.06, u1 + 0.06), (face, face + into * 0.07), (top - 0.07, top), style.trim)
-    _bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), (face + into * 0.03, face + into * 0.034), (y1 - down, top), cloth)
+    _bar(
+        mesh,
+        opening.axis,
+        (u0 - 0.04, u1 + 0.04),
+        (face + into * 0.03, face + into * 0.034),
+        (y1 - down, top - 0.03),
+        cloth,
+    )
     hem = (face + into * 0.026, face + into * 0.038)
     _bar(mesh, opening.axis, (u0 - 0.04, u1 + 0.04), hem, (y1 - down - 0.02, y1 - down), style.trim)
     return Asset(name=f"blind_{index}", mesh=mesh.mesh(), category="blind")
