@@ -1,6 +1,7 @@
 """Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
 
 from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh, load_humanoid
+from h3data.bodies.ik import IkResult, solve_ik
 from h3data.bodies.motion import Clip
 from h3data.bodies.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robot_loading import load_robot, robot_names
@@ -13,6 +14,7 @@ __all__ = [
     "BodyCapsule",
     "Clip",
     "Humanoid",
+    "IkResult",
     "JointTargets",
     "Robot",
     "RobotCamera",
@@ -24,4 +26,5 @@ __all__ = [
     "load_robot",
     "read_urdf",
     "robot_names",
+    "solve_ik",
 ]

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.ik_kernel import solve_targets
-from h3data.bodies.kinematics import BALL, FIXED
 from h3data.bodies.robot import Robot
 from h3data.errors import InputError
 from h3data.geometry import pose_inverse, pose_multiply, pose_to_matrix
@@ -69,6 +67,8 @@ def solve_ik(
     Raises:
         InputError: wrong shapes, NaN, an unknown link, joints that do not move it, or spherical ones among them.
     """
+    from h3data.bodies.ik_kernel import solve_targets
+
     targets, oriented, batch = _targets(robot, target, base_pose)
     start = robot.clamp(robot.rest if q0 is None else q0).positions
     try:
@@ -137,6 +137,8 @@ def _chain(robot: Robot, link: int) -> NDArray[np.int64]:
 
 def _free(robot: Robot, chain: NDArray[np.int64], joints: Sequence[str] | None) -> NDArray[np.int64]:
     """Columns of the joints that may move."""
+    from h3data.bodies.kinematics import BALL, FIXED
+
     moving = chain[robot.kinds[chain] != FIXED]
     columns = dict.fromkeys(robot.columns[moving].tolist())
     names = {robot.joint_names[c]: c for c in columns}
