@@ -52,6 +52,8 @@ class SocialNavWorld:
     starts: Starts
     human_name: str
     robot_name: str
+    goals: tuple[tuple[float, float], ...] = ()
+    """Points ``(x, z)`` that the person walks to first; none: she draws all from the seed."""
 
     @classmethod
     def create(
@@ -145,7 +147,7 @@ def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable
     state.robot_xz[0], state.robot_heading[0] = starts.robot_xz, starts.robot_heading
     state.human_xz[0], state.human_heading[0] = starts.human_xz, starts.human_heading
     robot_xz, human_xz = state.robot_xz[0], state.human_xz[0]  # views: they follow the state
-    human = WaypointHuman(free, world.seed, spec.human)
+    human = WaypointHuman(free, world.seed, spec.human, world.goals)
     contact = RobotHumanContact(world.robot, world.human)
     met = False
     geodesic = float(free.geodesic(robot_xz, human_xz))
@@ -208,7 +210,7 @@ def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanConta
 def _hindsight(world: SocialNavWorld) -> dict[str, Any]:
     """What follows from the person's whole plan, however long the episode lasted: her goals, and the oracle's ``l``."""
     starts, spec, free = world.starts, world.spec, world.free
-    plan = human_plan(free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps)
+    plan = human_plan(free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals)
     return {
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
         "oracle_min_steps": oracle_min_steps(free, starts.robot_xz, starts.robot_heading, plan.xz, spec),

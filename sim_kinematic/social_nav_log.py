@@ -187,8 +187,10 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
         "scene_sha256": digest,
         "categories": list(CATEGORIES),
     }
+    told = f":{starts}:{world.goals}" if world.goals else ""  # else they follow from the seed
+    what = f"h3data:social_nav:{digest}:{bodies_of}:{world.seed}:{policy}:{spec}{told}"
     episode = Episode(
-        uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:social_nav:{digest}:{bodies_of}:{world.seed}:{policy}:{spec}")),
+        uid=str(uuid.uuid5(uuid.NAMESPACE_URL, what)),
         episode_id=episode_id, task="social_nav", scene=scene.name, seed=world.seed,
         created_by=f"h3data {importlib.metadata.version('h3data')}", info=info,
     )  # fmt: skip

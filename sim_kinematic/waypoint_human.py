@@ -1,9 +1,11 @@
 """The scripted person of social navigation: shortest paths to random points of the home, one after the other
-(paper section 4.1; spec/habitat.md 1.4). She does not react to the robot, so her whole track is known from the seed.
+(paper section 4.1; spec/habitat.md 1.4). She does not react to the robot, so her whole track is known from the seed, or
+from the goals that are given.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -31,6 +33,8 @@ class WaypointHuman:
     free: FreeSpace
     seed: int
     spec: WalkerSpec
+    given: Sequence[tuple[float, float]] = ()
+    """Goals ``(x, z)`` to walk to first; after them she draws her own."""
     goal: int = -1
     """Index of the current goal, -1 before the first."""
     leg: int = 0
@@ -51,15 +55,19 @@ class WaypointHuman:
 
     def _next_goal(self, position: NDArray[np.float64]) -> None:
         self.goal += 1
+        goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
+        self.goals.append(goal)
+        self._path = sharp_corners(self.free, self.free.path(position, goal))
+        self.leg = 1
+
+    def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         rng = generator(self.seed, "human_goal", step=self.goal)
         candidates = self.free.sample(rng, 32)
         lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
         walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= MIN_WALK_M))
         # a home with nothing that far away: the farthest point there is
         pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
-        self.goals.append(candidates[pick])
-        self._path = sharp_corners(self.free, self.free.path(position, candidates[pick]))
-        self.leg = 1
+        return candidates[pick]
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -108,12 +116,13 @@ class HumanPlan(NamedTuple):
 
 
 def human_plan(
-    free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int
-) -> HumanPlan:
-    """Where the scripted person will be in each of ``steps`` steps, and her goals."""
+    free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int,
+    given: Sequence[tuple[float, float]] = (),
+) -> HumanPlan:  # fmt: skip
+    """Where the scripted person will be in each of ``steps`` steps, and her goals; the first are those ``given``."""
     state = WorldState.zeros(1)
     state.human_xz[0], state.human_heading[0] = start_xz, heading
-    human = WaypointHuman(free, seed, spec)
+    human = WaypointHuman(free, seed, spec, given)
     track = np.empty((steps, 2))
     for k in range(steps):
         walk_humans(state, human.target(state.human_xz[0])[None], spec)

@@ -28,7 +28,7 @@ from h3data.recording import (
     recordings_equal,
     write_mcap,
 )
-from h3data_pipelines import generate
+from h3data_pipelines import episode_jobs, generate
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
 
@@ -170,7 +170,7 @@ def die(_: object) -> None:
 def test_a_dead_worker_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(generate, "simulate_job", die)
+    monkeypatch.setattr(episode_jobs, "simulate_job", die)
     assert "worker" in run_json(capsys, *SHORT, tmp_path / "ds", "--workers", "2", code=2)["error"]
 
 
@@ -219,7 +219,7 @@ def test_stopped_at_any_moment_it_can_be_resumed(
     assert rest["new"] == 2
     assert recordings_equal(
         h3data.open(out).recording(done + 1),
-        generate.simulate_job(
+        episode_jobs.simulate_job(
             generate.Generate(
                 task="social_nav", out=out, episodes=done + 2, seed=7, homes=1, max_steps=20
             ).jobs()[done + 1]

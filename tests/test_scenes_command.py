@@ -14,6 +14,7 @@ import pytest
 
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
 from h3data.interop.habitat_export import export_habitat
+from h3data.interop.scene_names import named_scenes
 from h3data.render.scene_map import (
     ISLAND_COLOR,
     MAIN_COLOR,
@@ -41,7 +42,7 @@ from h3data.scene import (
 )
 from h3data.scene.validation import Problem, find_problems, free_space_for_validation, stands_for_hollow
 from h3data_pipelines.cli import main
-from h3data_pipelines.scenes import validate_scene
+from h3data_pipelines.scene_reports import validate_scene
 from sim_kinematic.collision import overlapping_instances
 
 SHUT = ["island", "unreachable_room", "out_of_reach"]
@@ -283,7 +284,7 @@ def test_a_scene_without_floor_does_not_stop_the_others(tmp_path: Path, capsys: 
 
 def test_validation_of_the_real_test_room(real: Path) -> None:
     room = real / "habitat-sim/data/test_assets/scenes/simple_room.stage_config.json"
-    report = validate_scene(str(room))
+    report = validate_scene(named_scenes(str(room))[0])
     assert report["free_m2"] == pytest.approx(97, abs=3)
     # its block of 2 x 2 m is too large to reach the middle of
     assert "stage|receptacle_aabb_simpleroom_test" in [p["subject"] for p in report["problems"]]

@@ -1,0 +1,95 @@
+"""The scene that a few words mean: a built-in home, one of a set, a file of ours or of Habitat."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from h3data.errors import FormatError, InputError
+from h3data.interop.habitat_scene import load_habitat_scene
+from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, build_home, load_scene
+from h3data.scene.glb import unpack_glb
+from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
+
+if TYPE_CHECKING:
+    from h3data.scene import Scene
+    from h3data.scene.homes.spec import Preset
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedScene:
+    """A scene that can be loaded, and the words by which the command line knows it."""
+
+    name: str
+    """``small:3``, ``h3-homes/test#3`` or a path."""
+    source: SceneSource
+    id: str = ""
+    """Its id, if it is of a set."""
+
+
+def named_scenes(text: str, *, homes: int = 4) -> tuple[NamedScene, ...]:
+    """The scenes that ``text`` means.
+
+    ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``h3-homes/test`` or ``my.toml`` (all of a set),
+    ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
+
+    Raises:
+        InputError: none of these; the message lists what there is.
+        FormatError: a set with faults.
+    """
+    if text in HOME_PRESETS:
+        return tuple(_home(text, seed) for seed in range(homes))
+    preset, _, seed = text.partition(":")
+    if preset in HOME_PRESETS and re.fullmatch(r"[0-9]{1,18}", seed):
+        return (_home(preset, int(seed)),)
+    if Path(text).is_file() and not text.endswith(".toml"):
+        return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
+    label, _, which = text.partition("#")
+    found = find_scene_set(label)
+    if found is None:
+        splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
+        raise InputError(
+            f"Unknown scenes {text!r}. Expected {', '.join(HOME_PRESETS)}, one home as small:3, a set ({', '.join(splits)} "
+            "or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, .scene_instance.json, "
+            ".stage_config.json, .scene_dataset_config.json)."
+        )
+    every = [NamedScene(name=f"{label}#{k}", source=entry.source, id=entry.id) for k, entry in enumerate(found.scenes)]
+    return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)
+
+
+def _home(preset: str, seed: int) -> NamedScene:
+    return NamedScene(name=f"{preset}:{seed}", source=HomeSpec(preset=cast("Preset", preset), seed=seed))
+
+
+@lru_cache(maxsize=64)  # 2 MB each; episodes go round the homes, so fewer would all be made anew each time
+def open_scene(source: SceneSource) -> Scene:
+    """The scene itself; equal sources give the same object while it is in use.
+
+    Raises:
+        SceneError, FormatError: it cannot be made or read.
+    """
+    if isinstance(source, HomeSpec):
+        return build_home(source)
+    if _is_ours(Path(source.path)) and not source.scene:
+        return load_scene(source.path)
+    return load_habitat_scene(source.path, source.scene or None)
+
+
+@lru_cache(maxsize=64)
+def open_free_space(source: SceneSource, radius_m: float, height_m: float) -> FreeSpace:
+    """The free floor of `open_scene`'s scene for an agent of that size [m]."""
+    return FreeSpace.from_scene(open_scene(source), radius_m=radius_m, height_m=height_m)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether `h3data.scene.save_scene` wrote it: else a GLB is a stage mesh, and Z-up."""
+    if path.suffix.lower() != ".glb" or not path.is_file():
+        return False
+    try:
+        extras = unpack_glb(path.read_bytes(), str(path), what="a scene as GLB")[0].get("extras")
+    except FormatError:
+        return False
+    return isinstance(extras, dict) and isinstance(extras.get("h3data"), dict) and "format" in extras["h3data"]

@@ -1,0 +1,243 @@
+"""Scene sets: which homes belong to a split, and how many episodes are played in each. One TOML file is one split.
+
+The file says *which*, never *what*: homes as specs, other scenes as paths (docs/scene-sets.md). Episodes are not stored
+either: number ``i`` in a scene follows from `SceneSet.episode_seed`, and `sim_kinematic.social_nav_sets` draws it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import msgspec
+
+from h3data.builtin import builtin_root
+from h3data.errors import FormatError, InputError
+from h3data.scene.homes.spec import HomeSpec, Preset
+
+FORMAT = 1
+SUFFIX = ".toml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFile:
+    """A scene that somebody else made, or that `h3data.scene.save_scene` wrote."""
+
+    path: str
+    """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
+    scene: str = ""
+    """Which scene of a ``.scene_dataset_config.json``."""
+
+
+SceneSource = HomeSpec | SceneFile
+"""All that is needed to get a scene; hashable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneEntry:
+    """One scene of a set."""
+
+    id: str
+    """Unique in its set; stays when others are added."""
+    source: SceneSource
+
+
+class SocialNavRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table ``[social_nav]``: what a set's episodes of social navigation have in common."""
+
+    episodes_per_scene: int = 10
+    spawn_distance_m: float = 5.0
+    """Least distance of the starts in the floor plane [m]; the paper: 3 for training, 5 for evaluation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSet:
+    """The scenes of one split, in the order of the file."""
+
+    name: str
+    split: str
+    scenes: tuple[SceneEntry, ...]
+    social_nav: SocialNavRules
+    about: str
+    sha256: str
+    """Digest of the file: an interrupted dataset goes on with the same one only."""
+
+    @property
+    def label(self) -> str:
+        """``h3-homes/test``."""
+        return f"{self.name}/{self.split}" if self.split else self.name
+
+    @property
+    def episodes(self) -> int:
+        """How many episodes there are in all."""
+        return len(self.scenes) * self.social_nav.episodes_per_scene
+
+    def place(self, episode: int) -> tuple[SceneEntry, int]:
+        """Scene of an episode of the set, and which one it is there: they go round the scenes, so any number is spread."""
+        return self.scenes[episode % len(self.scenes)], episode // len(self.scenes)
+
+    def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
+        """Seed (63 bits) of episode ``index`` in a scene. It depends on nothing else, so sets may grow.
+
+        ``seed`` 0 gives the set's own episodes, any other gives others in the same scenes.
+        """
+        text = f"h3data.episode/1/{self.name}/{self.split}/{scene_id}/{seed}/{index}"
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
+
+    def entry(self, which: str) -> SceneEntry:
+        """The scene with a number (``3``) or an id (``test_03``)."""
+        if which.isdecimal() and int(which) < len(self.scenes):
+            return self.scenes[int(which)]
+        found = next((e for e in self.scenes if e.id == which), None)
+        if found is None:
+            raise InputError(
+                f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
+                f"or by id: {_some(e.id for e in self.scenes)}."
+            )
+        return found
+
+
+# --- by name ----------------------------------------------------------------------------------------------------------
+def builtin_sets() -> Mapping[str, tuple[str, ...]]:
+    """Names of the sets that ship with h3data, with their splits: train, val, test first."""
+    order = {"train": 0, "val": 1, "test": 2}
+    files = builtin_root().glob(f"*/*{SUFFIX}")
+    splits: dict[str, list[str]] = {}
+    for file in sorted(files, key=lambda f: (f.parent.name, order.get(f.stem, 3), f.stem)):
+        splits.setdefault(file.parent.name, []).append(file.stem)
+    return {name: tuple(found) for name, found in splits.items()}
+
+
+def find_scene_set(text: str) -> SceneSet | None:
+    """The built-in set ``h3-homes/test`` or the one in a TOML file; None if ``text`` is not like either.
+
+    Raises:
+        InputError: it is, but there is no such split or file.
+        FormatError: the file has faults.
+    """
+    if text.endswith(SUFFIX):
+        return read_scene_set(Path(text))
+    name, _, split = text.partition("/")
+    splits = builtin_sets().get(name)
+    if splits is None or Path(text).is_file():
+        return None
+    if split not in splits:
+        raise InputError(f"Which split of {name}? Expected {' or '.join(f'{name}/{s}' for s in splits)}, got {text!r}.")
+    return read_scene_set(builtin_root() / name / f"{split}{SUFFIX}")
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+class _Home(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A procedural home: the fields of `HomeSpec`."""
+
+    id: str
+    seed: int
+    preset: Preset = "small"
+    area_m2: float | None = None
+    bedrooms: int | None = None
+    bathrooms: int | None = None
+    clutter: float = 1.0
+    density: int = 1
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    id: str
+    file: str
+    scene: str = ""
+
+
+class _SetFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    format: int
+    name: str
+    scenes: list[dict[str, Any]]
+    split: str = ""
+    about: str = ""
+    social_nav: SocialNavRules = msgspec.field(default_factory=SocialNavRules)
+
+
+def read_scene_set(path: str | Path) -> SceneSet:
+    """The set in a TOML file. Paths in it start at its folder, or are absolute; files must exist, but are not read.
+
+    Raises:
+        InputError: the file cannot be read.
+        FormatError: it has faults; the message names the file and the key of each.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"Cannot read the scene set ({error.strerror or error}): {path}") from None
+    try:
+        content = msgspec.toml.decode(data, type=_SetFile)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as fault:
+        raise FormatError(f"{_plainer(fault, _SetFile)} Scene set: {path}") from None
+    faults = list(_faults_of_head(content))
+    scenes: list[SceneEntry] = []
+    for k, record in enumerate(content.scenes):
+        try:
+            scenes.append(_entry(record, path.parent))
+        except (InputError, msgspec.ValidationError) as fault:
+            kind = _File if "file" in record else _Home
+            faults.append(f"scenes[{k}]: {_plainer(fault, kind)}")
+    ids = [e.id for e in scenes]
+    faults += [f"scenes: the id {i!r} is there {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
+    if faults:
+        more = f" ... and {len(faults) - 5} more faults." if len(faults) > 5 else ""
+        raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}")
+    return SceneSet(
+        name=content.name, split=content.split, scenes=tuple(scenes), social_nav=content.social_nav,
+        about=content.about, sha256=hashlib.sha256(data).hexdigest(),
+    )  # fmt: skip
+
+
+def _faults_of_head(content: _SetFile) -> Iterable[str]:
+    rules = content.social_nav
+    if content.format != FORMAT:
+        yield f"format: expected {FORMAT}, got {content.format}."
+    if not content.name or "/" in content.name or "/" in content.split:
+        yield f"name, split: expected words without '/', got {content.name!r}, {content.split!r}."
+    if not content.scenes:
+        yield "scenes: expected at least one."
+    if rules.episodes_per_scene < 1:
+        yield f"social_nav.episodes_per_scene: expected at least 1, got {rules.episodes_per_scene}."
+    if not 0 <= rules.spawn_distance_m < float("inf"):
+        yield f"social_nav.spawn_distance_m: expected a distance in metres, got {rules.spawn_distance_m}."
+
+
+def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
+    if "file" not in record:
+        home = msgspec.convert(record, _Home)
+        options = {name: value for name, value in msgspec.structs.asdict(home).items() if name != "id"}
+        return SceneEntry(id=_checked_id(home.id), source=HomeSpec(**options))
+    entry = msgspec.convert(record, _File)
+    if ".." in PurePosixPath(entry.file).parts:
+        raise InputError(
+            f"file: the path must not climb out of the folder of the set, got {entry.file!r}. Hint: give it whole."
+        )
+    file = folder / entry.file
+    if not file.is_file():
+        raise InputError(f"file: there is no such file: {entry.file!r}.")
+    return SceneEntry(id=_checked_id(entry.id), source=SceneFile(path=str(file), scene=entry.scene))
+
+
+def _checked_id(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", text):
+        raise InputError(f"id: expected letters, digits, '_' and '-', got {text!r}.")
+    return text
+
+
+def _plainer(fault: Exception, kind: type[msgspec.Struct]) -> str:
+    """The message of msgspec or ours, with the keys that would have been right."""
+    text = str(fault).replace("`", "'").replace("$.", "").removesuffix(" - at '$'").rstrip(".")
+    text = text.replace("Object contains unknown field", "unknown key").replace("Object missing required", "missing")
+    known = f" Expected: {', '.join(kind.__struct_fields__)}." if "unknown key" in text else ""
+    return f"{text}.{known}"
+
+
+def _some(names: Iterable[str]) -> str:
+    shown: Sequence[str] = list(names)
+    return ", ".join(shown[:6]) + (", ..." if len(shown) > 6 else "")

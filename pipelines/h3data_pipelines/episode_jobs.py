@@ -1,0 +1,204 @@
+"""Episodes to simulate, one job each: from presets and scenes with a seed, from scene sets, from episode files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import threading
+from collections.abc import Generator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from h3data.errors import H3DataError, InputError, SceneError
+from h3data.recording import Recording
+from h3data.scene.scene_sets import SceneSet, SceneSource
+
+if TYPE_CHECKING:
+    from h3data.interop.scene_names import NamedScene
+    from h3data.interop.social_nav_episodes import SocialNavEpisode
+    from sim_kinematic.social_nav import SocialNavWorld
+    from sim_kinematic.spec import SocialNavSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One episode to simulate: all that a worker needs to know."""
+
+    index: int
+    seed: int
+    scene: str
+    """As the command line names it."""
+    source: SceneSource
+    policy: str
+    human: str | None
+    """Body instead of the episode's."""
+    spec: SocialNavSpec
+    drawn_with: SocialNavSpec | None = None
+    """Rules with which a set's starts and goals are drawn, whatever ``spec`` changes of them."""
+    stored: SocialNavEpisode | None = None
+    """Starts and goals from a file."""
+    origin: dict[str, Any] | None = None
+    """Which episode of which set or file it is; ends up in the recording."""
+
+    def to_json(self) -> dict[str, Any]:
+        """What decides the episode, as JSON gives it back; a stored one is known by its ``origin``."""
+        fields = json.loads(msgspec.json.encode(replace(self, stored=None, origin=None)))
+        return {name: value for name, value in fields.items() if name not in ("stored", "origin")}
+
+    def world(self) -> SocialNavWorld:
+        """Scene, starts and rules, ready to run."""
+        from h3data.interop.scene_names import open_free_space, open_scene
+        from sim_kinematic.social_nav import SocialNavWorld
+        from sim_kinematic.social_nav_episodes import drawn_episode, world_of
+
+        scene = open_scene(self.source)
+        free = open_free_space(self.source, self.spec.agent_radius_m, self.spec.agent_height_m)
+        episode = self.stored
+        if self.drawn_with is not None:
+            episode = drawn_episode(self.source, seed=self.seed, spec=self.drawn_with)
+        if episode is None:
+            human = self.human or "female_0"
+            return SocialNavWorld.create(scene, seed=self.seed, spec=self.spec, free=free, human=human)
+        return world_of(episode, scene, spec=self.spec, free=free, human=self.human)
+
+
+# --- where they come from ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True, kw_only=True)
+class Changes:
+    """What the user asks for; None leaves it to the episode, or to the paper."""
+
+    policy: str
+    human: str | None = None
+    human_speed: float | None = None
+    max_steps: int | None = None
+
+    def applied(self, spec: SocialNavSpec) -> SocialNavSpec:
+        """``spec`` with them."""
+        if self.human_speed is not None:
+            spec = replace(spec, human=replace(spec.human, speed_mps=self.human_speed))
+        return spec if self.max_steps is None else replace(spec, max_steps=self.max_steps)
+
+
+def seeded_jobs(
+    scenes: tuple[NamedScene, ...], *, episodes: int, seed: int, spec: SocialNavSpec, changes: Changes
+) -> list[Job]:
+    """Episodes that go round the scenes, everything random drawn from ``seed``."""
+    from sim_kinematic.randomness import episode_seed
+
+    return [
+        Job(
+            index=i, seed=episode_seed(seed, i), scene=scenes[i % len(scenes)].name,
+            source=scenes[i % len(scenes)].source, policy=changes.policy, human=changes.human,
+            spec=changes.applied(spec),
+        )
+        for i in range(episodes)
+    ]  # fmt: skip
+
+
+def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Changes) -> list[Job]:
+    """The first ``episodes`` episodes of a set, all of them by default; with another ``seed`` than 0, others."""
+    from sim_kinematic.spec import SocialNavSpec
+
+    rules = SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
+    jobs = []
+    for i in range(_count(episodes, scenes.episodes, scenes.label)):
+        entry, index = scenes.place(i)
+        origin = {
+            "set": scenes.name, "split": scenes.split, "scene": entry.id, "episode": index, "seed": seed,
+            "sha256": scenes.sha256,
+        }  # fmt: skip
+        job = Job(
+            index=i, seed=scenes.episode_seed(entry.id, index, seed=seed), scene=f"{scenes.label}#{entry.id}",
+            source=entry.source, policy=changes.policy, human=changes.human, spec=changes.applied(rules),
+            drawn_with=rules, origin=origin,
+        )  # fmt: skip
+        jobs.append(job)
+    return jobs
+
+
+def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job]:
+    """The first ``episodes`` episodes of a Habitat episode file that carries starts and goals of ours.
+
+    Raises:
+        FormatError: damaged. InputError: it has no starts and goals. SceneError: a scene is not found.
+    """
+    from h3data.interop.episode_scenes import scene_of_episode
+    from h3data.interop.habitat_episodes import read_episodes
+    from h3data.interop.social_nav_episodes import read_social_nav
+    from sim_kinematic.social_nav_episodes import rules_of
+
+    found = read_episodes(path).episodes
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    jobs = []
+    for i, episode in enumerate(found[: _count(episodes, len(found), path.name)]):
+        stored = read_social_nav(episode)
+        if stored is None:
+            raise InputError(
+                f"Episode {episode.episode_id!r} says neither where robot and person start nor where she walks, as "
+                f"Habitat's own files do not. Expected one that h3data wrote (h3data scenes export): {path}"
+            )
+        origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(episode.episode_id)}
+        job = Job(
+            index=i, seed=stored.seed, scene=episode.scene_id,
+            source=scene_of_episode(episode, stored, path.parent), policy=changes.policy, human=changes.human,
+            spec=changes.applied(rules_of(stored)), stored=stored, origin=origin,
+        )  # fmt: skip
+        jobs.append(job)
+    return jobs
+
+
+def _count(wanted: int | None, there: int, label: str) -> int:
+    if there < 1:
+        raise InputError(f"There are no episodes in {label}.")
+    if wanted is not None and wanted > there:
+        raise InputError(f"--episodes must be at most {there}, which is all of {label}; got {wanted}.")
+    return there if wanted is None else wanted
+
+
+# --- running them -----------------------------------------------------------------------------------------------------
+def simulate_job(job: Job) -> Recording:
+    """One episode. Depends on the job alone, so any process may run it."""
+    from sim_kinematic.social_nav import simulate_social_nav
+
+    try:
+        world = job.world()
+    except SceneError as fault:
+        raise SceneError(f"Episode {job.index} in {job.scene}: {fault}") from None
+    recording = simulate_social_nav(world, policy=job.policy, episode_id=f"{job.index:06d}")
+    info = {**recording.episode.info, "job": job.to_json()}
+    if job.origin is not None:
+        info["origin"] = job.origin
+    return replace(recording, episode=replace(recording.episode, info=info))
+
+
+def simulate_jobs(jobs: list[Job], *, workers: int) -> Generator[Recording]:
+    """Recordings in the order of ``jobs``, by this process or by several."""
+    if workers <= 1 or len(jobs) <= 1:
+        yield from map(simulate_job, jobs)
+        return
+    # spawn: forked children would share the thread pools of numba and torch
+    size = min(workers, len(jobs), os.cpu_count() or 1)
+    with ProcessPoolExecutor(size, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
+        try:
+            yield from pool.map(simulate_job, jobs)
+        except BrokenProcessPool:
+            raise H3DataError(
+                "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "
+                "fewer --workers."
+            ) from None
+
+
+def _start_worker() -> None:
+    """Leave Ctrl-C to the parent, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

@@ -1,0 +1,222 @@
+"""Scene sets: the shipped splits, the TOML format with its refusals, the names by which the command line finds scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from h3data.builtin import builtin_root
+from h3data.errors import FormatError, InputError
+from h3data.interop.habitat_export import export_habitat
+from h3data.interop.scene_names import named_scenes, open_scene
+from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
+from h3data.scene.scene_sets import SceneFile, SceneSet, builtin_sets, find_scene_set, read_scene_set
+from h3data_pipelines.bake.home_sets import set_text, updated_card
+from h3data_pipelines.scene_reports import validate_scene
+
+SPLITS = {"train": (37, 1000, 3.0), "val": (12, 100, 5.0), "test": (10, 15, 5.0)}
+"""Homes, episodes in each (paper, appendix on scenes), least distance of the starts (appendix, social navigation)."""
+
+
+def shipped(split: str) -> SceneSet:
+    found = find_scene_set(f"h3-homes/{split}")
+    assert found is not None
+    return found
+
+
+# --- what ships -------------------------------------------------------------------------------------------------------
+def test_the_splits_have_the_sizes_of_the_paper() -> None:
+    assert builtin_sets()["h3-homes"] == tuple(SPLITS)
+    for split, (homes, episodes, apart) in SPLITS.items():
+        scenes = shipped(split)
+        assert (len(scenes.scenes), scenes.social_nav.episodes_per_scene) == (homes, episodes)
+        assert scenes.episodes == homes * episodes
+        assert scenes.social_nav.spawn_distance_m == apart
+        assert scenes.label == f"h3-homes/{split}"
+
+
+def test_no_home_is_in_two_splits() -> None:
+    entries = [entry for split in SPLITS for entry in shipped(split).scenes]
+    assert len(entries) == 59
+    assert len({e.id for e in entries}) == 59
+    assert all(isinstance(e.source, HomeSpec) for e in entries)
+    seeds = [{e.source.seed for e in shipped(split).scenes if isinstance(e.source, HomeSpec)} for split in SPLITS]
+    assert sum(map(len, seeds)) == len(set.union(*seeds)) == 59
+
+
+def test_sizes_are_spread_in_every_split() -> None:
+    for split in SPLITS:
+        areas = sorted(e.source.program.area_m2 for e in shipped(split).scenes if isinstance(e.source, HomeSpec))
+        assert areas[0] < 80
+        assert areas[-1] > 800
+        assert areas[len(areas) // 2] == pytest.approx(190, abs=40)
+
+
+def test_the_files_are_as_the_script_writes_them() -> None:
+    for split in SPLITS:
+        file = builtin_root() / "h3-homes" / f"{split}.toml"
+        assert set_text(shipped(split)) == file.read_text()
+
+
+def test_the_card_names_every_home() -> None:
+    card = (builtin_root() / "h3-homes" / "README.md").read_text()
+    for split in SPLITS:
+        for entry in shipped(split).scenes:
+            assert f"| {entry.id} |" in card
+    assert updated_card(card, {"splits": "A", "homes": "B"}).count("\nA\n<!-- end -->") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("split", SPLITS)
+def test_all_homes_are_sound(split: str) -> None:
+    reports = [validate_scene(named) for named in named_scenes(f"h3-homes/{split}")]
+    assert [(r["scene"], r["problems"]) for r in reports if r["problems"]] == []
+
+
+# --- episodes by number -----------------------------------------------------------------------------------------------
+def test_episodes_go_round_the_scenes() -> None:
+    scenes = shipped("test")
+    places = [scenes.place(i) for i in range(scenes.episodes)]
+    assert len({(entry.id, index) for entry, index in places}) == 150
+    assert {index for _, index in places} == set(range(15))
+    assert len({entry.id for entry, _ in places[:10]}) == 10
+
+
+def test_seeds_of_episodes_are_fixed_and_differ() -> None:
+    """Changing them would change every episode of every set: the first one is written down here."""
+    assert shipped("test").episode_seed("test_00", 0) == 7187913866969587865
+    seeds = {
+        scenes.episode_seed(entry.id, index, seed=seed)
+        for scenes in map(shipped, SPLITS) for entry in scenes.scenes for index in range(20) for seed in (0, 1)
+    }  # fmt: skip
+    assert len(seeds) == 59 * 20 * 2
+    assert all(0 <= s < 2**63 for s in seeds)
+
+
+# --- the TOML format --------------------------------------------------------------------------------------------------
+GOOD = """
+format = 1
+name = "mine"
+scenes = [
+  { id = "a", seed = 3 },
+  { id = "b", seed = 4, preset = "medium", area_m2 = 150, clutter = 2 },
+]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "mine.toml"
+    file.write_text(text)
+    return file
+
+
+def test_a_set_of_ones_own(tmp_path: Path) -> None:
+    scenes = read_scene_set(written(tmp_path, GOOD))
+    assert scenes.label == "mine"
+    assert [e.source for e in scenes.scenes] == [
+        HomeSpec(seed=3), HomeSpec(seed=4, preset="medium", area_m2=150.0, clutter=2.0),
+    ]  # fmt: skip
+    assert scenes.social_nav.spawn_distance_m == 5.0
+    assert scenes.entry("1").id == scenes.entry("b").id == "b"
+    assert scenes.sha256 != read_scene_set(written(tmp_path, GOOD + "# more")).sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("seed = 3", "seed = 3, colour = 'red'"), r"scenes\[0\]: unknown key 'colour'. Expected: id, seed, preset"),
+        (("seed = 3", "seed = '3'"), r"scenes\[0\]: Expected 'int', got 'str' - at 'seed'"),
+        (("id = \"a\", seed", "seed"), r"scenes\[0\]: missing field 'id'"),
+        (('id = "a"', 'id = "b"'), "the id 'b' is there 2 times"),
+        (('id = "a"', 'id = "../a"'), r"scenes\[0\]: id: expected letters"),
+        (("seed = 3", "seed = -3"), r"scenes\[0\]: The seed of a home must be a whole number >= 0"),
+        (("area_m2 = 150", "area_m2 = 9"), r"scenes\[1\]: area_m2 of a home must be"),
+        (("seed = 3", "file = 'no.glb'"), r"scenes\[0\]: file: there is no such file: 'no.glb'"),
+        (("seed = 3", "file = '../mine.toml'"), r"scenes\[0\]: file: the path must not climb out"),
+        (("seed = 3", "file = 'x/../../mine.toml'"), "must not climb out"),
+        (("seed = 3", "file = 3"), r"scenes\[0\]: Expected 'str', got 'int' - at 'file'"),
+        (("seed = 3", "file = 'mine.toml', seed = 3"), r"scenes\[0\]: unknown key 'seed'. Expected: id, file, scene"),
+        (("format = 1", "format = 2"), "format: expected 1, got 2"),
+        (("format = 1\n", ""), "missing field 'format'"),
+        (("format = 1", "format = 1\nweather = 'fine'"), "unknown key 'weather'. Expected: format, name, scenes"),
+        (('"mine"', '"a/b"'), "expected words without '/'"),
+        (("scenes = [", "scenes = 3 #"), "."),
+        (("name =", "name"), "mine.toml"),
+        (("]", "]\n[social_nav]\nepisodes = 3"), "unknown key 'episodes' - at 'social_nav'"),
+        (("]", "]\n[social_nav]\nepisodes_per_scene = 0"), "social_nav.episodes_per_scene: expected at least 1"),
+        (("]", "]\n[social_nav]\nspawn_distance_m = nan"), "social_nav.spawn_distance_m: expected a distance"),
+    ],
+)  # fmt: skip
+def test_faults_are_named_with_file_and_key(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    assert change[0] in GOOD
+    with pytest.raises(FormatError, match=words) as fault:
+        read_scene_set(written(tmp_path, GOOD.replace(*change)))
+    assert "mine.toml" in str(fault.value)
+    assert "\n" not in str(fault.value)
+    assert "$" not in str(fault.value)
+
+
+def test_all_faults_of_a_file_are_said_at_once(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"format: .* scenes\[0\]: .* scenes\[1\]: "):
+        read_scene_set(written(tmp_path, GOOD.replace("format = 1", "format = 7").replace("seed =", "sed =")))
+    with pytest.raises(FormatError, match="at least one"):
+        read_scene_set(written(tmp_path, 'format = 1\nname = "x"\nscenes = []'))
+
+
+@given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
+def test_any_bytes_are_a_set_or_a_format_error(tmp_path_factory: Any, data: bytes) -> None:
+    file = tmp_path_factory.mktemp("set") / "x.toml"
+    file.write_bytes(data)
+    with pytest.raises(FormatError):
+        read_scene_set(file)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        find_scene_set(str(tmp_path / "none.toml"))
+
+
+# --- scenes by name ---------------------------------------------------------------------------------------------------
+def test_names() -> None:
+    assert [s.name for s in named_scenes("small", homes=2)] == ["small:0", "small:1"]
+    assert named_scenes("medium:7")[0].source == HomeSpec(preset="medium", seed=7)
+    test = named_scenes("h3-homes/test")
+    assert [s.name for s in test[:2]] == ["h3-homes/test#0", "h3-homes/test#1"]
+    assert named_scenes("h3-homes/test#3") == named_scenes("h3-homes/test#test_03") == (test[3],)
+    for bad, words in (
+        ("castle", "h3-homes/train, h3-homes/val"),
+        ("h3-homes", "h3-homes/train or h3-homes/val or h3-homes/test"),
+        ("h3-homes/dev", "Which split"),
+        ("h3-homes/test#10", "It has 10: 0 to 9, or by id: test_00"),
+        ("h3-homes/test#", "There is no scene ''"),
+        ("small:", "Unknown scenes"),
+        ("small:-1", "Unknown scenes"),
+    ):
+        with pytest.raises(InputError, match=words):
+            named_scenes(bad)
+
+
+def test_scenes_in_files(tmp_path: Path) -> None:
+    """Our GLB, a Habitat scene instance and a Habitat dataset, by path and in a set."""
+    home = build_home(HomeSpec(seed=2))
+    save_scene(home, tmp_path / "home.glb")
+    config = export_habitat(home, tmp_path / "habitat")
+    text = f"""
+        format = 1
+        name = "files"
+        scenes = [
+          {{ id = "ours", file = "home.glb" }},
+          {{ id = "theirs", file = "habitat/scenes/{home.name}.scene_instance.json" }},
+          {{ id = "dataset", file = "habitat/{config.name}", scene = "{home.name}" }},
+          {{ id = "whole", file = "{(tmp_path / "home.glb").as_posix()}" }},
+        ]"""
+    ours, theirs, dataset, whole = named_scenes(str(written(tmp_path, text)))
+    assert ours.source == whole.source == SceneFile(path=str(tmp_path / "home.glb"))
+    assert scene_digest(open_scene(ours.source)) == scene_digest(home)
+    assert len(open_scene(theirs.source).instances) == len(open_scene(dataset.source).instances) > 20
+    assert named_scenes(str(tmp_path / "home.glb"))[0].source == ours.source
+    assert open_scene(ours.source) is open_scene(ours.source)
