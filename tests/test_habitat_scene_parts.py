@@ -22,7 +22,7 @@ from h3data.interop.habitat_colliders import part_points
 from h3data.interop.habitat_collision import MAX_PARTS, hull_shapes
 from h3data.interop.habitat_semantics import polygon_rectangles
 from h3data.scene import load_scene, save_scene, scene_digest
-from h3data.scene.records import Scene, instance_bounds
+from h3data.scene.records import Mesh, Scene, instance_bounds
 
 S = 0.5**0.5
 CHEST = """<robot name="chest">
@@ -318,10 +318,12 @@ def test_too_many_pieces_become_fewer_hulls() -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
-    def node(count: int, at: float) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            np.concatenate([corners + np.array([2.0 * k, at, 0]) for k in range(count)]),
-            np.concatenate([faces + 4 * k for k in range(count)]),
+    def node(count: int, at: float) -> Mesh:
+        points = np.concatenate([corners + np.array([2.0 * k, at, 0]) for k in range(count)]).astype(np.float32)
+        return Mesh(
+            vertices=points,
+            faces=np.concatenate([faces + 4 * k for k in range(count)]).astype(np.int32),
+            colors=np.zeros(points.shape, np.uint8),
         )
 
     assert len(hull_shapes([node(MAX_PARTS, 0)])) == MAX_PARTS

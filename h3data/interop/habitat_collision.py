@@ -1,16 +1,13 @@
-"""Collision parts of Habitat's objects: one convex hull per node and connected piece of a mesh, or a box."""
+"""Collision parts of Habitat's objects: one convex hull per part and connected piece of a mesh, or a box."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_QUAT
-from h3data.interop.meshes import frame_rotation
 from h3data.scene.records import Box, Hull, Mesh, Shape
 
 MAX_PARTS = 64
@@ -40,47 +37,19 @@ def hull_shape(points: NDArray[np.floating]) -> Shape:
     return Hull(points=points[hull.vertices].astype(np.float64))
 
 
-def hull_shapes(nodes: Iterable[tuple[NDArray[np.floating], NDArray[np.integer]]]) -> tuple[Shape, ...]:
-    """One hull per connected piece of each node, given as vertices [V, 3] and triangles [F, 3].
+def hull_shapes(parts: Iterable[Mesh]) -> tuple[Shape, ...]:
+    """One hull per connected piece of each part of an object (`load_parts`).
 
-    Bullet makes one hull per node; a piece that is joined to no other inside its node is told apart here as well. More
-    than 64 pieces give one hull per node, more than 64 nodes a single one.
+    Bullet makes one hull per part; a piece that is joined to no other inside its part is told apart here as well. More
+    than 64 pieces give one hull per part, more than 64 parts a single one.
     """
-    given = [(vertices, faces) for vertices, faces in nodes if len(faces)]
-    pieces = [piece for vertices, faces in given for piece in _pieces(vertices, faces)]
+    given = [part for part in parts if len(part.faces)]
+    pieces = [piece for part in given for piece in _pieces(part.vertices, part.faces)]
     if len(pieces) > MAX_PARTS:
-        pieces = [vertices[np.unique(faces)] for vertices, faces in given]
+        pieces = [part.vertices[np.unique(part.faces)] for part in given]
     if len(pieces) > MAX_PARTS:
         pieces = [np.concatenate(pieces)]
     return tuple(hull_shape(piece) for piece in pieces)
-
-
-def mesh_nodes(
-    path: Path, *, up: Sequence[float], front: Sequence[float], units_m: float
-) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Vertices and triangles of each node of a mesh file, in our frame and metres (as `load_mesh`, which joins them)."""
-    import trimesh
-
-    rotation = frame_rotation(up, front)
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        nodes = []
-        for node in scene.graph.nodes_geometry:
-            matrix, name = scene.graph[node]
-            geometry = scene.geometry[name]
-            if isinstance(geometry, trimesh.Trimesh):
-                world = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-                nodes.append((world @ rotation.T * units_m, np.asarray(geometry.faces, np.int64).reshape(-1, 3)))
-    except Exception as fault:  # trimesh raises whatever its loaders meet
-        raise SceneError(f"Cannot read this mesh file ({type(fault).__name__}: {str(fault)[:120]}): {path}") from None
-    if not all(np.isfinite(v).all() and (not len(f) or 0 <= f.min() <= f.max() < len(v)) for v, f in nodes):
-        raise SceneError(f"A mesh with vertices that are not finite or do not exist: {path}")
-    return nodes
-
-
-def whole_mesh(mesh: Mesh) -> list[tuple[NDArray[np.float32], NDArray[np.int32]]]:
-    """A mesh as a single node."""
-    return [(mesh.vertices, mesh.faces)]
 
 
 def _pieces(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> list[NDArray[np.floating]]:

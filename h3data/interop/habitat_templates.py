@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, MissingAssetError, SceneError
 from h3data.interop.habitat_articulated import Link, empty_mesh, read_links, receptacles_by_link
-from h3data.interop.habitat_collision import box_shape, hull_shape, hull_shapes, mesh_nodes, whole_mesh
+from h3data.interop.habitat_collision import box_shape, hull_shape, hull_shapes
 from h3data.interop.habitat_dataset import Template
 from h3data.interop.habitat_files import AssetFiles
 from h3data.interop.habitat_keys import KeyNotes
 from h3data.interop.habitat_receptacles import read_receptacles
 from h3data.interop.habitat_values import flag, mapping, number, numbers, text
-from h3data.interop.meshes import frame_rotation, load_mesh, node_box
+from h3data.interop.meshes import frame_rotation, load_mesh, load_parts, node_box
 from h3data.interop.primitives import is_primitive, primitive_mesh
 from h3data.scene.records import Asset, Mesh, Receptacle, Shape
 
@@ -164,13 +164,13 @@ class TemplateReader:
             self.warnings.append(
                 f"{template.handle!r} collides as what is seen: its collision_asset {asset!r} is missing"
             )
-            return hull_shapes(whole_mesh(mesh))
+            return hull_shapes([mesh])
         solid = frame.load(file)
         if flag(attributes, "use_bounding_box_for_collision", False, where=where):
             return (box_shape(solid.vertices),)
         if flag(attributes, "join_collision_meshes", False, where=where):
             return (hull_shape(solid.vertices),)
-        return hull_shapes(mesh_nodes(file, up=frame.up, front=frame.front, units_m=frame.units_m))
+        return hull_shapes(load_parts(file, up=frame.up, front=frame.front, units_m=frame.units_m))
 
     # --- articulated objects ------------------------------------------------------------------------------------------
     def _articulated(self, template: Template) -> Articulated | None:

@@ -17,7 +17,7 @@ from h3data.interop.trimesh_files import read_with_trimesh
 from h3data.scene.meshes import joined
 from h3data.scene.records import Mesh
 
-__all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "node_box"]
+__all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _GLTF_SUFFIXES = (".glb", ".gltf")
@@ -149,10 +149,15 @@ def _is_gltf(path: Path) -> bool:
     return path.suffix.lower() in _GLTF_SUFFIXES
 
 
-@lru_cache(maxsize=2048)
-def _load_cached(name: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
-    del mtime_ns  # only part of the key: a changed file is read again
-    path, rotation = Path(name), frame_rotation(up, front)
+def load_parts(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> list[Mesh]:
+    """What `load_mesh` joins: a mesh for each primitive of each node. Not cached; fails as `load_mesh` does."""
+    path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m
     try:
@@ -163,14 +168,22 @@ def _load_cached(name: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
                 ]
             else:
                 parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
-        mesh = joined(parts) if parts else None
     except Exception as fault:
         raise _unreadable(fault, path) from None
-    if mesh is None:
+    if not parts:
         raise SceneError(f"A mesh file without triangles: {path}")
-    if not np.isfinite(mesh.vertices).all():
+    if not all(np.isfinite(part.vertices).all() for part in parts):
         raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
-    return mesh
+    return parts
+
+
+@lru_cache(maxsize=2048)
+def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
+    del mtime_ns  # only part of the key: a changed file is read again
+    try:
+        return joined(load_parts(path, up=up, front=front, units_m=units_m))
+    except (MemoryError, ValueError) as fault:
+        raise _unreadable(fault, Path(path)) from None
 
 
 def _unreadable(fault: Exception, path: Path) -> SceneError:
