@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.interop.glb_write import GlbNode, glb_bytes
+from h3data.interop.glb_write import MAX_LOOKS, GlbNode, glb_bytes
 from h3data.interop.meshes import load_mesh
 from h3data.scene import HomeSpec, Mesh, Texture, build_home
 from h3data.scene.meshes import face_texture_indices, joined
@@ -83,6 +83,20 @@ def test_trimesh_sees_the_same_materials(tmp_path: Path) -> None:
     image = np.asarray(palette.visual.material.baseColorTexture)
     at = np.floor((palette.visual.uv * (1, -1) + (0, 1)) * image.shape[1::-1]).astype(int)
     assert np.unique(image[at[:, 1], at[:, 0]], axis=0).tolist() == [[9, 8, 7]]
+
+
+def test_a_floor_of_many_colours_is_drawn_in_few(tmp_path: Path) -> None:
+    colors = [tuple(c) for c in RNG.integers(100, 140, (500, 3)).tolist()]
+    mesh = strip(textures=(WOOD, CLOTH), choice=[k % 3 - 1 for k in range(500)], colors=colors)
+    data = glb_bytes([mesh])
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert MAX_LOOKS / 8 < len(document["materials"]) <= MAX_LOOKS + 1
+    (tmp_path / "m.glb").write_bytes(data)
+    again = seen(load_mesh(tmp_path / "m.glb"))
+    for ours, theirs in zip(seen(mesh), again, strict=True):
+        assert ours[2:] == theirs[2:]
+        limit = 31 if ours[2] else 0  # cells of 32 levels
+        assert np.abs(np.array(ours[1]) - theirs[1]).max() <= limit
 
 
 def test_corners_of_several_colours_keep_their_texture(tmp_path: Path) -> None:

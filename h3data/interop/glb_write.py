@@ -29,6 +29,9 @@ _SMOOTH = {"magFilter": 9729, "minFilter": 9987}
 _BLOCK_PX = 4
 """Side of the square of one colour in the palette: the first two mipmaps of a viewer that makes some are still clean."""
 
+MAX_LOOKS = 32
+"""Pairs of texture and colour of one mesh."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlbNode:
@@ -48,7 +51,8 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
     """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
     Positions, texture coordinates and textures are exact. Colours are exact where a triangle has one; a triangle whose
-    corners differ gets their mean.
+    corners differ gets their mean. A mesh that has its textures in more than `MAX_LOOKS` colours, as a floor of boards
+    may, has similar ones drawn in their mean: every pair of texture and colour is one more thing to draw.
     """
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
@@ -121,26 +125,32 @@ def _matte(texture: int) -> dict[str, Any]:
 
 def _primitives(chunk: GlbChunk, mesh: Mesh, materials: _Materials) -> list[dict[str, Any]]:
     """One primitive for the triangles without a texture, one for each pair of texture and colour."""
-    kinds = face_texture_indices(mesh)
-    groups = np.stack([kinds.astype(np.int64), np.where(kinds < 0, 0, _codes(mesh.colors[mesh.faces[:, 0]]))], -1)
     primitives = []
-    for (kind, _), faces in _grouped(groups, mesh.faces):
+    for kind, color, faces in _looks(mesh):
         used, corners = np.unique(faces, return_inverse=True)
         if kind < 0:
             material, uv = 0, materials.palette_uv(mesh.colors[used])
         else:
             assert mesh.uv is not None
-            material, uv = materials.pair(mesh.textures[kind], mesh.colors[used[0]]), mesh.uv[used]
+            material, uv = materials.pair(mesh.textures[kind], color), mesh.uv[used]
         primitives.append(_primitive(chunk, mesh, used, corners, uv, material))
     return primitives
 
 
-def _grouped(groups: NDArray[Any], faces: NDArray[np.int32]) -> Iterator[tuple[list[int], NDArray[np.int32]]]:
-    """Distinct rows of ``groups`` [F, 2] in ascending order, with their faces."""
-    keys, group = np.unique(groups, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    ends = np.cumsum(np.bincount(group.ravel()))
-    yield from zip(keys.tolist(), np.split(faces[order], ends[:-1]), strict=True)
+def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int32]]]:
+    """Texture (-1: none), its sRGB colour and the triangles of each look of a mesh; at most `MAX_LOOKS` with textures."""
+    kinds = face_texture_indices(mesh).astype(np.int64)
+    colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
+    step = 1
+    while True:
+        keys, look = np.unique(np.column_stack([kinds, colors // step]), axis=0, return_inverse=True)
+        if np.count_nonzero(keys[:, 0] >= 0) <= max(MAX_LOOKS, len(mesh.textures)) or step == 256:
+            break
+        step *= 2
+    order, counts = np.argsort(look.ravel(), kind="stable"), np.bincount(look.ravel())
+    ends = np.cumsum(counts)[:-1]
+    for key, faces, members in zip(keys, np.split(mesh.faces[order], ends), np.split(colors[order], ends), strict=True):
+        yield int(key[0]), np.rint(members.mean(0)).astype(np.uint8), faces
 
 
 def _primitive(
