@@ -53,7 +53,6 @@ class Renderer:
         self._visible = np.ones(len(scene.instances), np.bool_)
         self._geometry = scene.geometry
         self._surface = scene.surface
-        self._normals = scene.surface.normals
         self._stale_normals: dict[int, NDArray[np.float32]] = {}
         if scene.deformable:
             shared = scene.geometry
@@ -64,7 +63,7 @@ class Renderer:
                 mesh_center=shared.mesh_center.copy(),
                 mesh_half=shared.mesh_half.copy(),
             )
-            self._normals = scene.surface.normals.copy()
+            self._surface = scene.surface._replace(normals=scene.surface.normals.copy())
         self._ids = np.arange(len(scene.instances), dtype=np.int32)
         self._targets: dict[tuple[int, int], Target] = {}
 
@@ -123,7 +122,7 @@ class Renderer:
             first, end = self.scene.first_vertex[mesh : mesh + 2]
             groups = self.scene.groups[mesh]
             sums = np.empty((int(groups.max(initial=-1)) + 1, 3), np.float32)
-            smooth_normals(vertices, self.scene.meshes[mesh].faces, groups, sums, self._normals[first:end])
+            smooth_normals(vertices, self.scene.meshes[mesh].faces, groups, sums, self._surface.normals[first:end])
         self._stale_normals.clear()
 
     # --- pictures -------------------------------------------------------------------------------------------------
@@ -215,7 +214,7 @@ class Renderer:
     ) -> None:
         self._refresh_normals()
         placement = Placement(self.scene.instance_mesh, self._matrix, self._visible)
-        shade(self._geometry, self._surface, self._normals, placement, view, target, self.light, rgb, normal, samples)
+        shade(self._geometry, self._surface, placement, view, target, self.light, rgb, normal, samples)
 
     def __repr__(self) -> str:
         return f"Renderer({self.scene!r})"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.render.clusters import Clusters, build_clusters, enclosing_box, normal_groups
 from h3data.render.raster import Geometry
+from h3data.render.textures import Textures, pack_textures
+from h3data.scene.meshes import face_texture_indices
 from h3data.scene.records import Mesh
 
 
@@ -28,8 +31,7 @@ class RenderInstance:
     name: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(NamedTuple):
     """What shading needs to know of the meshes; vertices of all meshes one after another."""
 
     faces: NDArray[np.int32]
@@ -40,10 +42,20 @@ class Surface:
     """Shape [V, 3]; zero where a mesh is shaded flat."""
     packet_faces: NDArray[np.int32]
     """Face of every lane of every packet, -1 = padding, shape [P, 8]."""
+    uv: NDArray[np.float32]
+    """Texture coordinates [repeats], shape [V, 2]; [0, 2] if no mesh has any textures."""
+    face_textures: NDArray[np.int32]
+    """Index into ``textures``, -1 = none, shape [F]."""
+    textures: Textures
+    """Those of all meshes, each once."""
 
 
 class RenderScene:
-    """Meshes and instances, ready to be drawn. Immutable; what changes over time lives in a `Renderer`."""
+    """Meshes and instances, ready to be drawn. Immutable; what changes over time lives in a `Renderer`.
+
+    Textures are packed once, however many meshes share one (the same object). Their opacity is not drawn: every triangle
+    hides what is behind it, and its texels of no opacity show the colour of those around them.
+    """
 
     def __init__(
         self, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], *, deformable: Sequence[int] = ()
@@ -77,11 +89,16 @@ class RenderScene:
 
     def _build_surface(self) -> Surface:
         vertices, faces = int(self.first_vertex[-1]), int(self.first_face[-1])
+        textures = list(dict.fromkeys(texture for mesh in self.meshes for texture in mesh.textures))
+        number = {texture: k for k, texture in enumerate(textures)}
         surface = Surface(
             faces=np.zeros((faces, 3), np.int32),
             colors=np.zeros((vertices, 3), np.uint8),
             normals=np.zeros((vertices, 3), np.float32),
             packet_faces=self.packet_triangles.copy(),
+            uv=np.zeros((vertices if textures else 0, 2), np.float32),
+            face_textures=np.full(faces, -1, np.int32),
+            textures=pack_textures(textures),
         )
         geometry = self.geometry
         for m, mesh in enumerate(self.meshes):
@@ -90,6 +107,10 @@ class RenderScene:
             surface.colors[v : v + len(mesh.vertices)] = mesh.colors
             if mesh.normals is not None:
                 surface.normals[v : v + len(mesh.vertices)] = mesh.normals
+            if mesh.textures and mesh.uv is not None:
+                surface.uv[v : v + len(mesh.vertices)] = np.nan_to_num(mesh.uv)
+                numbers = np.array([*(number[texture] for texture in mesh.textures), -1], np.int32)  # -1 picks the last
+                surface.face_textures[f : f + len(mesh.faces)] = numbers[face_texture_indices(mesh)]
         for m in range(len(self.meshes)):
             packets = surface.packet_faces[_packet_range(geometry, m)]
             packets[packets >= 0] += int(self.first_face[m])

@@ -15,23 +15,22 @@ from numpy.typing import NDArray
 from h3data.geometry import normalized
 from h3data.kernels import kernel
 from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude
-from h3data.render.raster import CLUSTER, FAR_PADDING, INSTANCE, Geometry, Placement, Target, View
+from h3data.render.raster import FAR_PADDING, Geometry, Placement, Target, View
 from h3data.render.scene import Surface
+from h3data.render.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shading_simd import (
     ATTRIBUTES,
     BLOCK_WORDS,
-    COLOR,
-    COLOR_1,
-    COLOR_2,
-    NORMAL,
-    NORMAL_1,
-    NORMAL_2,
+    LEVEL,
     RAY,
     TONE_LIMIT,
     TONE_SIZE,
     light_block,
+    light_coordinates_block,
     sky_block,
+    texture_block,
 )
+from h3data.render.textures_simd import LEVEL_WORDS, ONE_LEVEL
 from h3data.srgb import bytes_to_linear, linear_to_srgb
 
 Color = tuple[float, float, float]
@@ -62,8 +61,6 @@ class Light:
 
 
 _SHOULDER = 0.75
-_CACHE_SIZE = 1024
-"""Triangles whose set-up is kept within a picture (power of two)."""
 _MIXED = np.int32(-2)
 """Stands in a row of words for "four samples that differ"."""
 _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
@@ -95,7 +92,6 @@ def _light_table(light: Light) -> NDArray[np.float32]:
 def shade(
     geometry: Geometry,
     surface: Surface,
-    normals: NDArray[np.float32],
     placement: Placement,
     view: View,
     target: Target,
@@ -114,7 +110,7 @@ def shade(
     occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
     _shade_image(
         geometry,
-        (surface.faces, surface.colors, normals, surface.packet_faces),
+        surface,
         placement.matrix,
         view,
         target,
@@ -133,17 +129,19 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor
     cofactors = _normal_matrices(matrices)
-    tags = np.full(_CACHE_SIZE, -1, np.int32)
-    planes = np.zeros((_CACHE_SIZE, 3, 3))
-    attributes = np.zeros((_CACHE_SIZE, ATTRIBUTES), np.float32)
+    cache = new_cache()
+    triangles = cache.words
+    texture_at = (np.uintp(surface.textures.levels.ctypes.data), np.uintp(surface.textures.words.ctypes.data))
     block = np.empty(BLOCK_WORDS, np.float32)
     strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
     sample = np.zeros((6, 8), np.int32)
+    coordinates = np.zeros((3, width + 8), np.float32)
     row = np.zeros(width, np.int32)
     near = np.zeros(width + 8, np.float32)
     words, axes = target.words, view.axes
     linear, byte_of_level = tables
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
+    pixel = (factor / fx, factor / fy)
     for y in range(height):
         _row_words(words, y, fine, row)
         v = ((y + 0.5) * factor - cy) / fy
@@ -158,11 +156,10 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
                     u1, v1 = (sx + 0.5 - cx) / fx, (sy + 0.5 - cy) / fy
                     word = words[sy, sx]
                     if word >= 0:
-                        slot = _slot(word)
-                        if tags[slot] != word:
-                            tags[slot] = word
-                            _set_up(word, slot, geometry, surface, cofactors, axes, target, linear, planes, attributes)
-                        _light_run(slot, planes, attributes, u1, v1, 0.0, 0, 1, axes, light, block, sample)
+                        slot = slot_of(word)
+                        if triangles[slot] != word:
+                            set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear, pixel)
+                        _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 1, axes, light, block, coordinates, sample)
                     else:
                         _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
                     left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
@@ -173,13 +170,12 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
             else:
                 while end < width and row[end] == word:
                     end += 1
-                u, step = ((x + 0.5) * factor - cx) / fx, factor / fx
+                u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
                 if word >= 0:
-                    slot = _slot(word)
-                    if tags[slot] != word:
-                        tags[slot] = word
-                        _set_up(word, slot, geometry, surface, cofactors, axes, target, linear, planes, attributes)
-                    _light_run(slot, planes, attributes, u, v, step, x, end, axes, light, block, strip)
+                    slot = slot_of(word)
+                    if triangles[slot] != word:
+                        set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear, pixel)
+                    _light_run(slot, cache, texture_at, u, v, step, x, end, axes, light, block, coordinates, strip)
                 else:
                     _sky_run(u, v, step, x, end, axes, light, block, strip)
             x = end
@@ -225,112 +221,17 @@ def _normal_matrices(matrices):
     return out
 
 
-# --- triangles ------------------------------------------------------------------------------------------------------
-@njit(nogil=True, forceinline=True)
-def _slot(word):
-    """Where a triangle's set-up is kept."""
-    return (word ^ (word >> 10)) & (_CACHE_SIZE - 1)
-
-
-@njit(nogil=True)
-def _set_up(word, slot, geometry, surface, cofactors, axes, target, linear, planes, attributes):
-    """Set up the triangle behind a pixel's word."""
-    instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
-    packet = geometry.cluster_packets[cluster, 0] + ((word & 127) >> 3)
-    lane = word & 7
-    face = surface[3][packet, lane]
-    shared = len(geometry.shared_packets)
-    soup = geometry.shared_packets
-    if packet >= shared:
-        soup, packet = geometry.own_packets, packet - shared
-    _set_up_planes(soup, packet, lane, target.camera_from_mesh[instance], axes, planes[slot], attributes[slot])
-    _set_up_attributes(surface, face, cofactors[instance], linear, attributes[slot])
-
-
-@njit(nogil=True)
-def _camera_point(soup, packet, lane, corner, m):
-    x, y, z = soup[packet, 3 * corner, lane], soup[packet, 3 * corner + 1, lane], soup[packet, 3 * corner + 2, lane]
-    return (
-        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3],
-        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3],
-        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3],
-    )
-
-
-@njit(nogil=True)
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@njit(nogil=True)
-def _set_up_planes(soup, packet, lane, to_camera, axes, planes, attributes):
-    """Write the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
-
-    All three share an arbitrary factor, which cancels. Also writes the geometric world normal, turned to the eye.
-    """
-    p = _camera_point(soup, packet, lane, 0, to_camera)
-    q = _camera_point(soup, packet, lane, 1, to_camera)
-    r = _camera_point(soup, packet, lane, 2, to_camera)
-    n = _cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (r[0] - p[0], r[1] - p[1], r[2] - p[2]))
-    s, t = _cross(r, p), _cross(p, q)
-    for a in range(3):
-        planes[0, a], planes[1, a], planes[2, a] = n[a], s[a], t[a]
-    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    sign = -1.0 if n[0] * p[0] + n[1] * p[1] + n[2] * p[2] > 0 else 1.0
-    scale = sign / length if length > 0 else 0.0
-    for a in range(3):
-        attributes[NORMAL + a] = (axes[a, 0] * n[0] + axes[a, 1] * n[1] + axes[a, 2] * n[2]) * scale
-
-
-@njit(nogil=True)
-def _set_up_attributes(surface, face, cofactor, linear, attributes):
-    """Write colours and, if the mesh has them, vertex normals on the side of the geometric one."""
-    faces, colors, normals, _ = surface
-    i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
-    for a in range(3):
-        color = linear[colors[i, a]]
-        attributes[COLOR + a] = color
-        attributes[COLOR_1 + a] = linear[colors[j, a]] - color
-        attributes[COLOR_2 + a] = linear[colors[k, a]] - color
-        attributes[NORMAL_1 + a] = 0
-        attributes[NORMAL_2 + a] = 0
-    flat = (attributes[NORMAL], attributes[NORMAL + 1], attributes[NORMAL + 2])
-    n0, n1, n2 = (
-        _world_normal(normals, i, cofactor),
-        _world_normal(normals, j, cofactor),
-        _world_normal(normals, k, cofactor),
-    )
-    side = 0.0
-    for a in range(3):
-        side += (n0[a] + n1[a] + n2[a]) * flat[a]
-    if side == 0:
-        return  # flat shading: the mesh has no normals, or useless ones
-    sign = -1.0 if side < 0 else 1.0
-    for a in range(3):
-        attributes[NORMAL + a] = sign * n0[a]
-        attributes[NORMAL_1 + a] = sign * (n1[a] - n0[a])
-        attributes[NORMAL_2 + a] = sign * (n2[a] - n0[a])
-
-
-@njit(nogil=True)
-def _world_normal(normals, vertex, cofactor):
-    x, y, z = normals[vertex, 0], normals[vertex, 1], normals[vertex, 2]
-    nx = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z
-    ny = cofactor[1, 0] * x + cofactor[1, 1] * y + cofactor[1, 2] * z
-    nz = cofactor[2, 0] * x + cofactor[2, 1] * y + cofactor[2, 2] * z
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    scale = 1 / length if length > 0 else 0.0
-    return nx * scale, ny * scale, nz * scale
-
-
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @njit(nogil=True, forceinline=True)
-def _light_run(slot, planes, attributes, u, v, step, begin, end, axes, light, block, strip):
+def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
     """Light pixels begin..end of a strip that see one triangle; the first one's ray is (u, v, 1)."""
+    _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at = np.uintp(strip.ctypes.data)
     attributes_at = np.uintp(attributes.ctypes.data) + np.uintp(slot * ATTRIBUTES * 4)
     block_at, light_at = np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    coordinates_at, coordinates_bytes = np.uintp(coordinates.ctypes.data), np.uintp(coordinates.shape[1] * 4)
+    level = levels[slot]
     for k in range(3):
         block[2 * k + 1] = planes[slot, k, 0] * step
         block[RAY + 2 * k + 1] = axes[k, 0] * step
@@ -339,7 +240,20 @@ def _light_run(slot, planes, attributes, u, v, step, begin, end, axes, light, bl
         for k in range(3):
             block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
             block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
-        light_block(block_at, attributes_at, light_at, strip_at + np.uintp(x * 4), row_bytes)
+        at = strip_at + np.uintp(x * 4)
+        if level == NO_TEXTURE:
+            light_block(block_at, attributes_at, light_at, at, row_bytes)
+        else:
+            uv_at = coordinates_at + np.uintp(x * 4)
+            light_coordinates_block(block_at, attributes_at, light_at, at, row_bytes, uv_at, coordinates_bytes)
+    if level != NO_TEXTURE:
+        levels_at, words_at = texture_at[0] + np.uintp(level * LEVEL_WORDS * 4), texture_at[1]
+        for x in range(begin, end, 8):
+            at, uv_at = strip_at + np.uintp(x * 4), coordinates_at + np.uintp(x * 4)
+            detail = coordinates[LEVEL, x]  # the first pixel's decides for all 8
+            base = np.int32(detail + np.float32(ONE_LEVEL))
+            blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # other pixels may need it
+            texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
 
 
 @njit(nogil=True, forceinline=True)
