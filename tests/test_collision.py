@@ -23,7 +23,7 @@ from sim_kinematic.collision import (
     distance,
     shapes_from_capsules,
 )
-from sim_kinematic.collision.shapes import bounding_sphere
+from sim_kinematic.collision.shapes import bounding_sphere, shape_bounds
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 NO_MESH = Mesh(
@@ -352,3 +352,26 @@ def test_bounding_spheres_hold_their_shapes(seed):
         for direction in rng.normal(size=(4, 3)):
             ball.set_transforms([at(centre + direction / np.linalg.norm(direction) * (radius + 0.02))])
             assert not collide(body, ball)
+
+
+@given(st.integers(0, 10**6))
+def test_bounds_are_where_a_wall_first_touches(seed):
+    """A box pushed against each side of the bounds touches the shape at once, and 2 mm before not yet."""
+    rng = np.random.default_rng(seed)
+    pose = np.concatenate([rng.normal(size=3), quat_from_axis_angle(rng.normal(size=3), rng.uniform(-3, 3))])
+    frame = at(rng.normal(size=3), quat_to_matrix(quat_from_axis_angle(rng.normal(size=3), rng.uniform(-3, 3))))
+    for shape in (
+        Box(pose=pose, half_extents=rng.uniform(0.1, 1, 3)),
+        Cylinder(pose=pose, radius=0.4, half_height=0.7),
+        Capsule(start=rng.normal(size=3), end=rng.normal(size=3), radius=0.3),
+        Hull(points=rng.normal(size=(9, 3))),
+    ):
+        body, wall = MovingShapes([shape]), MovingShapes([Box(pose=IDENTITY, half_extents=np.full(3, 9.0))])
+        body.set_transforms([frame])
+        low, high = shape_bounds(shape, frame)
+        for axis, sign in itertools.product(range(3), (-1, 1)):
+            for gap, touches in ((0.002, False), (-0.002, True)):
+                center = (low + high) / 2
+                center[axis] = (high if sign > 0 else low)[axis] + sign * (9.0 + gap)
+                wall.set_transforms([at(center)])
+                assert collide(body, wall) is touches

@@ -400,8 +400,7 @@ def tall_home(two_rooms: Scene) -> tuple[FreeSpace, FreeSpace]:
 def test_voxels_find_the_same_floor(tall_home):
     exact, voxels = tall_home
     assert voxels.floor_y == pytest.approx(0.0, abs=1e-6)
-    home, inside_furniture = voxels.polygon.geoms  # a hollow box of 1 x 2 x 1.8 m has a floor too: another island
-    assert exact.polygon.disjoint(inside_furniture)
+    (home,) = voxels.polygon.geoms  # the floor inside a hollow box of 1 x 2 x 1.8 m is smaller than a place
     assert home.area == pytest.approx(exact.polygon.area, rel=0.01)
     assert home.symmetric_difference(exact.polygon).area < 0.02 * exact.polygon.area
     points = exact.sample(np.random.default_rng(1), 500)

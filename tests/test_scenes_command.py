@@ -28,6 +28,7 @@ from h3data.scene import (
     Asset,
     Box,
     Capsule,
+    Cylinder,
     FreeSpace,
     HomeSpec,
     Hull,
@@ -271,6 +272,22 @@ def test_missing_assets_are_a_fault(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert data["scenes"][0]["free_m2"] > 10  # the rest is looked at all the same
 
 
+def test_what_stands_in_a_doorway_is_named() -> None:
+    (island,) = [p for p in problems(two_rooms(0.9, at("chest", "table", 4.05, 0, 2))) if p.kind == "island"]
+    assert island.text.endswith("; between them: chest")
+
+
+@pytest.mark.parametrize("sunk_m", [0.02, 0.06])
+def test_depth_of_an_overlap_is_how_far_it_must_be_lifted(sunk_m: float) -> None:
+    scene = two_rooms(0.9)
+    pose = np.array([0, 0.06, 0, 0, 0, 0, 1.0])
+    can = replace(scene.assets["cube"], name="can", shapes=(Cylinder(pose=pose, radius=0.04, half_height=0.06),))
+    standing = at("can_0", "can", 1.2, 0.7 - sunk_m, 1.3, "kinematic")
+    scene = replace(scene, assets={**scene.assets, "can": can}, instances=(*scene.instances, standing))
+    (overlap,) = overlapping_instances(scene)
+    assert overlap.depth_m == pytest.approx(sunk_m, abs=1e-3)
+
+
 def test_a_scene_without_floor_does_not_stop_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wall = Scene(
         name="wall", assets={"w": block("w", (0, 0, 0), (0.1, 3, 3))}, instances=(at("w", "w"),)
@@ -428,6 +445,7 @@ def test_map_shows_islands_receptacles_and_problems() -> None:
     assert near(marked, PROBLEM_COLOR) > near(clean, PROBLEM_COLOR) + 200
     assert marked.shape[0] > clean.shape[0]  # the list
     assert marked.shape[1] == clean.shape[1]
+    assert (marked[clean.shape[0] :, -8:] == marked[-1, -1]).all()  # no line runs out of the picture
 
 
 def test_map_of_a_home_without_ceiling_layer(home: Scene, tmp_path: Path) -> None:

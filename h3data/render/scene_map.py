@@ -29,6 +29,7 @@ RECEPTACLE_COLOR, PROBLEM_COLOR, INK = (120, 70, 200), (214, 30, 40), (30, 30, 3
 _PAPER = (250, 250, 248)
 _MARGIN_M = 0.5
 _HEADER_PX, _FOOTER_PX, _LINE_PX = 40, 46, 22
+_LIST_SCALE = 0.42
 _DISTANCE = 80.0
 """The camera is this many times the size of the scene away: walls lean by less than a pixel."""
 _CUT_M = 2.2
@@ -52,7 +53,8 @@ def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderSce
             if not keep.any():
                 continue
             if not keep.all():
-                meshes.append(replace(mesh, faces=np.ascontiguousarray(mesh.faces[keep])))
+                textures = None if mesh.face_textures is None else mesh.face_textures[keep]
+                meshes.append(replace(mesh, faces=np.ascontiguousarray(mesh.faces[keep]), face_textures=textures))
                 instances.append(_placed(len(meshes) - 1, matrix, instance.layer, instance.name))
                 continue
         if instance.asset not in shared:
@@ -197,6 +199,7 @@ def _framed(
     lines = [f"{k}  {p.kind.replace('_', ' ')}: {p.subject}: {p.text}" for k, p in enumerate(problems, 1)]
     lines = lines[:40] + ([f"... and {len(lines) - 40} more"] if len(lines) > 40 else [])
     width = max(image.shape[1], 640)
+    lines = [part for line in lines for part in _wrapped(line, width - 24)]
     list_height = _LINE_PX * len(lines) + (8 if lines else 0)
     out = np.full((_HEADER_PX + image.shape[0] + _FOOTER_PX + list_height, width, 3), _PAPER, np.uint8)
     left = (width - image.shape[1]) // 2
@@ -215,8 +218,22 @@ def _framed(
         out[base - 10 : base + 2, at : at + 12] = color
         at += 18 + _text(out, text, (at + 18, base), scale=0.42) + 16
     for k, line in enumerate(lines):
-        _text(out, line, (12, base + _LINE_PX * (k + 1) + 8), scale=0.42, color=PROBLEM_COLOR, rim=None)
+        _text(out, line, (12, base + _LINE_PX * (k + 1) + 8), scale=_LIST_SCALE, color=PROBLEM_COLOR, rim=None)
     return out
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    """A line of the list in parts that are at most ``width`` pixels wide; all but the first are indented."""
+    import cv2
+
+    parts = [""]
+    for word in line.split(" "):
+        longer = f"{parts[-1]} {word}" if parts[-1] else word
+        if parts[-1].strip() and cv2.getTextSize(longer, cv2.FONT_HERSHEY_SIMPLEX, _LIST_SCALE, 1)[0][0] > width:
+            parts.append(f"      {word}")
+        else:
+            parts[-1] = longer
+    return parts
 
 
 def _scale_bar(image: NDArray[np.uint8], at: tuple[int, int], pixels_per_m: float) -> int:

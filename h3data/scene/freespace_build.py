@@ -23,7 +23,7 @@ from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_
 
 log = logging.getLogger(__name__)
 
-BUILD_VERSION = 2
+BUILD_VERSION = 3
 """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
 ARC_SEGMENTS = 8
 """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
@@ -35,6 +35,9 @@ BORDER_M = 0.3
 """How far the distance grid goes beyond the floor."""
 ISLAND_MIN_M2 = 0.01
 """Smaller patches are rounding, not places."""
+ISLAND_MIN_VOXEL_M2 = 1.0
+"""The same for voxels, where they are the insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of
+5 cm (``regionMinSize``, spec/habitat.md 6.7)."""
 VOXEL_M = 0.025
 """Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md 2.4)."""
 VOXELS_MAX = 300_000_000
@@ -119,8 +122,10 @@ def build_from_scene(
         walkable, level = walkable_from_triangles(
             triangles, radius_m=radius_m, climb_m=max_climb_m, height_m=height_m, floor_y=floor_y
         )
-    smooth = SMOOTH_M if used == "shapes" else SMOOTH_VOXEL_M
-    return build_from_walkable(walkable, **sizes, floor_y=level, smooth_m=smooth, key=key)
+    if used == "shapes":
+        return build_from_walkable(walkable, **sizes, floor_y=level, key=key)
+    rough = {"smooth_m": SMOOTH_VOXEL_M, "island_min_m2": ISLAND_MIN_VOXEL_M2}
+    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key)
 
 
 def build_from_walkable(
@@ -132,14 +137,19 @@ def build_from_walkable(
     cell_m: float,
     floor_y: float = 0.0,
     smooth_m: float = SMOOTH_M,
+    island_min_m2: float = ISLAND_MIN_M2,
     key: str = "",
 ) -> FreeSpace:
-    """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out."""
+    """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
+
+    Islands smaller than ``island_min_m2`` are left out, but for the largest.
+    """
     walkable = MultiPolygon(polygon_parts(walkable.simplify(SMOOTH_M)))
     if walkable.is_empty:
         raise SceneError("Nothing of the floor is free. Hint: check the rooms, and the height of the floor.")
     free = walkable.buffer(-radius_m, quad_segs=ARC_SEGMENTS).simplify(smooth_m)
     islands = [p for p in polygon_parts(free) if p.area >= ISLAND_MIN_M2]
+    islands = [p for k, p in enumerate(islands) if k == 0 or p.area >= island_min_m2]
     if not islands:
         raise SceneError(f"An agent of radius {radius_m} m fits nowhere on the floor ({walkable.area:.2f} m2).")
     x0, z0, x1, z1 = walkable.bounds

@@ -40,6 +40,12 @@ ROOM_MIN_M2 = 0.1
 """A room of which less can be walked on cannot be entered."""
 FLOAT_M, SINK_M = 0.02, 0.01
 """A thing floats when nothing is this close below it, and is sunk when a surface is this far above its underside."""
+CLIMB_M = 0.2
+"""Lower things are walked over."""
+FURNITURE_MAX_M2 = 6.0
+"""What takes more of the floor than this is a room, not something in it."""
+TOUCH_M = 0.05
+"""A thing this near to the rim of an agent is what stops it."""
 _SLACK_M = 0.004
 _HULL_SHARE = 0.9
 
@@ -72,7 +78,7 @@ def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> 
     floor = loose.floor_y
     main = islands[0] if islands else shapely.Polygon()
     return [
-        *_islands(islands, floor),
+        *_islands(scene, islands, floor, radius_m),
         *_rooms(scene, main, floor),
         *tight_gaps(loose.polygon, floor, radius_m=radius_m),
         *_receptacles(scene, main),
@@ -80,15 +86,32 @@ def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> 
     ]
 
 
-def _islands(islands: Sequence[BaseGeometry], floor: float) -> Iterable[Problem]:
+def _islands(scene: Scene, islands: Sequence[BaseGeometry], floor: float, radius_m: float) -> Iterable[Problem]:
     for k, island in enumerate(islands[1:], 1):
         point = island.representative_point()
-        yield Problem(
-            kind="island",
-            subject=f"island {k}",
-            text=f"{island.area:.2f} m2 of free floor are cut off from the largest island ({islands[0].area:.2f} m2)",
-            position=np.array([point.x, floor, point.y]),
-        )
+        between = _standing_between(scene, islands[0], island, floor, radius_m)
+        text = f"{island.area:.2f} m2 of free floor are cut off from the largest island ({islands[0].area:.2f} m2)"
+        if between:
+            text += f"; between them: {', '.join(between)}"
+        position = np.array([point.x, floor, point.y])
+        yield Problem(kind="island", subject=f"island {k}", text=text, position=position)
+
+
+def _standing_between(
+    scene: Scene, first: BaseGeometry, second: BaseGeometry, floor: float, radius_m: float
+) -> list[str]:
+    """Names of static things, but for walls and whole stages, that an agent touches from both of two islands."""
+    found = []
+    for instance in scene.static_instances:
+        if not len(scene.assets[instance.asset].mesh.vertices) or scene.assets[instance.asset].category == "wall":
+            continue
+        low, high = instance_bounds(scene, instance)
+        foot = shapely.box(low[0], low[2], high[0], high[2])
+        around = foot.buffer(radius_m + TOUCH_M)
+        stands = low[1] < floor + 1.0 and high[1] > floor + CLIMB_M
+        if stands and foot.area < FURNITURE_MAX_M2 and around.intersects(first) and around.intersects(second):
+            found.append(instance.name)
+    return found
 
 
 def _rooms(scene: Scene, main: BaseGeometry, floor: float) -> Iterable[Problem]:
@@ -153,7 +176,7 @@ def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
             yield Problem(
                 kind="out_of_reach",
                 subject=f"{instance.name}|{receptacle.name}",
-                text=f"its middle is {away:.2f} m from where one can stand; at most {REACH_M} m can be reached",
+                text=f"its middle is {away:.2f} m from where one can stand (reach {REACH_M} m)",
                 position=at,
             )
 

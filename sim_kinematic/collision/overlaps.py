@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.geometry import transform_points
 from h3data.scene.records import Scene, instance_matrix
 from sim_kinematic.collision.fcl_world import CONTACTS_MAX, FclScene
-from sim_kinematic.collision.shapes import bounding_sphere
+from sim_kinematic.collision.shapes import bounding_sphere, shape_bounds
 
 
 class Overlap(NamedTuple):
@@ -20,7 +20,8 @@ class Overlap(NamedTuple):
     first: str
     second: str
     depth_m: float
-    """How deep the deepest pair of their parts overlaps [m]; round parts and hulls may give a little more."""
+    """How deep the deepest pair of their parts overlaps [m]: the shorter of FCL's depth, which is too great for deep round
+    parts and hulls, and the way along an axis that parts their bounds."""
     point: NDArray[np.float64]
     """A point in the overlap, world, shape [3] [m]."""
 
@@ -34,14 +35,19 @@ def overlapping_instances(scene: Scene, *, tolerance_m: float = 0.01) -> list[Ov
     import fcl
 
     world = FclScene(replace(scene, instances=tuple(replace(i, motion="static") for i in scene.instances)))
+    bounds = [
+        shape_bounds(shape, instance_matrix(i)) for i in scene.instances for shape in scene.assets[i.asset].shapes
+    ]
     deepest: dict[tuple[str, str], Overlap] = {}
     for a, b in _near_pairs(scene, world.names):
         result = fcl.CollisionResult()
         request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
         fcl.collide(world.objects[a], world.objects[b], request, result)
         names = world.names[a], world.names[b]
+        (low_a, high_a), (low_b, high_b) = bounds[a], bounds[b]
+        apart = float(np.minimum(high_a - low_b, high_b - low_a).min())
         for contact in result.contacts:
-            depth = abs(float(contact.penetration_depth))
+            depth = min(abs(float(contact.penetration_depth)), apart)
             if depth > tolerance_m and (names not in deepest or depth > deepest[names].depth_m):
                 deepest[names] = Overlap(*names, depth, np.array(contact.pos, np.float64))
     return sorted(deepest.values(), key=lambda o: (-o.depth_m, o.first, o.second))

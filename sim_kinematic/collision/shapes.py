@@ -106,6 +106,24 @@ def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
     return center, float(np.hypot(shape.radius, shape.half_height))
 
 
+def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
+    """Lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it; tight for boxes and hulls, and
+    for round shapes unless the scale is uneven."""
+    m = np.asarray(matrix, np.float64)
+    if isinstance(shape, Capsule):
+        points, margin = np.stack([shape.start, shape.end]), np.linalg.norm(m[:3, :3], axis=1) * shape.radius
+    elif isinstance(shape, Hull):
+        points, margin = np.asarray(shape.points), np.zeros(3)
+    elif isinstance(shape, Box):
+        points, margin = _corners(shape), np.zeros(3)
+    else:
+        m = m @ pose_to_matrix(np.asarray(shape.pose, np.float64))
+        points = np.array([[0.0, -shape.half_height, 0.0], [0.0, shape.half_height, 0.0]])
+        margin = np.hypot(m[:3, 0], m[:3, 2]) * shape.radius  # of the disc across its axis
+    world = transform_points(m, points)
+    return np.stack([world.min(0) - margin, world.max(0) + margin])
+
+
 def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
     """Points [N, 3] in the asset frame whose hull is the box, or a prism around the cylinder."""
     if isinstance(shape, Box):
