@@ -9,12 +9,12 @@ import numpy as np
 from h3data.render.scene_map import plan_picture
 from h3data.scene import HomeSpec, build_home
 
-SMALL, MEDIUM, COLUMNS = 10, 10, 5
+HOMES, COLUMNS = {"small": 9, "medium": 8, "large": 3}, 5
 CELL_W, CELL_H, LABEL_H = 330, 440, 26
 LIMIT_BYTES = 900_000
 
 cells = []
-for preset, count in (("small", SMALL), ("medium", MEDIUM)):
+for preset, count in HOMES.items():
     for seed in range(count):
         home = build_home(HomeSpec(preset=preset, seed=seed))
         span = np.ptp(home.bounds[:, [0, 2]], axis=0) + 1.0

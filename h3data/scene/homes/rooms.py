@@ -300,7 +300,7 @@ def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Pla
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
     """Narrow: a shoe cabinet, a plant, pictures; galleries get more of it."""
     del dining
-    _runner(rng, style, state)
+    _runner(rng, style, state, least_m=1.3)
     for _ in range(int(state.room.area // 20)):
         place_single(rng, state, living.bench(rng, style))
         place_single(rng, state, living.console(rng, style))
@@ -308,13 +308,15 @@ def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dinin
     place_single(rng, state, living.console(rng, style))
     place_single(rng, state, living.plant(rng, style), only_corner=True)
     hang_pictures(rng, style, state, 3 + int(state.room.area // 8))
+    if not state.rugs:
+        _runner(rng, style, state, least_m=0.95)
 
 
-def _runner(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """A long narrow carpet down the middle of a wide hall."""
+def _runner(rng: np.random.Generator, style: Style, state: RoomState, least_m: float) -> None:
+    """A long narrow carpet down the middle of a hall of some width."""
     x0, z0, x1, z1 = state.interior
     wide, long = sorted((x1 - x0, z1 - z0))
-    if wide < 1.3 or long < 4:
+    if wide < least_m or long < 4:
         return
     carpet = living.rug(rng, style, (long - float(rng.uniform(1.2, 2.5)), 0.62 * wide))
     quarter = 0 if x1 - x0 > z1 - z0 else 1
