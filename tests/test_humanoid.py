@@ -7,14 +7,21 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, humanoid_names, load_humanoid
+from h3data.bodies.humanoid_file import from_planes, to_planes, vertex_normals
 from h3data.bodies.skinning import apply_skin_dense
+from h3data.bodies.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, normalized, pose_from_matrix, quat_from_heading, quat_to_matrix
 
-BODIES = ("female_0", "male_0")
+BODIES = humanoid_names()
+FEW = ("female_0", "male_1", "neutral_2")
+"""A short, a tall and a heavy one."""
 ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 UNIT = np.array([0, 0, 0, 1.0])
 
@@ -46,7 +53,9 @@ def test_sparse_skinning_equals_the_plain_definition(body: Humanoid, lod: bool) 
 def test_bind_pose_gives_the_rest_mesh_back(body: Humanoid) -> None:
     bind = np.linalg.inv(body.inverse_bind)[None]
     np.testing.assert_allclose(body.skin(bind, lod=False)[0], body.mesh.vertices, atol=2e-6)
-    np.testing.assert_allclose(body.skin_normals(bind)[0], body.lod_mesh.normals, atol=1e-5)
+    assert body.lod_mesh.normals is not None
+    shared = np.abs(body.lod_mesh.normals - [0, 1, 0]).max(axis=1) > 0  # degenerate hems point up whatever the pose
+    np.testing.assert_allclose(body.skin_normals(bind)[0][shared], body.lod_mesh.normals[shared], atol=1e-5)
 
 
 def test_zero_pose_is_a_t_pose_in_the_body_frame(body: Humanoid) -> None:
@@ -94,6 +103,7 @@ def test_rest_mesh_is_sound(body: Humanoid) -> None:
         mesh = part.mesh
         np.testing.assert_allclose(part.weights.sum(1), 1, atol=1e-6)
         assert part.joints.max() < len(JOINT_NAMES)
+        assert mesh.normals is not None
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
         a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
         volume = np.sum(a * np.cross(b, c)) / 6
@@ -120,29 +130,45 @@ def test_lod_lies_on_the_full_mesh(body: Humanoid) -> None:
     assert distance.max() < 0.03
 
 
-def test_capsules_enclose_most_of_the_skin(body: Humanoid) -> None:
+def _outside(points: np.ndarray, start: np.ndarray, end: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """How far points [V, 3] are outside the nearest of some capsules [V] [m]."""
+    way = end - start
+    along = np.einsum("vcj,cj->vc", points[:, None] - start, way) / np.maximum(np.sum(way**2, -1), 1e-12)
+    nearest = start + np.clip(along, 0, 1)[..., None] * way
+    return (np.linalg.norm(points[:, None] - nearest, axis=-1) - radius).min(axis=1)
+
+
+def test_capsules_enclose_the_skin(body: Humanoid) -> None:
     quats, pelvis = body.clip_pose([0, 2, 5], [0, 0.15, 0.6])
     joints = body.joint_matrices(np.tile(ROOT, (3, 1)), quats, pelvis)
-    vertices = body.skin(joints, lod=False).astype(np.float64)
+    vertices = body.skin(joints).astype(np.float64)
     start, end, radius = body.capsules_world(joints)
     assert start.shape == (3, 18, 3)
-    way = end - start
     for t in range(3):
-        along = np.einsum("vcj,cj->vc", vertices[t][:, None] - start[t], way[t]) / np.maximum(
-            np.sum(way[t] ** 2, -1), 1e-12
-        )
-        nearest = start[t] + np.clip(along, 0, 1)[..., None] * way[t]
-        outside = (np.linalg.norm(vertices[t][:, None] - nearest, axis=-1) - radius).min(axis=1)
-        assert np.mean(outside > 0.01) < 0.20
-        assert np.percentile(outside, 99) < 0.035
+        outside = _outside(vertices[t], start[t], end[t], radius)
+        assert np.mean(outside > 0.02) < 0.05
         assert outside.max() < 0.08  # a bun, a finger tip
     assert radius.min() > 0.02
     assert radius.max() < 0.25
 
 
+def test_bone_boxes_are_thin_and_lie_on_the_bones(body: Humanoid) -> None:
+    joints = body.joint_matrices_free(*_random_free_pose(2))
+    frames, sizes = body.bone_boxes_world(joints)
+    assert frames.shape == (2, len(sizes), 4, 4)
+    turn = frames[..., :3, :3]
+    np.testing.assert_allclose(turn @ np.swapaxes(turn, -1, -2), np.broadcast_to(np.eye(3), turn.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(turn), 1, atol=1e-9)
+    np.testing.assert_allclose(sizes[:, [0, 2]], 0.02)
+    ends = frames[..., :3, 3] + turn[..., 1] * (sizes[:, 1:2] / 2 + 0.02)
+    distance = np.linalg.norm(ends[:, :, None] - joints[:, None, :, :3, 3], axis=-1).min(axis=2)
+    assert distance.max() < 1e-6  # padded by 2 cm they reach to a joint
+
+
 def test_loading_is_shared_and_light() -> None:
     assert load_humanoid("female_0") is load_humanoid("female_0")
-    assert builtin_path("bodies/female_0.npz").stat().st_size < 700_000
+    assert load_humanoid("female_0").mesh.faces is load_humanoid("male_3").mesh.faces
+    assert sum(p.stat().st_size for p in builtin_path("bodies").glob("*.npz")) < 1_050_000
     code = (
         "import sys; from h3data.bodies import load_humanoid, load_robot; load_humanoid('female_0'); load_robot('quad_arm');"
         "sys.exit(len({'trimesh', 'numba', 'torch', 'scipy'} & set(sys.modules)))"
@@ -150,8 +176,91 @@ def test_loading_is_shared_and_light() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_twelve_different_people() -> None:
+    people = [load_humanoid(name) for name in BODIES]
+    assert [b.name for b in people] == [f"{kind}_{k}" for kind in ("female", "male", "neutral") for k in range(4)]
+    heights = sorted(b.height_m for b in people)
+    assert heights[0] < 1.60 < 1.85 < heights[-1]
+    assert min(np.diff(heights)) >= 0.005
+    looks = {tuple(map(tuple, np.unique(b.mesh.colors, axis=0))) for b in people}
+    assert len(looks) == 12
+    assert len({tuple(b.mesh.vertices[::500, 0].round(3)) for b in people}) == 12
+
+
+def test_skin_weights_and_pattern_are_mirror_images() -> None:
+    body = load_humanoid("neutral_0")
+    other = np.array([JOINT_INDEX[_mirrored(n)] for n in JOINT_NAMES])
+    from scipy.spatial import KDTree
+
+    part, skin = body.full, body.full.regions == 0
+    dense = np.zeros((len(part.joints), 55))
+    np.add.at(dense, (np.arange(len(dense))[:, None], part.joints), part.weights)
+    distance, mirror = KDTree(part.mesh.vertices).query(part.mesh.vertices[skin] * [-1, 1, 1])
+    close = distance < 5e-4
+    assert close.mean() > 0.97
+    np.testing.assert_allclose(dense[skin][close], dense[mirror][close][:, other], atol=0.03)
+
+
+def _mirrored(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name[5:]
+    return "left_" + name[6:] if name.startswith("right_") else name
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(arrays(np.int16, st.tuples(st.integers(0, 40), st.just(3))))
+def test_planes_of_bytes_round_trip(vertices: np.ndarray) -> None:
+    np.testing.assert_array_equal(from_planes(to_planes(vertices)), vertices)
+
+
+def test_normals_across_welded_vertices_are_equal() -> None:
+    body = load_humanoid("female_0")
+    part = body.full
+    key = part.weld.astype(np.int64) * 2**24 + part.mesh.colors.astype(np.int64) @ [65536, 256, 1]
+    order = np.argsort(key, kind="stable")
+    same = np.diff(key[order]) == 0
+    assert same.sum() > 100
+    assert part.mesh.normals is not None
+    np.testing.assert_array_equal(part.mesh.normals[order][1:][same], part.mesh.normals[order][:-1][same])
+    flat = vertex_normals(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.arange(3))
+    np.testing.assert_array_equal(flat, np.tile([0, 1, 0], (3, 1)))
+
+
+@pytest.mark.parametrize("lod", [True, False])
+def test_worlds_and_frames_are_one_product_and_torch_agrees(lod: bool) -> None:
+    import torch
+
+    body = load_humanoid("male_1")
+    joints = body.joint_matrices_free(*_random_free_pose(6)).reshape(2, 3, 55, 4, 4)
+    skin = body.skin(joints, lod=lod)
+    assert skin.shape[:2] == (2, 3)
+    np.testing.assert_allclose(skin[1, 2], body.skin(joints[1, 2:], lod=lod)[0], atol=1e-6)
+    found = TorchSkin(body, lod=lod)(torch.from_numpy(joints))
+    np.testing.assert_allclose(found.numpy(), skin, atol=1e-5)
+    chunks = {rows.start: part for rows, part in body.skin_chunks(joints[0], lod=lod)}
+    np.testing.assert_array_equal(chunks[0], body.skin(joints[0], lod=lod))
+
+
+@pytest.mark.gpu
+def test_torch_skin_on_cuda() -> None:
+    import torch
+
+    body = load_humanoid("male_1")
+    joints = body.joint_matrices_free(*_random_free_pose(40))
+    found = TorchSkin(body, device="cuda")(torch.from_numpy(joints)).cpu().numpy()
+    np.testing.assert_allclose(found, body.skin(joints), atol=1e-5)
+
+
+def test_light_mesh_is_chosen_by_projected_size() -> None:
+    body = load_humanoid("female_0")
+    focal = 640 / 2 / np.tan(np.radians(90) / 2)
+    assert not body.light_enough(focal, 1.0)
+    assert body.light_enough(focal, 3.0)
+    assert not body.light_enough(focal, 0.0)
+
+
 def test_phenotype_is_stored(body: Humanoid) -> None:
-    assert body.phenotype["gender"] in (0, 1)
+    assert 0 <= body.phenotype["gender"] <= 1
     assert 0 < body.phenotype["height"] < 1
 
 
@@ -172,11 +281,17 @@ def test_files_of_another_kind_are_refused(tmp_path) -> None:
     with pytest.raises(FormatError, match="another npz file"):
         load_humanoid(other)
     with np.load(builtin_path("bodies/female_0.npz")) as file:
-        data = {k: file[k] for k in file.files if k != "capsule_joints"}
+        data = {k: file[k] for k in file.files if k != "capsule_start"}
     partial = tmp_path / "partial.npz"
     np.savez(partial, **data)
-    with pytest.raises(FormatError, match="lacks the array 'capsule_joints'"):
+    with pytest.raises(FormatError, match="lacks the array 'capsule_start'"):
         load_humanoid(partial)
+    np.savez(tmp_path / "elsewhere.npz", **(data | {"common": np.array("0" * 16)}))
+    with pytest.raises(FormatError, match="another topology"):
+        load_humanoid(tmp_path / "elsewhere.npz")
+    np.savez(tmp_path / "short.npz", **(data | {"full_delta": data["full_delta"][:, :, :-1]}))
+    with pytest.raises(FormatError, match="damaged"):
+        load_humanoid(tmp_path / "short.npz")
     np.savez(tmp_path / "pickled.npz", **(data | {"format": np.array({"a": 1}, dtype=object)}))
     with pytest.raises(FormatError):
         load_humanoid(tmp_path / "pickled.npz")

@@ -1,6 +1,7 @@
 """Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
 
-from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh, load_humanoid
+from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh
+from h3data.bodies.humanoid_file import humanoid_names, load_humanoid
 from h3data.bodies.ik import IkResult, solve_ik
 from h3data.bodies.motion import Clip
 from h3data.bodies.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
@@ -22,6 +23,7 @@ __all__ = [
     "RobotLink",
     "SkinnedMesh",
     "Urdf",
+    "humanoid_names",
     "load_humanoid",
     "load_robot",
     "read_urdf",

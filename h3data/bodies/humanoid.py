@@ -1,4 +1,4 @@
-"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision capsules; read from one baked npz file.
+"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision shapes. `h3data.bodies.humanoid_file` reads them.
 
 Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and lies
 on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation contains.
@@ -6,30 +6,32 @@ on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg),
 
 from __future__ import annotations
 
-import json
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.motion import Clip, ClipTable, clip_table, nearest_clip, sample_clips
+from h3data.bodies.motion import (
+    Clip,
+    ClipTable,
+    Gaits,
+    clip_table,
+    make_clips,
+    nearest_clip,
+    pose_at_speed,
+    sample_clips,
+)
 from h3data.bodies.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
-from h3data.bodies.skinning import Skin, apply_skin, build_skin
-from h3data.builtin import builtin_path
-from h3data.errors import FormatError, InputError
+from h3data.bodies.skinning import Skin, apply_skin, build_skin, skin_chunks
 from h3data.geometry import Array, normalized, pose_to_matrix, quat_to_matrix
 from h3data.scene.records import Mesh
 
-FILE_FORMAT = "h3data.humanoid/1"
-VERTEX_UNIT_M = 1e-4
-"""Vertices are stored in whole tenths of a millimetre (int16: within 3.2 m of the origin)."""
-QUAT_UNIT = 1 / 32767
-WEIGHT_UNIT = 1 / 255
+LOD_BELOW_PX = 220.0
+"""Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""
+BONE_BOX_M, BONE_PAD_M = 0.02, 0.02
+"""Habitat's collision boxes are this wide and end this far before the joints (spec/habitat.md 1.6)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +46,8 @@ class SkinnedMesh:
     """They sum to 1, shape [V, 4]."""
     regions: NDArray[np.uint8]
     """Index into `Humanoid.region_names` per vertex: skin, shirt, trousers, ... Shape [V]."""
+    weld: NDArray[np.uint16]
+    """Vertices with the same number and colour are one surface, shaded smooth across. Shape [V]."""
 
     @cached_property
     def skin(self) -> Skin:
@@ -84,8 +88,8 @@ class Humanoid:
     """About 3,000 vertices: the default for cameras that are not close (surface error below 5 mm)."""
     region_names: tuple[str, ...]
     capsules: tuple[BodyCapsule, ...]
-    clips: tuple[Clip, ...]
-    """The first one stands."""
+    gaits: Gaits
+    """How she walks; `clips` are sampled from it."""
     phenotype: Mapping[str, float] = field(default_factory=dict)
     """The shape parameters from which the body was baked."""
 
@@ -99,6 +103,11 @@ class Humanoid:
         """The light mesh in the rest pose, body frame."""
         return self.lod.mesh
 
+    @cached_property
+    def clips(self) -> tuple[Clip, ...]:
+        """Standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
+        return make_clips(self.gaits)
+
     @property
     def motion_names(self) -> tuple[str, ...]:
         """Names of the clips, in the order of motion ids."""
@@ -106,7 +115,7 @@ class Humanoid:
 
     @cached_property
     def _clip_table(self) -> ClipTable:
-        return clip_table(self.clips)
+        return clip_table(self.clips, self.gaits.legs)
 
     @cached_property
     def _capsule_arrays(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
@@ -118,12 +127,29 @@ class Humanoid:
         """Motion id of the clip that fits ``speed_mps``; 0 (standing) when there is hardly any."""
         return nearest_clip(self.clips, speed_mps)
 
-    def clip_pose(self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0) -> tuple[Array, Array]:
+    def clip_pose(
+        self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.motion.sample_clips`: blend 0 stands, 1 is the clip.
+        ``ground`` [T, 2]: height of the floor under the left and the right foot, relative to the root [m].
         """
-        return sample_clips(self._clip_table, motion_id, phase, blend)
+        return sample_clips(self._clip_table, motion_id, phase, blend, ground)
+
+    def walk_pose(
+        self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """As `clip_pose`, at any speed [T] [m/s]: walking up to 2 m/s, a jog above; exact instead of from a table.
+
+        The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
+        the change of the stride; change it between steps to avoid that.
+        """
+        return pose_at_speed(self.gaits, speed_mps, phase, blend, ground)
+
+    def stride_m(self, speed_mps: ArrayLike) -> Array:
+        """Way per cycle of two steps [...] [m] at speeds [...] [m/s]."""
+        return self.gaits.stride_m(speed_mps)
 
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
         """World matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and what `clip_pose` returned."""
@@ -141,9 +167,15 @@ class Humanoid:
         return forward_kinematics(quats, pose_to_matrix(root), self.joint_offsets)
 
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
-        """World vertices, float32 [T, V, 3], of joint frames [T, 55, 4, 4] (one sparse matrix product)."""
+        """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4]: frames, worlds, or worlds and frames (one
+        sparse matrix product)."""
         part = self.lod if lod else self.full
         return apply_skin(part.skin.points, joint_matrices @ self.inverse_bind)
+
+    def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """`skin` for long recordings: frames [t] of [T, 55, 4, 4] and their vertices [t, V, 3], some at a time."""
+        part = self.lod if lod else self.full
+        return skin_chunks(part.skin.points, joint_matrices @ self.inverse_bind)
 
     def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """World shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
@@ -157,117 +189,41 @@ class Humanoid:
         rotation, origin = frames[..., :3, :3], frames[..., :3, 3]
         return (rotation @ start[..., None])[..., 0] + origin, (rotation @ end[..., None])[..., 0] + origin, radius
 
+    def bone_boxes_world(self, joint_matrices: Array) -> tuple[Array, Array]:
+        """Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
+
+        Returns centres with rotations, [T, K, 4, 4] with y along the bone, and full sizes [K, 3] [m].
+        """
+        start, end = self._bones
+        frame, b = joint_matrices[:, start], joint_matrices[:, end][..., :3, 3]
+        a = frame[..., :3, 3]
+        length = np.linalg.norm(self.joint_offsets[end], axis=1)
+        y = (b - a) / length[:, None]
+        z = np.cross(frame[..., :3, 0], y)
+        flat = np.linalg.norm(z, axis=-1, keepdims=True) < 0.3  # the bone runs along the joint's x axis
+        z = normalized(np.where(flat, np.cross(frame[..., :3, 2], y), z))
+        frames = np.zeros((*a.shape[:2], 4, 4))
+        frames[..., :3, :3] = np.stack([np.cross(y, z), y, z], axis=-1)
+        frames[..., :3, 3] = (a + b) / 2
+        frames[..., 3, 3] = 1
+        across = np.full_like(length, BONE_BOX_M)
+        return frames, np.stack([across, length - 2 * BONE_PAD_M, across], axis=1)
+
+    @cached_property
+    def _bones(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Start and end joints [K] of the bones long enough for a box."""
+        length = np.linalg.norm(self.joint_offsets, axis=1)
+        end = np.array(
+            [j for j, parent in enumerate(self.parents) if parent >= 0 and length[j] > 2 * BONE_PAD_M + 1e-3]
+        )
+        return np.array(self.parents)[end], end
+
+    def light_enough(self, focal_px: float, distance_m: float) -> bool:
+        """Whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
+
     def __repr__(self) -> str:
         return (
             f"Humanoid({self.name!r}, {self.height_m:.2f} m, {self.mesh}, LOD {self.lod_mesh}, "
             f"{len(self.capsules)} capsules, clips {', '.join(self.motion_names)})"
         )
-
-
-@lru_cache(maxsize=32)
-def load_humanoid(name: str | Path) -> Humanoid:
-    """A built-in body by name (``female_0``), or one from a file that ends in ``.npz``. Loaded once, then shared."""
-    path = Path(name) if str(name).endswith(".npz") else _builtin_body(str(name))
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except FileNotFoundError:
-        raise InputError(f"Expected a humanoid file, found none there: {path}") from None
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise FormatError(f"Expected a humanoid file ({FILE_FORMAT}), this is none ({error}): {path}") from error
-    found = str(data.get("format", "another npz file"))
-    if found != FILE_FORMAT:
-        raise FormatError(f"Expected a humanoid file ({FILE_FORMAT}), got {found}. Hint: bake it again. File: {path}")
-    try:
-        return _humanoid(data)
-    except KeyError as error:
-        raise FormatError(f"The humanoid file lacks the array {error}. Hint: bake it again. File: {path}") from error
-
-
-def _builtin_body(name: str) -> Path:
-    folder = builtin_path("bodies")
-    known = sorted(p.stem for p in folder.glob("*.npz"))
-    if name not in known:
-        raise InputError(f"No built-in humanoid {name!r}. There are: {', '.join(known) or 'none'}.")
-    return folder / f"{name}.npz"
-
-
-def _humanoid(data: Mapping[str, NDArray[Any]]) -> Humanoid:
-    names = tuple(str(n) for n in data["joint_names"])
-    if names != JOINT_NAMES:
-        raise FormatError(f"Expected the {len(JOINT_NAMES)} SMPL-X joints in their order, got {len(names)} others.")
-    bind = np.tile(np.eye(4), (len(names), 1, 1))
-    bind[:, :3, :3], bind[:, :3, 3] = data["bind_rotation"], data["bind_position"]
-    return Humanoid(
-        name=str(data["name"]),
-        height_m=float(data["height_m"]),
-        joint_offsets=data["joint_offsets"].astype(np.float64),
-        inverse_bind=np.linalg.inv(bind),
-        full=_skinned_mesh(data, "full"),
-        lod=_skinned_mesh(data, "lod"),
-        region_names=tuple(str(n) for n in data["region_names"]),
-        capsules=_capsules(data),
-        clips=_clips(data),
-        phenotype=json.loads(str(data["phenotype"])),
-    )
-
-
-def _skinned_mesh(data: Mapping[str, NDArray[Any]], prefix: str) -> SkinnedMesh:
-    vertices = (data[f"{prefix}_vertices"] * np.float32(VERTEX_UNIT_M)).astype(np.float32)
-    faces = data[f"{prefix}_faces"].astype(np.int32)
-    regions = data[f"{prefix}_regions"]
-    weights = data[f"{prefix}_weights"].astype(np.float32) * np.float32(WEIGHT_UNIT)
-    return SkinnedMesh(
-        mesh=Mesh(
-            vertices=vertices,
-            faces=faces,
-            colors=data["region_colors"][regions],
-            normals=vertex_normals(vertices, faces),
-        ),
-        joints=data[f"{prefix}_joints"],
-        weights=weights / weights.sum(axis=1, keepdims=True),
-        regions=regions,
-    )
-
-
-def vertex_normals(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Unit normals per vertex, float32 [V, 3]: the mean of the faces around, weighted by their areas."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    face_normals = np.cross(b - a, c - a)
-    corners = faces.ravel()
-    total = [np.bincount(corners, np.repeat(face_normals[:, k], 3), minlength=len(vertices)) for k in range(3)]
-    return normalized(np.stack(total, axis=1)).astype(np.float32)
-
-
-def _capsules(data: Mapping[str, NDArray[Any]]) -> tuple[BodyCapsule, ...]:
-    return tuple(
-        BodyCapsule(
-            name=str(data["capsule_names"][k]),
-            joint=int(data["capsule_joints"][k]),
-            start=data["capsule_start"][k].astype(np.float64),
-            end=data["capsule_end"][k].astype(np.float64),
-            radius=float(data["capsule_radius"][k]),
-        )
-        for k in range(len(data["capsule_names"]))
-    )
-
-
-def _clips(data: Mapping[str, NDArray[Any]]) -> tuple[Clip, ...]:
-    quats = normalized(data["clip_quats"].astype(np.float64) * QUAT_UNIT)
-    pelvis = data["clip_pelvis"].astype(np.float64)
-    ends = np.cumsum(data["clip_frames"])
-    clips = []
-    for k, end in enumerate(ends):
-        rows = slice(int(end - data["clip_frames"][k]), int(end))
-        clips.append(
-            Clip(
-                name=str(data["clip_names"][k]),
-                speed_mps=float(data["clip_speed_mps"][k]),
-                stride_m=float(data["clip_stride_m"][k]),
-                period_s=float(data["clip_period_s"][k]),
-                stance=float(data["clip_stance"][k]),
-                quats=quats[rows],
-                pelvis=pelvis[rows],
-            )
-        )
-    return tuple(clips)

@@ -8,6 +8,7 @@ vertices never change, so they go into one matrix S [V, 4J] (about 7 entries a r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -63,15 +64,33 @@ def _operator(
 
 
 def apply_skin(operator: csr_array, matrices: Array) -> NDArray[np.float32]:
-    """Skinned points (or unnormalised normals), float32 [T, V, 3], of bind-to-world ``matrices`` [T, J, 4, 4]."""
-    frames, joint_count = matrices.shape[:2]
+    """Skinned points (or unnormalised normals), float32 [..., V, 3], of bind-to-world ``matrices`` [..., J, 4, 4].
+
+    The leading axes are frames, or worlds and frames; all go through the same product, a chunk at a time. The memory is
+    vertex-major within a chunk of one (`CHUNK_FRAMES`) and else frame-major.
+    """
+    lead, joint_count = matrices.shape[:-3], matrices.shape[-3]
+    flat = matrices.reshape(-1, *matrices.shape[-3:])
     vertex_count = operator.indptr.size - 1
-    out = np.empty((frames, vertex_count, 3), np.float32)
-    for start in range(0, frames, CHUNK_FRAMES):
-        part = matrices[start : start + CHUNK_FRAMES, :, :3]
-        palette = part.transpose(1, 3, 0, 2).astype(np.float32).reshape(4 * joint_count, 3 * len(part))
-        out[start : start + len(part)] = (operator @ palette).reshape(-1, len(part), 3).swapaxes(0, 1)
-    return out
+    if len(flat) <= CHUNK_FRAMES:
+        return _product(operator, flat, joint_count).reshape(*lead, vertex_count, 3)
+    out = np.empty((len(flat), vertex_count, 3), np.float32)
+    for start in range(0, len(flat), CHUNK_FRAMES):
+        out[start : start + CHUNK_FRAMES] = _product(operator, flat[start : start + CHUNK_FRAMES], joint_count)
+    return out.reshape(*lead, vertex_count, 3)
+
+
+def skin_chunks(operator: csr_array, matrices: Array) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+    """The same in chunks, for long recordings: rows of ``matrices`` [T, J, 4, 4] and their points [t, V, 3], views of
+    vertex-major memory. Copying them into place would take twice as long as computing them."""
+    for start in range(0, len(matrices), CHUNK_FRAMES):
+        rows = slice(start, min(start + CHUNK_FRAMES, len(matrices)))
+        yield rows, _product(operator, matrices[rows], matrices.shape[1])
+
+
+def _product(operator: csr_array, matrices: Array, joint_count: int) -> NDArray[np.float32]:
+    palette = matrices[:, :, :3].transpose(1, 3, 0, 2).astype(np.float32).reshape(4 * joint_count, 3 * len(matrices))
+    return (operator @ palette).reshape(-1, len(matrices), 3).swapaxes(0, 1)
 
 
 def apply_skin_dense(

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from h3data.bodies.humanoid import BodyCapsule
 from h3data.bodies.skeleton import FINGERS, JOINT_INDEX
 from h3data.geometry import Array
-from h3data_pipelines.bake.cutting import Dressed
 from h3data_pipelines.bake.rig import Rig
 
 OUTSIDE_COST = 3.0
@@ -39,14 +38,15 @@ def capsule_parts() -> dict[str, tuple[str, tuple[str, ...]]]:
     return parts
 
 
-def fit_capsules(rig: Rig, dressed: Dressed) -> tuple[BodyCapsule, ...]:
-    """The capsules of a body, in the joints' frames. Vertices count by the area around them."""
-    area = _vertex_areas(dressed.vertices, dressed.faces)
-    dominant = np.argmax(dressed.weights, axis=1)
+def fit_capsules(rig: Rig, vertices: Array, faces: NDArray[np.int32], weights: Array) -> tuple[BodyCapsule, ...]:
+    """The capsules around a dressed mesh [V, 3] with skin weights [V, 55], in the joints' frames. Vertices count by the area
+    around them."""
+    area = _vertex_areas(vertices, faces)
+    dominant = np.argmax(weights, axis=1)
     capsules = []
     for name, (joint, members) in capsule_parts().items():
         chosen = np.isin(dominant, [JOINT_INDEX[m] for m in members]) & (area > 0)
-        start, end, radius = _fit(dressed.vertices[chosen], area[chosen] / area[chosen].sum())
+        start, end, radius = _fit(vertices[chosen], area[chosen] / area[chosen].sum())
         index = JOINT_INDEX[joint]
         turn, origin = rig.rotations[index], rig.positions[index]
         capsules.append(

@@ -1,0 +1,76 @@
+"""Pictures of people: several side by side, and one walking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.humanoid import Humanoid
+from h3data.geometry import Array, ground_pose
+from h3data.render.camera import look_at, pinhole
+from h3data.render.renderer import Renderer
+from h3data.render.scene import RenderInstance, RenderScene
+from h3data.scene.meshes import painted
+from h3data.scene.records import Mesh
+
+SPACING_M, STRIDE_SPACING_M, ROW_M, HFOV_DEG = 0.95, 1.25, 2.05, 16.0
+WALL = (232, 233, 236)
+FLOOR_SPAN_M = 14.0
+
+
+def sheet_picture(
+    people: Sequence[Humanoid], *, heading_deg: float = -90.0, lod: bool = False, columns: int = 6, width: int = 1600
+) -> NDArray[np.uint8]:
+    """Everybody standing, in rows of ``columns``, RGB [H, W, 3]; heading -90 degrees looks at the camera."""
+    rows = [people[k : k + columns] for k in range(0, len(people), columns)]
+    heading, places = float(np.radians(heading_deg)), min(columns, len(people))
+    standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
+    return np.concatenate([_lined_up(row, heading, lod, places, width) for row in standing])
+
+
+def walk_picture(
+    body: Humanoid, speed_mps: float, *, frames: int = 8, lod: bool = False, width: int = 1600
+) -> NDArray[np.uint8]:
+    """One cycle of walking at a speed, seen from the right, RGB [H, W, 3]: the phases side by side, from left to right."""
+    phase = np.arange(frames) / frames
+    quats, pelvis = body.walk_pose(np.full(frames, speed_mps), phase)
+    poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(frames)]
+    return _lined_up(poses, 0.0, lod, frames, width, spacing=STRIDE_SPACING_M)
+
+
+def _lined_up(
+    poses: Sequence[tuple[Humanoid, Array, Array]],
+    heading: float,
+    lod: bool,
+    places: int,
+    width: int,
+    *,
+    spacing: float = SPACING_M,
+) -> NDArray[np.uint8]:
+    meshes, at = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
+    for x, (body, quats, pelvis) in zip(at, poses, strict=True):
+        joints = body.joint_matrices(ground_pose(np.array([[x, 0.0]]), np.array([heading])), quats, pelvis)
+        rest = body.lod_mesh if lod else body.mesh
+        meshes.append(
+            Mesh(
+                vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]), faces=rest.faces, colors=rest.colors,
+                normals=np.ascontiguousarray(body.skin_normals(joints, lod=lod)[0]),
+            )
+        )  # fmt: skip
+    meshes.append(_floor())
+    renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
+    span = places * spacing
+    distance = span / 2 / np.tan(np.radians(HFOV_DEG) / 2)
+    height = round(width * ROW_M / span)
+    middle = ROW_M / 2 - 0.04
+    pose = look_at((0.0, middle + 0.06 * distance, distance), (0.0, middle, 0.0))
+    return renderer.render(pinhole(width, height, hfov_deg=HFOV_DEG, pose=pose), outputs=("rgb",), samples=4)["rgb"]
+
+
+def _floor() -> Mesh:
+    half = FLOOR_SPAN_M / 2
+    corners = np.array([[-half, 0, -half], [-half, 0, half], [half, 0, half], [half, 0, -half]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return painted(Mesh(vertices=corners, faces=faces, colors=np.zeros((4, 3), np.uint8)), WALL)
