@@ -11,16 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import FormatError, SceneError
 from h3data.geometry import Array, normalized
-from h3data.scene.glb import FLOAT32, INDICES, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
+from h3data.scene.accessors import GltfArrays
+from h3data.scene.glb import FLOAT32, INDICES, UINT16, VERTICES, GlbChunk, pack_glb, unpack_glb
 from h3data.scene.meshes import joined, painted
 from h3data.scene.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (176, 178, 182)
 """sRGB of things whose file gives no colour: light grey."""
-
-_COMPONENT = {5121: np.uint8, UINT16: np.uint16, UINT32: np.uint32, FLOAT32: np.float32}
-_WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def load_mesh(path: Path, *, color: tuple[int, int, int] | None = None) -> Mesh:
@@ -69,26 +67,15 @@ def _plain_mesh(tree: dict, binary: memoryview) -> Mesh | None:
     moved = any(key in node for node in nodes for key in ("matrix", "translation", "rotation", "scale", "children"))
     if len(nodes) != 1 or len(meshes) != 1 or moved or tree.get("textures") or tree.get("extensionsUsed"):
         return None
-    parts = []
+    parts, arrays = [], GltfArrays(tree, lambda index: binary)
     for primitive in meshes[0]["primitives"]:
         if set(primitive["attributes"]) != {"POSITION", "NORMAL"} or primitive.get("mode", 4) != 4:
             return None
-        position, normal = (_accessor(tree, binary, primitive["attributes"][key]) for key in ("POSITION", "NORMAL"))
-        faces = _accessor(tree, binary, primitive["indices"]).reshape(-1, 3)
+        position, normal = (arrays.floats(primitive["attributes"][key]) for key in ("POSITION", "NORMAL"))
+        faces = arrays.accessor(primitive["indices"]).reshape(-1, 3)
         linear = tree["materials"][primitive["material"]]["pbrMetallicRoughness"]["baseColorFactor"][:3]
         parts.append(_mesh(position, faces, normal, linear_to_bytes(linear)))
     return joined(parts)
-
-
-def _accessor(tree: dict, binary: memoryview, index: int) -> NDArray:
-    accessor = tree["accessors"][index]
-    view = tree["bufferViews"][accessor["bufferView"]]
-    dtype, width = _COMPONENT[accessor["componentType"]], _WIDTH[accessor["type"]]
-    if "byteStride" in view or "sparse" in accessor:
-        raise ValueError("interleaved and sparse accessors are not plain")
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    flat = np.frombuffer(binary, dtype, accessor["count"] * width, start)
-    return flat.reshape(-1, width) if width > 1 else flat
 
 
 def write_plain_glb(path: Path, mesh: Mesh) -> None:
