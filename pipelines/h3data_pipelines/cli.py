@@ -16,6 +16,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from h3data.errors import H3DataError
+from h3data_pipelines.bodies import Bodies
 from h3data_pipelines.command import Command
 from h3data_pipelines.demo import Demo
 from h3data_pipelines.doctor import Doctor
@@ -35,6 +36,7 @@ COMMANDS: dict[str, type[Command]] = {
     "metrics": Metrics,
     "view": View,
     "scenes": Scenes,
+    "bodies": Bodies,
     "recover": Recover,
     "doctor": Doctor,
 }
