@@ -30,6 +30,19 @@ def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
         part.write_bytes(data.tobytes())
 
 
+def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality: int = 90) -> None:
+    """Write RGB uint8 [H, W, 3] as JPEG."""
+    import cv2
+
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
+        raise InputError(f"A JPEG needs uint8 [H, W, 3], got {image.dtype} {list(image.shape)}.")
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not ok:
+        raise InputError(f"OpenCV could not encode an image of shape {list(image.shape)} as JPEG.")
+    with part_file(path) as part:
+        part.write_bytes(data.tobytes())
+
+
 def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -> None:
     """Write depth [H, W] [m] as 16-bit PNG in millimetres; 0 = nothing hit, 65535 = 65.5 m or more."""
     d = np.asarray(depth)

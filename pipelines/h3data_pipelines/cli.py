@@ -25,6 +25,7 @@ from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.recovering import Recover
 from h3data_pipelines.rerender import Rerender
+from h3data_pipelines.robots import Robots
 from h3data_pipelines.scenes import Scenes
 from h3data_pipelines.viewing import View
 
@@ -37,6 +38,7 @@ COMMANDS: dict[str, type[Command]] = {
     "view": View,
     "scenes": Scenes,
     "bodies": Bodies,
+    "robots": Robots,
     "recover": Recover,
     "doctor": Doctor,
 }
