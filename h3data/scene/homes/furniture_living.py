@@ -159,27 +159,23 @@ def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None
     w, d = size if size is not None else (rng.uniform(1.9, 2.3), rng.uniform(1.4, 1.7))
     yarn, yarn_2 = Finish(style.accent, "carpet"), Finish(style.fabric_2, "carpet")
     tints = [yarn, shade(yarn_2, 1.15), shade(yarn, 1.25), shade(Finish(style.fabric_2, "rug"), 1.3)]
-    rings = [0.0, 0.07, 0.14, 0.17]
-    for i, inset in enumerate(rings):
-        nxt = rings[i + 1] if i + 1 < len(rings) else None
-        x, z, y = w / 2 - inset, d / 2 - inset, 0.008
-        if nxt is None:
-            stripes = np.linspace(-x, x, 9)
-            for k in range(8):
-                color = tints[3] if k % 2 else shade(tints[3], 0.94)
-                a, b = float(stripes[k]), float(stripes[k + 1])
-                mesh.quads([[(a, y, z), (b, y, z), (b, y, -z), (a, y, -z)]], color)
-            continue
-        px, pz = w / 2 - nxt, d / 2 - nxt
-        ring = [(-x, z), (x, z), (x, -z), (-x, -z)]
-        inner = [(-px, pz), (px, pz), (px, -pz), (-px, -pz)]
-        for k in range(4):
-            (ax, az), (bx, bz) = ring[k], ring[(k + 1) % 4]
-            (cx, cz), (ex, ez) = inner[(k + 1) % 4], inner[k]
-            mesh.quads([[(ax, y, az), (bx, y, bz), (cx, y, cz), (ex, y, ez)]], tints[i])
-            if i == 0:
-                mesh.quads([[(ax, 0, az), (bx, 0, bz), (bx, y, bz), (ax, y, az)]], shade(tints[0], 0.8))
+    y, insets = 0.008, (0.0, 0.07, 0.14, 0.17)
+    for outer, inner, tint in zip(insets, insets[1:], tints, strict=False):
+        a, b = _corners(w / 2 - outer, d / 2 - outer, y), _corners(w / 2 - inner, d / 2 - inner, y)
+        mesh.quads([[a[k - 1], a[k], b[k], b[k - 1]] for k in range(4)], tint)
+    foot, rim = _corners(w / 2, d / 2, 0.0), _corners(w / 2, d / 2, y)
+    mesh.quads([[foot[k - 1], foot[k], rim[k], rim[k - 1]] for k in range(4)], shade(tints[0], 0.8))
+    x, z = w / 2 - insets[-1], d / 2 - insets[-1]
+    stripes = pairwise(np.linspace(-x, x, 9).tolist())
+    mesh.quads(
+        [[(u, y, z), (v, y, z), (v, y, -z), (u, y, -z)] for u, v in stripes], [shade(tints[3], 0.94), tints[3]] * 4
+    )
     return finish("rug", mesh, (w, 0.008, d))
+
+
+def _corners(x: float, z: float, y: float) -> list[tuple[float, float, float]]:
+    """Corners of a flat rectangle about the origin, counter-clockwise from above."""
+    return [(-x, y, z), (x, y, z), (x, y, -z), (-x, y, -z)]
 
 
 def floor_lamp(rng: np.random.Generator, style: Style) -> Furniture:
