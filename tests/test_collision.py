@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
+import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sim_kinematic.collision
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_matrix, transform_points
 from h3data.scene import FreeSpace
@@ -23,7 +27,7 @@ from sim_kinematic.collision import (
     distance,
     shapes_from_capsules,
 )
-from sim_kinematic.collision.shapes import bounding_sphere, shape_bounds
+from sim_kinematic.collision.shapes import bounding_sphere, fcl_geometry, shape_bounds
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 NO_MESH = Mesh(
@@ -192,13 +196,73 @@ def test_a_moved_object_is_seen_where_it_is_now():
     assert collide(world, probe)
 
 
-def test_something_wholly_inside_is_a_contact():
-    for shape in (
-        Box(pose=IDENTITY, half_extents=np.full(3, 2.0)),
-        Hull(points=np.array(list(itertools.product((-2, 2), repeat=3)))),
-    ):
-        world, probe = FclScene(scene_of((shape, IDENTITY, (1, 1, 1)))), MovingShapes([sphere(0.1)])
+SOLIDS: dict[str, Shape] = {
+    "box": Box(pose=IDENTITY, half_extents=np.full(3, 2.0)),
+    "cylinder": Cylinder(pose=IDENTITY, radius=2.0, half_height=2.0),
+    "capsule": Capsule(start=np.array([0, -1.0, 0]), end=np.array([0, 1.0, 0]), radius=2.0),
+    "ball": sphere(2.0),
+    "hull": Hull(points=np.array(list(itertools.product((-2, 2), repeat=3)), float)),
+}
+SCALES = [(1, 1, 1), (1, 2, 1.5), (-1, 1, 1)]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_something_wholly_inside_is_a_contact(kind, scale):
+    """A triangle mesh is hollow to FCL, and its distance to what is inside is positive; ours are solid."""
+    world, probe = FclScene(scene_of((SOLIDS[kind], IDENTITY, scale))), MovingShapes([sphere(0.1)])
+    for x in (0.0, 0.5, 1.2):
+        probe.set_transforms([at([x, 0.3, 0.1])])
         assert collide(world, probe)
+        assert contacts(world, probe)
+        assert distance(world, probe) < -0.1
+
+
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_normals_point_out_of_every_kind_of_solid(kind):
+    """Against triangle meshes FCL's normals are of any sign."""
+    world, probe = FclScene(scene_of((SOLIDS[kind], IDENTITY, (1, 1, 1)))), MovingShapes([sphere(0.3)])
+    for side in np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]]):
+        probe.set_transforms([at(2.2 * side)])
+        found = contacts(world, probe)[0]
+        np.testing.assert_allclose(found.normal, side, atol=0.02)
+        assert found.depth_m == pytest.approx(0.1, abs=2e-3)
+        assert distance(world, probe) == pytest.approx(-0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_no_shape_becomes_a_triangle_mesh(kind, scale):
+    import fcl
+
+    geometry, _ = fcl_geometry(SOLIDS[kind], scale)
+    assert not isinstance(geometry, fcl.BVHModel)
+    assert isinstance(geometry, fcl.Box | fcl.Cylinder | fcl.Capsule | fcl.Sphere | fcl.Convex)
+
+
+def test_nothing_uses_what_python_fcl_answers_wrongly():
+    """Continuous collision misses contacts of meshes, and nearest points come in either order."""
+    sources = {p: p.read_text() for p in Path(sim_kinematic.collision.__file__).parent.glob("*.py")}
+    assert len(sources) > 3
+    for path, text in sources.items():
+        for call in ("BVHModel", "continuousCollide", "nearest_points"):
+            assert call not in text, path
+
+
+def test_shapes_live_as_long_as_their_world():
+    placed = [(UNIT_BOX, np.array([2.0 * k, 0, 0, 0, 0, 0, 1]), (1, 1, 1)) for k in range(6)]
+    world = FclScene(scene_of(*placed))
+    gc.collect()
+    for _ in range(20):  # new geometries would get the addresses of old ones
+        FclScene(scene_of(*placed[:3]))
+    probe = MovingShapes([sphere(0.2)])
+    probe.set_transforms([at([6.0, 0.6, 0])])
+    assert [world.names[c.index_b] for c in contacts(probe, world)] == ["i3"]
+
+
+def test_worlds_cannot_be_sent_to_other_processes_by_mistake():
+    with pytest.raises(TypeError, match="__reduce__"):
+        pickle.dumps(MovingShapes([UNIT_BOX]))
 
 
 @given(st.integers(0, 10**6))

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -143,3 +148,80 @@ def test_without_a_cache_folder_it_still_works(tmp_path, monkeypatch):
     monkeypatch.delenv("H3DATA_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert cache_folder() == tmp_path / "xdg" / "h3data" / "freespace"
+
+
+def test_any_flipped_bit_gives_the_same_space_or_is_noticed(space, tmp_path):
+    """Sums of the data are in the file; damage elsewhere is refused, or does not matter (time stamps, flags)."""
+    path = tmp_path / "f.npz"
+    space.save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    headers = [k for k in range(len(whole)) if whole[k : k + 2] == b"PK"]
+    places = [*rng.integers(0, len(whole), 150), *(int(h) + int(d) for h in headers for d in rng.integers(0, 46, 12))]
+    noticed = 0
+    for place in places:
+        broken = bytearray(whole)
+        broken[min(place, len(whole) - 1)] ^= 1 << int(rng.integers(8))
+        path.write_bytes(broken)
+        try:
+            again = FreeSpace.load(path)
+        except FormatError:
+            noticed += 1
+            continue
+        np.testing.assert_array_equal(again.sdf, space.sdf)
+        np.testing.assert_array_equal(again.graph.distance, space.graph.distance)
+        assert again.polygon.equals_exact(space.polygon, 0)
+    assert noticed > len(places) / 2
+
+
+def test_a_full_disk_is_no_fault_and_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+
+    def full(file, **_):
+        file.write(b"the first block")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("h3data.scene.freespace_store.np.savez", full)
+    assert FreeSpace.from_scene(make_scene()).floor_y == 0.0
+    assert list((tmp_path / "freespace").iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write to read-only folders")
+def test_a_read_only_cache_is_read_and_not_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+    key = FreeSpace.from_scene(make_scene()).key
+    (tmp_path / "freespace").chmod(0o555)
+    try:
+        assert FreeSpace.from_scene(make_scene()).key == key
+        FreeSpace.from_scene(make_scene(x=0.5))
+        assert len(list((tmp_path / "freespace").iterdir())) == 1
+    finally:
+        (tmp_path / "freespace").chmod(0o755)
+
+
+def test_processes_that_build_the_same_scene_do_not_disturb_each_other(tmp_path):
+    """Both miss the cache, both build, both write; the file is whole at every moment, and nothing else is left."""
+    script = (
+        "import sys; from test_freespace_store import *; sys.stdin.readline()\n"
+        "for _ in range(20):\n"
+        "    space = FreeSpace.from_scene(make_scene())\n"
+        "    (cache_folder() / f'{space.key}.npz').unlink(missing_ok=True)\n"
+        "print(len(space.graph.nodes), float(space.sdf.sum()))\n"
+    )
+    environment = os.environ | {
+        "H3DATA_CACHE": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    }
+    workers = [
+        subprocess.Popen([sys.executable, "-W", "error", "-c", script], env=environment, text=True,
+                         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]  # fmt: skip
+    for worker in workers:
+        assert worker.stdin is not None
+        worker.stdin.write("\n")
+        worker.stdin.flush()
+    answers = [worker.communicate(timeout=120) for worker in workers]
+    assert [w.returncode for w in workers] == [0, 0], answers
+    assert answers[0] == answers[1]  # and no warnings of broken files
+    assert not [p for p in (tmp_path / "freespace").iterdir() if p.suffix == ".part"]
