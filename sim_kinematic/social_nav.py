@@ -168,7 +168,7 @@ def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable
                 human_x=human_xz[0],
                 human_z=human_xz[1],
                 human_heading=state.human_heading[0],
-                human_distance=state.human_distance[0],
+                human_distance=state.human_distance[0] - state.human_set_off[0],
                 human_blend=state.human_blend[0],
                 human_skill=HUMAN_SKILLS.index("walk" if state.human_distance[0] > walked else "turn"),
                 human_goal=human.goal,
@@ -203,7 +203,8 @@ def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanConta
     return contact.touching(
         ground_pose(state.robot_xz[0], state.robot_heading[0], floor).astype(np.float32),
         ground_pose(state.human_xz[0], state.human_heading[0], floor).astype(np.float32),
-        clip, float(motion_phase(world, clip, state.human_distance[0])), float(np.float32(state.human_blend[0])),
+        clip, float(motion_phase(world, clip, state.human_distance[0] - state.human_set_off[0])),
+        float(np.float32(state.human_blend[0])),
     )  # fmt: skip
 
 

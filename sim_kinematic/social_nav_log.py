@@ -104,8 +104,9 @@ def columns_of(world: SocialNavWorld, clip: int, first: int, steps: list[Step]) 
 
 
 def motion_phase(world: SocialNavWorld, clip: int, distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Place in the walking cycle after having walked ``distance`` [...] [m]."""
-    return ((distance / world.human.clips[clip].stride_m) % 1.0).astype(np.float32)
+    """Place in the walking cycle after having walked ``distance`` [...] [m] since setting off."""
+    walk = world.human.clips[clip]
+    return ((walk.start_phase + distance / walk.stride_m) % 1.0).astype(np.float32)
 
 
 def facing(

@@ -25,6 +25,8 @@ class WorldState:
     """[rad], shape [W]."""
     human_distance: NDArray[np.float64]
     """Distance walked since the start [m], drives the phase of the walking cycle; shape [W]."""
+    human_set_off: NDArray[np.float64]
+    """What `human_distance` was when she last set off from standing [m]: there the cycle began anew; shape [W]."""
     human_blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
 
@@ -38,6 +40,7 @@ class WorldState:
             human_xz=np.zeros((worlds, 2)),
             human_heading=np.zeros(worlds),
             human_distance=np.zeros(worlds),
+            human_set_off=np.zeros(worlds),
             human_blend=np.zeros(worlds),
         )
 

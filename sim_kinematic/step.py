@@ -113,13 +113,18 @@ def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, max_speed, ma
 
 
 @kernel(error_model="numpy")
-def _walk_worlds(xz, heading, distance, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
+def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
     for w in range(len(heading)):
         xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(
             xz[w, 0], xz[w, 1], heading[w], goal[w, 0], goal[w, 1], speed, turn, dt, turn_before_walk, arrive
         )
-        distance[w] += walked
-        blend[w] = min(blend[w] + blend_rate, 1.0) if walked > 0.0 else max(blend[w] - blend_rate, 0.0)
+        if walked > 0.0:
+            if blend[w] == 0.0:
+                set_off[w] = distance[w]
+            distance[w] += walked
+            blend[w] = min(max(blend[w], 0.5) + blend_rate, 1.0)  # above 0.5 a foot stands (Humanoid.clip_pose)
+        else:
+            blend[w] = max(blend[w] - blend_rate, 0.0)
 
 
 def drive_robots(state: WorldState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S) -> None:
@@ -144,8 +149,8 @@ def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt:
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
     _walk_worlds(
-        state.human_xz, state.human_heading, state.human_distance, state.human_blend, _per_world(goal_xz, state),
-        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
+        state.human_xz, state.human_heading, state.human_distance, state.human_set_off, state.human_blend,
+        _per_world(goal_xz, state), spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
     )  # fmt: skip
 
 
