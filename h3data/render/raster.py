@@ -4,7 +4,7 @@ One picture: (1) instances, then their clusters, against the view frustum; (2) t
 counting sort; (3) each against the coarse depth of 8x8-pixel tiles, kept lazily; (4) eight triangles at a time set up
 in SIMD (`raster_simd.setup_triangles`); (5) three fillers: small boxes (one block of 8 pixels a row), medium ones (float32
 spans), and everything large, thin or near (homogeneous edge functions in double, which need no clipping: there is no
-near plane). A pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
+near plane), all in `raster_fill`. A pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
 """
 
 from __future__ import annotations
@@ -16,19 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
+from h3data.render.raster_fill import camera_corners, fill_large, fill_medium, fill_small
 from h3data.render.raster_simd import (
-    E0,
-    E0_DX,
-    E0_DY,
-    E1,
-    E1_DX,
-    E1_DY,
-    E2,
-    E2_DX,
-    E2_DY,
-    INV_Z,
-    INV_Z_DX,
-    INV_Z_DY,
     INV_Z_MAX,
     NEAR_M,
     SETUP_ROWS,
@@ -36,7 +25,6 @@ from h3data.render.raster_simd import (
     X1,
     Y0,
     Y1,
-    blend_block,
     count_trailing_zeros,
     setup_triangles,
     tile_minimum,
@@ -317,12 +305,12 @@ def _draw(geometry, view, target, order):
             while small:
                 lane = count_trailing_zeros(small)
                 small &= small - 1
-                _fill_small(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
+                fill_small(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
             while medium:
                 lane = count_trailing_zeros(medium)
                 medium &= medium - 1
                 if not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-                    _fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
+                    fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
             while large:
                 lane = count_trailing_zeros(large)
                 large &= large - 1
@@ -330,9 +318,9 @@ def _draw(geometry, view, target, order):
                 p = first + packet
                 if first >= shared_count:
                     soup, p = geometry.own_packets, p - shared_count
-                is_near = _camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
+                is_near = camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
                 if is_near or not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-                    _fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
+                    fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
             packet_at += np.uintp(PACKET_BYTES)
             word += np.int32(8)
         for ty in range(tile_y0, tile_y1 + 1):
@@ -345,223 +333,3 @@ def _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
     return _hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)
-
-
-@njit(nogil=True, forceinline=True)
-def _fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """At most 8 pixels wide: one block a row."""
-    e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
-    e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
-    y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
-    offset = np.uintp((np.int64(y0) * stride + boxes[X0, lane]) * 4)
-    for _ in range(y0, y1 + 1):
-        blend_block(
-            inv_z_at + offset, words_at + offset, e0, e1, e2, inv_z, e0_dx, e1_dx, e2_dx, inv_z_dx, np.int32(word)
-        )
-        e0 += table[E0_DY, lane]
-        e1 += table[E1_DY, lane]
-        e2 += table[E2_DY, lane]
-        inv_z += table[INV_Z_DY, lane]
-        offset += np.uintp(stride * 4)
-
-
-@njit(nogil=True, forceinline=True, error_model="numpy")
-def _cut(low, high, edge, step, minus_inverse):
-    """Cut the span low..high to where ``edge + step * x >= 0``. A zero step gives -inf or +inf (never NaN > or <)."""
-    crossing = edge * minus_inverse
-    if step >= 0:
-        if crossing > low:
-            low = crossing
-    elif crossing < high:
-        high = crossing
-    return low, high
-
-
-@njit(nogil=True, forceinline=True, error_model="numpy")
-def _fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """Up to 64 pixels: the row's span in float32, then blocks over it (which test exactly)."""
-    e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
-    e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
-    minus_one, zero = np.float32(-1), np.float32(0)
-    inverse0, inverse1, inverse2 = minus_one / e0_dx, minus_one / e1_dx, minus_one / e2_dx
-    y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
-    last = np.float32(boxes[X1, lane] - boxes[X0, lane])
-    row = np.uintp((np.int64(y0) * stride + boxes[X0, lane]) * 4)
-    for _ in range(y0, y1 + 1):
-        low, high = _cut(zero, last, e0, e0_dx, inverse0)
-        low, high = _cut(low, high, e1, e1_dx, inverse1)
-        low, high = _cut(low, high, e2, e2_dx, inverse2)
-        if high >= 0 and high >= low + minus_one:
-            x, end = np.int32(low), np.int32(high)
-            while x <= end:
-                s = np.float32(x)
-                offset = row + np.uintp(np.int64(x) * 4)
-                blend_block(
-                    inv_z_at + offset,
-                    words_at + offset,
-                    e0 + e0_dx * s,
-                    e1 + e1_dx * s,
-                    e2 + e2_dx * s,
-                    inv_z + inv_z_dx * s,
-                    e0_dx,
-                    e1_dx,
-                    e2_dx,
-                    inv_z_dx,
-                    np.int32(word),
-                )
-                x += np.int32(8)
-        e0 += table[E0_DY, lane]
-        e1 += table[E1_DY, lane]
-        e2 += table[E2_DY, lane]
-        inv_z += table[INV_Z_DY, lane]
-        row += np.uintp(stride * 4)
-
-
-@njit(nogil=True, forceinline=True)
-def _camera_corners(soup, to_camera, corners):
-    """Write the triangle's corners in camera space [9]; returns whether it comes near the eye's plane."""
-    near = False
-    for v in range(3):
-        for r in range(3):
-            corners[3 * v + r] = (
-                to_camera[r, 0] * soup[3 * v]
-                + to_camera[r, 1] * soup[3 * v + 1]
-                + to_camera[r, 2] * soup[3 * v + 2]
-                + to_camera[r, 3]
-            )
-        near |= corners[3 * v + 2] < NEAR_M * 1.001
-    return near
-
-
-@njit(nogil=True)
-def _visible_box(p, view):
-    """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye's plane."""
-    fx, fy, cx, cy = view.intrinsics
-    left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
-    smallest_z = 1e-4
-    for v in range(3):
-        ax, ay, az = p[3 * v], p[3 * v + 1], p[3 * v + 2]
-        n = 3 * ((v + 1) % 3)
-        bx, by, bz = p[n], p[n + 1], p[n + 2]
-        if az >= smallest_z:
-            x, y = fx * ax / az + cx, fy * ay / az + cy
-            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-        if (az >= smallest_z) != (bz >= smallest_z):
-            s = (smallest_z - az) / (bz - az)
-            x = fx * (ax + s * (bx - ax)) / smallest_z + cx
-            y = fy * (ay + s * (by - ay)) / smallest_z + cy
-            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-    if not (left <= right and top <= bottom):
-        return 0, -1, 0, -1
-    x0 = int(np.ceil(min(max(left, 0.0), view.width + 1.0) - 0.5))
-    x1 = int(np.floor(max(min(right, float(view.width)), -1.0) - 0.5))
-    y0 = int(np.ceil(min(max(top, 0.0), view.height + 1.0) - 0.5))
-    y1 = int(np.floor(max(min(bottom, float(view.height)), -1.0) - 0.5))
-    return x0, x1, y0, y1
-
-
-@njit(nogil=True, forceinline=True)
-def _cut_exact(low, high, edge, step, minus_inverse):
-    """As `_cut`, in double; a zero step keeps all or nothing."""
-    crossing = edge * minus_inverse
-    if step > 0:
-        return (crossing if crossing > low else low), high
-    if step < 0:
-        return low, (crossing if crossing < high else high)
-    return low, (high if edge >= 0 else -1.0)
-
-
-@njit(nogil=True, error_model="numpy")
-def _fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
-    """Any triangle [9] in camera space: homogeneous edge functions in double (Olano & Greer 1997), without clipping.
-
-    The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1).
-    """
-    fx, fy, cx, cy = view.intrinsics
-    x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
-    if is_near:
-        x0, x1, y0, y1 = _visible_box(p, view)
-    if x1 < x0 or y1 < y0:
-        return
-    ax, ay, az = p[4] * p[8] - p[5] * p[7], p[5] * p[6] - p[3] * p[8], p[3] * p[7] - p[4] * p[6]
-    bx, by, bz = p[7] * p[2] - p[8] * p[1], p[8] * p[0] - p[6] * p[2], p[6] * p[1] - p[7] * p[0]
-    gx, gy, gz = p[1] * p[5] - p[2] * p[4], p[2] * p[3] - p[0] * p[5], p[0] * p[4] - p[1] * p[3]
-    determinant = p[0] * ax + p[1] * ay + p[2] * az
-    if determinant == 0:
-        return
-    k = 1 / determinant
-    # 1/z from the edge vectors: their normal does not suffer from cancellation
-    sx, sy, sz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
-    tx, ty, tz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
-    nx, ny, nz = (sy * tz - sz * ty) * k, (sz * tx - sx * tz) * k, (sx * ty - sy * tx) * k
-    per_x, per_y = 1 / fx, 1 / fy
-    u, v = (x0 + 0.5 - cx) * per_x, (y0 + 0.5 - cy) * per_y
-    d0, d1, d2, dw = ax * k * per_x, bx * k * per_x, gx * k * per_x, nx * per_x
-    c0, c1, c2, cw = ay * k * per_y, by * k * per_y, gy * k * per_y, ny * per_y
-    # generous by 1e-5 pixel, against cracks
-    e0 = (ax * u + ay * v + az) * k + 1e-5 * (abs(d0) + abs(c0))
-    e1 = (bx * u + by * v + bz) * k + 1e-5 * (abs(d1) + abs(c1))
-    e2 = (gx * u + gy * v + gz) * k + 1e-5 * (abs(d2) + abs(c2))
-    inv_z = nx * u + ny * v + nz
-    last = float(x1 - x0)
-    inverse0, inverse1, inverse2 = -1 / d0, -1 / d1, -1 / d2
-    f0, f1, f2, fw = np.float32(d0), np.float32(d1), np.float32(d2), np.float32(dw)
-    row = np.uintp((y0 * stride + x0) * 4)
-    for _ in range(y0, y1 + 1):
-        low, high = _cut_exact(0.0, last, e0, d0, inverse0)
-        low, high = _cut_exact(low, high, e1, d1, inverse1)
-        low, high = _cut_exact(low, high, e2, d2, inverse2)
-        if high >= 0 and high >= low - 1:
-            x, end = int(low), int(high)
-            while x <= end:
-                offset = row + np.uintp(x * 4)
-                blend_block(
-                    inv_z_at + offset,
-                    words_at + offset,
-                    np.float32(e0 + d0 * x),
-                    np.float32(e1 + d1 * x),
-                    np.float32(e2 + d2 * x),
-                    np.float32(inv_z + dw * x),
-                    f0,
-                    f1,
-                    f2,
-                    fw,
-                    np.int32(word),
-                )
-                x += 8
-        e0 += c0
-        e1 += c1
-        e2 += c2
-        inv_z += cw
-        row += np.uintp(stride * 4)
-
-
-# --- results --------------------------------------------------------------------------------------------------------
-@kernel(error_model="numpy", boundscheck=False)
-def read_depth(inv_z, depth):
-    """Write z-depth [H, W] [m], 0 where nothing is."""
-    for y in range(depth.shape[0]):
-        for x in range(depth.shape[1]):
-            w = inv_z[y, x]
-            depth[y, x] = np.float32(1) / w if w > 0 else np.float32(0)
-
-
-@kernel(boundscheck=False)
-def read_ids(words, draws, ids_of_instances, ids):
-    """Write an id per pixel [H, W] from a table per instance [I]; -1 where nothing is."""
-    for y in range(ids.shape[0]):
-        for x in range(ids.shape[1]):
-            word = words[y, x]
-            ids[y, x] = ids_of_instances[draws[word >> 7, INSTANCE]] if word >= 0 else np.int32(-1)
-
-
-@kernel(boundscheck=False)
-def read_triangles(words, draws, cluster_packets, packet_triangles, triangles):
-    """Write the mesh's triangle per pixel [H, W]; -1 where nothing is."""
-    for y in range(triangles.shape[0]):
-        for x in range(triangles.shape[1]):
-            word = words[y, x]
-            triangles[y, x] = -1
-            if word >= 0:
-                packet = cluster_packets[draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
-                triangles[y, x] = packet_triangles[packet, word & 7]

@@ -11,16 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.render.clusters import enclosing_box, fill_packets, smooth_normals
-from h3data.render.raster import (
-    Placement,
-    Target,
-    View,
-    new_target,
-    rasterise,
-    read_depth,
-    read_ids,
-    read_triangles,
-)
+from h3data.render.raster import Placement, Target, View, new_target, rasterise
+from h3data.render.raster_read import read_depth, read_ids, read_triangles
 from h3data.render.scene import RenderScene
 from h3data.render.shading import Light, shade
 
