@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -13,15 +13,37 @@ from h3data.recording import Dataset, Recording, open_recording
 from h3data.render import Output
 from h3data.replay import Replay, camera_track
 
+if TYPE_CHECKING:
+    from h3data.interop.habitat_dataset import SceneDataset
+    from h3data.scene import Scene
+
 
 def open(path: str | os.PathLike[str]) -> Any:
-    """The `Recording` in an MCAP file, or the `Dataset` in a folder.
+    """The `Recording` in an MCAP file, the `Dataset` in a folder, or the `Scene` in a file of ours (GLB) or of Habitat.
+
+    ``*.scene_dataset_config.json`` gives a list of its scenes (`SceneDataset`), ``path#name`` one of them; for the other
+    files of Habitat, and options, see `h3data.interop.load_habitat_scene`.
 
     Raises:
-        FormatError: it is neither; the message says what it looks like and what to do.
+        FormatError: it is none of these; the message says what it looks like and what to do.
     """
+    from h3data.interop.habitat_scene import HABITAT_ENDINGS, dataset_and_scene
+
+    dataset, name = dataset_and_scene(path)
+    if dataset is not None or os.fspath(path).lower().endswith(HABITAT_ENDINGS):
+        return _open_scene(Path(path) if dataset is None else dataset, name)
     opened: Recording | Dataset = open_recording(Path(path))
     return opened
+
+
+def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
+    from h3data.interop.habitat_dataset import DATASET_ENDING, load_scene_dataset
+    from h3data.interop.scene_names import read_scene_file
+    from h3data.scene.scene_sets import SceneFile
+
+    if path.name.endswith(DATASET_ENDING) and name is None:
+        return load_scene_dataset(path)
+    return read_scene_file(SceneFile(path=str(path), scene=name or ""))
 
 
 def render_frame(

@@ -15,7 +15,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.errors import FormatError, MissingAssetError, SceneError
+import h3data
+from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
 from h3data.geometry import quat_rotate
 from h3data.interop import load_habitat_scene, sniff
 from h3data.interop.habitat_colliders import part_points
@@ -23,6 +24,7 @@ from h3data.interop.habitat_collision import MAX_PARTS, hull_shapes
 from h3data.interop.habitat_semantics import polygon_rectangles
 from h3data.scene import load_scene, save_scene, scene_digest
 from h3data.scene.records import Mesh, Scene, instance_bounds
+from h3data_pipelines.cli import main
 
 S = 0.5**0.5
 CHEST = """<robot name="chest">
@@ -537,3 +539,56 @@ def test_a_loop_of_links_ends(dataset: Dataset) -> None:
     config["articulated_objects"]["paths"] = {".urdf": ["urdf/**"]}
     dataset.json(dataset.config.name, config)
     assert len(dataset.chest().instances) == 4
+
+
+# --- the short ways in ------------------------------------------------------------------------------------------------
+def test_open_gives_scenes_and_lists_of_scenes(dataset: Dataset, tmp_path: Path) -> None:
+    scene = dataset.load(articulated=[{"template_name": "chest"}])
+    dataset.json("scenes/two.scene_instance.json", {"stage_instance": {"template_name": "room"}})
+    listed = h3data.open(dataset.config)
+    assert listed.scenes == ["one", "two"]
+    assert "one, two" in repr(listed)
+    assert scene_digest(h3data.open(f"{dataset.config}#one")) == scene_digest(scene)
+    by_file = h3data.open(dataset.root / "scenes" / "one.scene_instance.json")
+    assert scene_digest(by_file) == scene_digest(scene)
+    save_scene(scene, tmp_path / "ours.glb")
+    assert scene_digest(h3data.open(tmp_path / "ours.glb")) == scene_digest(scene)
+    assert h3data.open(dataset.root / "stages" / "room.glb").name == "room"
+    for missing in (f"{tmp_path}/x.scene_dataset_config.json", f"{tmp_path}/x.scene_dataset_config.json#one"):
+        with pytest.raises(H3DataError, match=r"no such.*x\.scene_dataset_config\.json"):
+            h3data.open(missing)
+
+
+def test_the_scenes_command_takes_them(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset.brick()
+    dataset.load({"template_name": "brick", "uniform_scale": 0}, articulated=[{"template_name": "chest"}])
+    dataset.json("scenes/two.scene_instance.json", {"stage_instance": {"template_name": "room"}})
+    assert main(["scenes", "list", str(dataset.config)]) == 0
+    assert capsys.readouterr().out.split() == [f"{dataset.config}#one", f"{dataset.config}#two"]
+    one, picture = f"{dataset.config}#one", dataset.root / "one.png"
+    assert main(["scenes", "show", one, "-o", str(picture)]) == 0
+    assert picture.stat().st_size > 1000
+    assert main(["scenes", "show", str(dataset.config), "-o", str(dataset.root / "x.png")]) == 2
+    assert "#one, #two" in capsys.readouterr().err
+    assert main(["scenes", "show", one, "-o", str(picture), "--force", "--strict"]) == 2
+    assert "its size is 0" in capsys.readouterr().err
+    assert main(["scenes", "validate", one, "--strict"]) == 2
+    assert main(["scenes", "validate", one]) in (0, 1)
+    assert "chest_:0000/base / chest_:0000/b_drawer" not in capsys.readouterr().out
+    alone = str(dataset.root / "objects" / "brick.object_config.json")
+    assert main(["scenes", "show", alone, "-o", str(dataset.root / "brick.png")]) == 0  # nobody can stand there
+
+
+def test_the_scenes_command_looks_below_asset_folders(
+    dataset: Dataset, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataset.brick(render_asset="data/fpss/objects/9/brick.glb")
+    with pytest.raises(MissingAssetError):
+        dataset.load({"template_name": "brick"})
+    root = tmp_path_factory.mktemp("downloads")
+    file = root / "hssd-hab" / "objects" / "9" / "brick.glb"
+    file.parent.mkdir(parents=True)
+    os.rename(dataset.root / "objects" / "brick.glb", file)
+    assert main(["scenes", "list", f"{dataset.config}#one"]) == 2
+    assert main(["scenes", "list", f"{dataset.config}#one", "--assets", str(root), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scenes"][0]["movable"] == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,9 @@ def load_habitat_scene(
         SceneError: there is no such scene, or its stage cannot be used; with ``strict`` also any warning.
     """
     path = Path(path)
-    if not path.exists() and "#" in path.name and scene is None:
-        name, _, scene = path.name.partition("#")
-        path = path.with_name(name)
+    config, named = dataset_and_scene(path)
+    if config is not None and scene is None:
+        path, scene = config, named
     if not path.exists():
         raise SceneError(f"There is no such scene file: {path}")
     if path.name.endswith(DATASET_ENDING):
@@ -74,6 +75,12 @@ def load_habitat_scene(
     if path.name.lower().endswith(_SINGLE_ENDINGS):
         return _alone(_builder(path, KeyNotes(), allow_missing, strict, assets), path)
     raise FormatError(f"Expected a Habitat scene ({', '.join('*' + e for e in HABITAT_ENDINGS)}): {path}")
+
+
+def dataset_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
+    """The dataset config and the scene that ``x.scene_dataset_config.json#scene`` names; (None, None) for other paths."""
+    before, mark, scene = os.fspath(path).rpartition(DATASET_ENDING + "#")
+    return (Path(before + DATASET_ENDING), scene) if mark else (None, None)
 
 
 def _builder(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from h3data.errors import FormatError, InputError
-from h3data.interop.habitat_scene import load_habitat_scene
+from h3data.interop.habitat_dataset import DATASET_ENDING, load_scene_dataset
+from h3data.interop.habitat_scene import dataset_and_scene, load_habitat_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, build_home, load_scene
 from h3data.scene.glb import unpack_glb
 from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
@@ -30,21 +32,41 @@ class NamedScene:
     """Its id, if it is of a set."""
 
 
-def named_scenes(text: str, *, homes: int = 4) -> tuple[NamedScene, ...]:
-    """The scenes that ``text`` means.
+def named_scenes(
+    text: str, *, homes: int = 4, assets: Sequence[str | Path] = (), strict: bool = False
+) -> tuple[NamedScene, ...]:
+    """The scenes that ``text`` means; ``assets`` and ``strict`` are for scenes of Habitat (`load_habitat_scene`).
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``h3-homes/test`` or ``my.toml`` (all of a set),
     ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
+    A ``.scene_dataset_config.json`` is all its scenes, followed by ``#name`` one of them.
 
     Raises:
         InputError: none of these; the message lists what there is.
         FormatError: a set with faults.
     """
+    found = _named(text, homes)
+    folders = tuple(str(folder) for folder in assets)
+    return tuple(
+        replace(n, source=replace(n.source, assets=folders, strict=strict)) if isinstance(n.source, SceneFile) else n
+        for n in found
+    )
+
+
+def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     if text in HOME_PRESETS:
         return tuple(_home(text, seed) for seed in range(homes))
     preset, _, seed = text.partition(":")
     if preset in HOME_PRESETS and re.fullmatch(r"[0-9]{1,18}", seed):
         return (_home(preset, int(seed)),)
+    config, scene = dataset_and_scene(text)
+    if config is not None:
+        return (NamedScene(name=text, source=SceneFile(path=str(config), scene=scene or "")),)
+    if Path(text).is_file() and text.endswith(DATASET_ENDING):
+        scenes = load_scene_dataset(Path(text)).scenes
+        if len(scenes) == 1:
+            return (NamedScene(name=text, source=SceneFile(path=text, scene=scenes[0])),)
+        return tuple(NamedScene(name=f"{text}#{s}", source=SceneFile(path=text, scene=s)) for s in scenes)
     if Path(text).is_file() and not text.endswith(".toml"):
         return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
     label, _, which = text.partition("#")
@@ -71,11 +93,14 @@ def open_scene(source: SceneSource) -> Scene:
     Raises:
         SceneError, FormatError: it cannot be made or read.
     """
-    if isinstance(source, HomeSpec):
-        return build_home(source)
+    return build_home(source) if isinstance(source, HomeSpec) else read_scene_file(source)
+
+
+def read_scene_file(source: SceneFile) -> Scene:
+    """The scene in a file as it is now; fails as `open_scene` does."""
     if _is_ours(Path(source.path)) and not source.scene:
         return load_scene(source.path)
-    return load_habitat_scene(source.path, source.scene or None)
+    return load_habitat_scene(source.path, source.scene or None, strict=source.strict, assets=source.assets)
 
 
 @lru_cache(maxsize=64)

@@ -31,6 +31,10 @@ class SceneFile:
     """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
     scene: str = ""
     """Which scene of a ``.scene_dataset_config.json``."""
+    assets: tuple[str, ...] = ()
+    """Folders below which its files are looked for as well; none: those of H3DATA_ASSETS."""
+    strict: bool = False
+    """Whether warnings are errors."""
 
 
 SceneSource = HomeSpec | SceneFile

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 AGENT_RADIUS_M, AGENT_HEIGHT_M = 0.25, 1.41
 
 
-def scene_size(name: str, scene: Scene, free: FreeSpace | None = None) -> dict[str, Any]:
-    """What a scene holds, in numbers."""
-    free = free or FreeSpace.from_scene(scene, radius_m=AGENT_RADIUS_M, height_m=AGENT_HEIGHT_M)
+def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any]:
+    """What a scene holds, in numbers; ``free`` is None if nobody can stand in it."""
     rectangles = [np.asarray(r.rectangles, np.float64) for r in scene.rooms]
     floor = sum(float(np.sum((r[:, 2] - r[:, 0]) * (r[:, 3] - r[:, 1]))) for r in rectangles)
     return {
@@ -31,8 +30,8 @@ def scene_size(name: str, scene: Scene, free: FreeSpace | None = None) -> dict[s
         "rooms": len(scene.rooms),
         "room_names": [r.name for r in scene.rooms],
         "floor_m2": round(floor, 2),
-        "free_m2": round(float(free.polygon.area), 2),
-        "islands": len(free.island_areas),
+        "free_m2": 0.0 if free is None else round(float(free.polygon.area), 2),
+        "islands": 0 if free is None else len(free.island_areas),
         "assets": len(scene.assets),
         "instances": len(scene.instances),
         "movable": sum(i.motion == "kinematic" for i in scene.instances),
@@ -80,10 +79,11 @@ def load_as_far_as_possible(source: SceneSource) -> tuple[Scene, str]:
     try:
         return open_scene(source), ""
     except (MissingAssetError, SceneError) as fault:
-        if not isinstance(source, SceneFile) or not Path(source.path).exists():
+        if not isinstance(source, SceneFile) or source.strict or not Path(source.path).exists():
             raise
         try:
-            return load_habitat_scene(source.path, source.scene or None, allow_missing=True), str(fault)
+            scene = load_habitat_scene(source.path, source.scene or None, allow_missing=True, assets=source.assets)
+            return scene, str(fault)
         except SceneError:
             raise fault from None
 
@@ -129,6 +129,11 @@ def validate_scene(
     return {"scene": named.name, "problems": rows, "notes": notes, "free_m2": round(free_m2, 3)}
 
 
+def _of_one_object(first: str, second: str) -> bool:
+    """Whether two instances are links of the same articulated object: a door touches the body that it closes."""
+    return "/" in first and first.split("/")[0] == second.split("/")[0]
+
+
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
     """Things inside each other, and the number of pairs that may be so only because one is a hull of a hollow thing."""
     from h3data.scene.validation import Problem, stands_for_hollow
@@ -136,7 +141,7 @@ def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
 
     hollow = {name for name, asset in scene.assets.items() if stands_for_hollow(asset)}
     asset_of = {i.name: i.asset for i in scene.instances}
-    found = overlapping_instances(scene)
+    found = [o for o in overlapping_instances(scene) if not _of_one_object(o.first, o.second)]
     sure = [o for o in found if not {asset_of[o.first], asset_of[o.second]} & hollow]
     problems = [
         Problem(

@@ -12,12 +12,12 @@ from typing import Annotated, Any, Literal, Union
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import InputError
+from h3data.errors import InputError, SceneError
 from h3data.interop.habitat_dataset import DATASET_ENDING
 from h3data.interop.habitat_episode_records import EpisodeSet
 from h3data.interop.scene_names import NamedScene, named_scenes, open_free_space, open_scene
-from h3data.scene import HOME_PRESETS, Scene
-from h3data.scene.scene_sets import SceneSet, find_scene_set
+from h3data.scene import HOME_PRESETS, FreeSpace, Scene
+from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data_pipelines.scene_reports import (
     AGENT_HEIGHT_M,
@@ -37,6 +37,13 @@ _SCENE_HELP = (
 )
 
 
+AssetsOption = Annotated[
+    tuple[Path, ...],
+    tyro.conf.arg(help="Folders below which a Habitat scene's files are looked for as well (default: H3DATA_ASSETS)."),
+]
+StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene with anything left out or guessed.")]
+
+
 @dataclass(frozen=True)
 class ScenesList:
     """List what can be simulated in: presets of built-in homes and sets of scenes, or the sizes of given scenes.
@@ -46,6 +53,7 @@ class ScenesList:
         h3data scenes list h3-homes/test
         h3data scenes list small --homes 5
         h3data scenes list medium:0 my_home.scene_instance.json --json
+        h3data scenes list replicaCAD.scene_dataset_config.json
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
@@ -53,6 +61,8 @@ class ScenesList:
     (h3-homes/test#3) or paths of scenes; nothing lists presets and sets."""
     homes: int = 4
     """How many homes of a preset."""
+    assets: AssetsOption = ()
+    strict: StrictFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -60,7 +70,10 @@ class ScenesList:
             raise InputError(f"--homes must be at least 1, got {self.homes}.")
         if not self.scenes:
             return presets_and_sets()
-        rows = [_row(named) for named in _all_named(self.scenes, self.homes)]
+        if all(text.endswith(DATASET_ENDING) for text in self.scenes):  # names only: a dataset may have hundreds
+            names = [named.name for named in _all_named(self.scenes, self.homes, self.assets, self.strict)]
+            return Outcome(text="\n".join(names), data={"scenes": [{"scene": name} for name in names]})
+        rows = [_row(named) for named in _all_named(self.scenes, self.homes, self.assets, self.strict)]
         columns = {
             "scene": "scene", "id": "id", "rooms": "rooms", "floor_m2": "floor m2", "free_m2": "free m2",
             "assets": "assets", "instances": "things", "movable": "movable", "receptacles": "receptacles",
@@ -81,6 +94,7 @@ class ScenesShow:
         h3data scenes show h3-homes/test#3 -o home.png
         h3data scenes show medium:0 --view eye --room kitchen -o kitchen.png
         h3data scenes show my_home.scene_instance.json -o home.png --pixels-per-m 60
+        h3data scenes show replicaCAD.scene_dataset_config.json#apt_0 -o apt_0.png
     """
 
     scene: tyro.conf.Positional[str]
@@ -93,22 +107,28 @@ class ScenesShow:
     """Which room, for --view eye (default: the largest)."""
     pixels_per_m: float = 80.0
     """Size of the plan."""
+    assets: AssetsOption = ()
+    strict: StrictFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         from h3data.render import write_png
-        from h3data.render.scene_map import eye_level_picture, scene_map
+        from h3data.render.scene_map import eye_level_picture, plan_picture, scene_map
 
-        named = _one(self.scene)
+        named = _one(self.scene, self.assets, self.strict)
         scene = open_scene(named.source)
         target = _png(self.out, force=self.force)
         if not 4 <= self.pixels_per_m <= 1000:
             raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.")
         if self.room and self.view != "eye":
             raise InputError("--room chooses where to stand: add --view eye.")
-        free = open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
-        if self.view == "eye":
+        free = _free(named)
+        if free is None and self.view == "eye":
+            raise InputError(f"Nobody can stand in {named.name}, so there is no view --view eye.")
+        if free is None:
+            image, _ = plan_picture(scene, pixels_per_m=self.pixels_per_m)
+        elif self.view == "eye":
             image = eye_level_picture(scene, free, room=self.room or None)
         else:
             image = scene_map(scene, free, pixels_per_m=self.pixels_per_m)
@@ -138,6 +158,8 @@ class ScenesExport:
     """Format: habitat (configs, stage, one GLB per object, receptacles, lights, regions) or glb (opens in any viewer)."""
     episodes: int | None = None
     """How many episodes of a set to write, for habitat (default: all; 0: none)."""
+    assets: AssetsOption = ()
+    strict: StrictFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -150,7 +172,7 @@ class ScenesExport:
         whole = [text for text in self.scenes if text in HOME_PRESETS]
         if whole:
             raise InputError(f"Which home? {whole[0]!r} is a preset: give a seed as well, e.g. {whole[0]}:0.")
-        scenes = [_renamed(named) for named in _all_named(self.scenes, homes=1)]
+        scenes = [_renamed(named) for named in _all_named(self.scenes, 1, self.assets, self.strict)]
         if self.to == "habitat":
             files, first = self._to_habitat(scenes, sets)
         else:
@@ -216,6 +238,8 @@ class ScenesValidate:
     """PNG with the problems drawn into the plan; for several scenes a folder, one PNG each."""
     radius: float = AGENT_RADIUS_M
     """Radius of the agent [m]."""
+    assets: AssetsOption = ()
+    strict: StrictFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -226,7 +250,9 @@ class ScenesValidate:
             raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.")
         if self.homes < 1:
             raise InputError(f"--homes must be at least 1, got {self.homes}.")
-        every = list({named.name: named for named in _all_named(self.scenes, self.homes)}.values())
+        every = list(
+            {named.name: named for named in _all_named(self.scenes, self.homes, self.assets, self.strict)}.values()
+        )
         targets = self._targets([named.name for named in every])
         reports = [
             validate_scene(named, radius_m=self.radius, picture=targets.get(named.name))
@@ -251,7 +277,10 @@ class ScenesValidate:
             return {}
         if len(names) == 1 and self.out.suffix.lower() == ".png":
             return {names[0]: _png(self.out, force=self.force)}
-        stems = {name: re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name).name.split(".")[0]) for name in names}
+        stems = {
+            name: re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name).name.replace(DATASET_ENDING, "").split(".")[0])
+            for name in names
+        }
         if len(set(stems.values())) < len(stems):
             raise InputError("Two of the scenes have the same name, so their pictures would overwrite each other.")
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
@@ -295,17 +324,20 @@ class Scenes:
 
 
 # --- scenes by name ---------------------------------------------------------------------------------------------------
-def _one(text: str) -> NamedScene:
+def _one(text: str, assets: Sequence[Path], strict: bool) -> NamedScene:
     if text in HOME_PRESETS:
         raise InputError(f"Which home? {text!r} is a preset: give a seed as well, e.g. {text}:0.")
-    found = named_scenes(text)
+    found = named_scenes(text, assets=assets, strict=strict)
+    if len(found) != 1 and text.endswith(DATASET_ENDING):
+        names = ", ".join(f"#{n.source.scene}" for n in found[:8] if isinstance(n.source, SceneFile))
+        raise InputError(f"Which scene? The dataset has {len(found)}, add one to its path ({names or 'none'}): {text}")
     if len(found) != 1:
         raise InputError(f"Which scene? {text!r} is a set of {len(found)}: name one as {text}#0.")
     return found[0]
 
 
-def _all_named(texts: Sequence[str], homes: int) -> list[NamedScene]:
-    return [named for text in texts for named in named_scenes(text, homes=homes)]
+def _all_named(texts: Sequence[str], homes: int, assets: Sequence[Path], strict: bool) -> list[NamedScene]:
+    return [named for text in texts for named in named_scenes(text, homes=homes, assets=assets, strict=strict)]
 
 
 def _renamed(named: NamedScene) -> Scene:
@@ -315,8 +347,16 @@ def _renamed(named: NamedScene) -> Scene:
 
 
 def _row(named: NamedScene) -> dict[str, Any]:
-    free = open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
-    return {**scene_size(named.name, open_scene(named.source), free), "id": named.id}
+    return {**scene_size(named.name, open_scene(named.source), _free(named)), "id": named.id}
+
+
+def _free(named: NamedScene) -> FreeSpace | None:
+    """The free floor; None if there is none, as for a single chair."""
+    open_scene(named.source)  # tells what is wrong with the scene itself
+    try:
+        return open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
+    except SceneError:
+        return None
 
 
 def _episodes(scenes: SceneSet, wanted: int | None, config: str) -> EpisodeSet:
