@@ -322,6 +322,8 @@ def test_every_built_in_robot_stands_inside_its_limits_with_shapes_and_a_hand(na
         ("not toml at all [", "robot description"),
         ('hand_link = "z"', "hand_link is 'z'"),
         ("base_discs_m = []", "no discs"),
+        ("rest = [nan]", "finite numbers"),
+        ("[base_profiles]\nwide = [inf]", "finite numbers"),
         ('[[legs]]\njoints=["j", "j", "k"]\nfoot=[0,0,0]', "joint 'k', which is no movable one"),
         (
             '[[cameras]]\nname="c"\nlink="b"\nposition=[0,0,0]\nforward=[0,0,1]\nwidth=4\nheight=3\nhfov_deg=60',

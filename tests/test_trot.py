@@ -125,3 +125,24 @@ def test_wrong_shapes_are_refused() -> None:
         InputError, match=r"track \[T, 7\] and joint positions \[T, 20\] of quad_arm, got \[2, 7\] and \[3, 20\]"
     ):
         trot(load_robot("quad_arm"), np.zeros((2, 7)), np.zeros((3, 20)))
+
+
+def test_replay_lets_the_legs_step_and_nothing_else() -> None:
+    from h3data.replay import Replay
+    from h3data.scene import HomeSpec, build_home
+    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+    from sim_kinematic.spec import SocialNavSpec
+
+    spec = SocialNavSpec(max_steps=40, end_on_collision=False)
+    recording = simulate_social_nav(
+        SocialNavWorld.create(build_home(HomeSpec(preset="small", seed=1)), seed=3, spec=spec)
+    )
+    robot = load_robot("quad_arm")
+    posed = robot.link_matrices(recording.agent_column(0, "base_pose"), recording.agent_column(0, "joint_pos"))
+    np.testing.assert_allclose(Replay(recording, stepping=False).link_matrices(0), posed, atol=1e-5)
+    moved = np.abs(Replay(recording).link_matrices(0) - posed).max(axis=(0, 2, 3)) > 0.01
+    legs = [name.startswith(("front_", "rear_")) for name in robot.link_names]
+    np.testing.assert_array_equal(moved & ~np.array(legs), False)
+    assert moved[
+        [robot.link_index(f"{end}_{side}_shank") for end in ("front", "rear") for side in ("left", "right")]
+    ].all()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from h3data.bodies import load_robot, read_urdf
 from h3data.bodies.urdf import Urdf
@@ -333,3 +336,42 @@ def test_cut_off_mesh_is_refused(tmp_path: Path) -> None:
         load_robot.cache_clear()
         with pytest.raises(H3DataError):
             load_robot(path)
+
+
+WORDS = (
+    "nan",
+    "1e308",
+    "-1",
+    "",
+    '"',
+    "<",
+    ">",
+    "&x;",
+    "revolute",
+    "spherical",
+    "a",
+    "b",
+    "jb",
+    "../../../x.stl",
+    "\x01",
+    "é",
+)
+
+
+@settings(derandomize=True, max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 30), st.sampled_from(WORDS)), min_size=1, max_size=3))
+def test_a_damaged_file_loads_or_is_refused_in_words(damage: list[tuple[int, int, str]]) -> None:
+    body = LINKS + _joint("jb", "a", "b", "prismatic", '<origin xyz="1 2 3" rpy="0 1 0"/><axis xyz="0 0 1"/>' + LIMIT)
+    body += _joint("jc", "b", "c", "revolute", '<mimic joint="jb" multiplier="2" offset="1"/>')
+    text = f'<robot name="test"><material name="m"><color rgba="1 0 0 1"/></material>{body}</robot>'
+    for place, length, word in damage:
+        place %= len(text)
+        text = text[:place] + word + text[place + length :]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        path.write_text(text)
+        try:
+            robot = load_robot(path)
+        except H3DataError:
+            return
+    assert robot.link_matrices(ROOT, robot.rest[None]).shape == (1, len(robot.links), 4, 4)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -64,6 +66,8 @@ def read_settings(path: Path, urdf: Urdf) -> RobotSettings:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise FormatError(f"Not a robot description: {error}. File: {path}") from error
+    if not _finite(msgspec.to_builtins(settings)):
+        raise FormatError(f"Expected finite numbers in a robot description, got nan or inf. File: {path}")
     movable, links = {j.name: j for j in urdf.movable}, {link.name for link in urdf.links}
     width = sum(j.width for j in urdf.movable)
     faults = []
@@ -88,3 +92,12 @@ def read_settings(path: Path, urdf: Urdf) -> RobotSettings:
     if faults:
         raise FormatError(f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}")
     return settings
+
+
+def _finite(value: Any) -> bool:
+    """Whether no number in nested lists and tables is NaN or infinite."""
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
+    if isinstance(value, (list, tuple)):
+        return all(map(_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
