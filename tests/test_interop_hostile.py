@@ -15,6 +15,7 @@ from h3data.interop import AssetLibrary, load_habitat_scene, read_gfx_replay, sn
 from h3data.interop.meshes import load_mesh, node_box
 from h3data.interop.primitives import primitive_mesh
 from h3data.recording import AssetRef
+from h3data_pipelines.cli import main
 
 POSE = {"translation": [1, 0, 2], "rotation": [1, 0, 0, 0]}
 
@@ -160,3 +161,14 @@ def test_a_mesh_name_too_long_for_the_file_system(tmp_path: Path) -> None:
     path.write_text(json.dumps({"render_asset": "a" * 5000}))
     with pytest.raises(SceneError, match="do not exist"):
         load_habitat_scene(path)
+
+
+def test_strict_import_refuses_recordings_with_missing_assets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.gfx_replay.json"
+    path.write_bytes(replay_text(name="data/lost.glb"))
+    assert main(["import", str(path), "-o", str(tmp_path / "rec"), "--strict"]) == 2
+    assert "lost.glb" in capsys.readouterr().err
+    assert list((tmp_path / "rec").glob("*.mcap")) == []
+    assert main(["import", str(path), "-o", str(tmp_path / "rec")]) == 0

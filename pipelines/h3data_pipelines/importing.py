@@ -35,6 +35,8 @@ class Import:
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS), to report what is missing."""
     fps: float = 30.0
     """Keyframes per second: a gfx-replay stores no times."""
+    strict: bool = False
+    """Refuse recordings with warnings or missing assets."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -67,6 +69,10 @@ class Import:
         if target in written:
             raise InputError(f"Another input of this run became {target}. Import this one with another -o: {path}")
         claim_file(target, force=self.force)
+        summary = summarize(recording, library)
+        faults = [*summary["warnings"], *(f"missing asset {name}" for name in summary["missing"])]
+        if self.strict and faults:
+            raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {path}")
         write_mcap(recording, target, overwrite=self.force)
         written.add(target)
         return {
@@ -74,7 +80,7 @@ class Import:
             "status": "imported",
             "kind": "gfx_replay",
             "recording": str(target),
-            **summarize(recording, library),
+            **summary,
         }
 
 
