@@ -86,7 +86,8 @@ def node_box(
     path = Path(path)
     rotation = frame_rotation(_vector3(up), _vector3(front))
     try:
-        found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+            found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
     except Exception as fault:
         raise _unreadable(fault, path) from None
     if not len(found) or not np.isfinite(found).all():

@@ -25,7 +25,7 @@ def png_bytes(pixels: NDArray[np.uint8], *, gray: bool = True) -> bytes:
     channels = ([0] if gray else [0, 1, 2]) + ([] if opaque else [3])
     kept = np.ascontiguousarray(pixels[..., channels[0]] if len(channels) == 1 else pixels[..., channels])
     file = io.BytesIO()
-    Image.fromarray(kept).save(file, format="PNG", compress_level=6)
+    Image.fromarray(kept).save(file, format="PNG", compress_level=3)
     return file.getvalue()
 
 
