@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -329,3 +333,24 @@ def test_wild_coordinates_never_crash(value):
     uv[1, 0] = value
     camera = pinhole(64, 48, hfov_deg=60, pose=look_at([0, 0, 3], [0, 0, 0]))
     assert render([quad(noise(0, 5, 3), uv)], camera)["rgb"].shape == (48, 64, 3)
+
+
+@pytest.mark.slow
+def test_machines_without_wide_vectors_draw_the_same(tmp_path):
+    script = (
+        "import numpy as np, sys; sys.path.insert(0, 'tests')\n"
+        "from test_textures import noise, render, soup\n"
+        "from h3data.render import look_at, pinhole\n"
+        "camera = pinhole(160, 120, hfov_deg=70, pose=look_at([0.4, 1.1, -4], [0, 0, 0]))\n"
+        "np.save(sys.argv[1], render([soup(1, 60, noise(1, 33, 57), 4)], camera, samples=4)['rgb'])"
+    )
+    plainest = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    pictures = []
+    for name, change in (("this", {}), ("plainest", plainest)):
+        file = tmp_path / f"{name}.npy"
+        command = [sys.executable, "-c", script, str(file)]
+        subprocess.run(command, check=True, env=os.environ | change, cwd=Path(__file__).resolve().parents[1])
+        pictures.append(np.load(file).astype(int))
+    assert np.ptp(pictures[0]) > 100
+    difference = np.abs(pictures[0] - pictures[1]).max(-1)
+    assert (difference > 1).mean() <= 1e-3  # silhouettes may differ
