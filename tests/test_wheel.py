@@ -26,14 +26,18 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
         "h3data_viewers",
     }
     assert "h3data/_datasets/bodies/female_0.npz" in names
+    assert {f"h3data/_datasets/h3-homes/{f}" for f in ("train.toml", "val.toml", "test.toml", "README.md")} <= set(
+        names
+    )
     assert not any(name.endswith((".pyc", ".nbi", ".nbc")) for name in names)
     script = (
         "import h3data, h3data.builtin, h3data_pipelines.cli as cli; "
         f"assert h3data.__file__.startswith({str(site)!r}), h3data.__file__; "
         "assert h3data.builtin.builtin_root().name == '_datasets'; "
-        "raise SystemExit(cli.main(['generate', 'social_nav', '--episodes', '1', '--max-steps', '10', '-o', 'ds']))"
+        "raise SystemExit(cli.main(['generate', 'social_nav', '--scenes', 'h3-homes/test', '--episodes', '1', "
+        "'--max-steps', '10', '-o', 'ds']))"
     )
     environment = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "1 episodes" in done.stdout
+    assert "1 episodes of h3-homes/test" in done.stdout

@@ -35,7 +35,7 @@ class Generate:
         h3data generate social_nav --scenes medium --homes 8 --episodes 200 --workers 2 -o ds/
         h3data generate social_nav --scenes h3-homes/test -o ds/
         h3data generate social_nav --scenes h3-homes/train --episodes 1000 --workers 2 -o ds/
-        h3data generate social_nav --episodes-file exports/test/episodes/social_nav.json.gz -o ds/
+        h3data generate social_nav --episodes-file exports/episodes/social_nav_h3-homes_test.json.gz -o ds/
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
     """
 
@@ -91,7 +91,7 @@ class Generate:
             self._simulate(jobs[done:], writer)
         recordings = _ReadBack(Dataset(self.out), self.out / "mcap" if self.mcap else None)
         table = measure_many(recordings)
-        text = f"{len(table)} episodes, {recordings.steps} steps in {self.out}\n\n{table.to_text()}"
+        text = f"{len(table)} episodes{_whose(jobs[0])}, {recordings.steps} steps in {self.out}\n\n{table.to_text()}"
         data: dict[str, Any] = {
             "dataset": str(self.out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
             "state_hashes": recordings.hashes, "metrics": table.to_dict(),
@@ -182,6 +182,17 @@ class _ReadBack:
             self.hashes.append(str(recording.columns["state_hash"][-1]))
             self.steps += len(recording)
             yield recording
+
+
+def _whose(job: Job) -> str:
+    """Which set or file the episodes are from."""
+    origin = job.origin
+    if origin is None:
+        return ""
+    if "file" in origin:
+        return f" of {origin['file']}"
+    label = "/".join(filter(None, (origin["set"], origin["split"])))
+    return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
 
 
 def require_same_options(folder: Path, jobs: list[Job]) -> None:
