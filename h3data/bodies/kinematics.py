@@ -43,11 +43,15 @@ def link_frames(
         for link in range(parents.shape[0]):
             base = root[t] if parents[link] < 0 else out[t, parents[link]]
             origin, here = origins[link], out[t, link]
+            straight = origin[0, 0] == 1 and origin[1, 1] == 1 and origin[2, 2] == 1  # most joint frames are not turned
             for i in range(3):
                 a, b, c = base[i, 0], base[i, 1], base[i, 2]
-                for j in range(4):
+                frame[i, 3] = base[i, 3] + a * origin[0, 3] + b * origin[1, 3] + c * origin[2, 3]
+                if straight:
+                    frame[i, 0], frame[i, 1], frame[i, 2] = a, b, c
+                    continue
+                for j in range(3):
                     frame[i, j] = a * origin[0, j] + b * origin[1, j] + c * origin[2, j]
-                frame[i, 3] += base[i, 3]
             kind, column = kinds[link], columns[link]
             if kind == TURNS:
                 x, y, z = axes[link, 0], axes[link, 1], axes[link, 2]
