@@ -117,7 +117,7 @@ class ScenesShow:
         from h3data.render.scene_map import eye_level_picture, plan_picture, scene_map
 
         named = _one(self.scene, self.assets, self.strict)
-        scene = open_scene(named.source)
+        scene = _renamed(named)
         target = _png(self.out, force=self.force)
         if not 4 <= self.pixels_per_m <= 1000:
             raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.")
