@@ -34,7 +34,7 @@ class Graph(NamedTuple):
     distance: NDArray[np.float32]
     """Length of the shortest taut way between nodes, along edges that are tangent at both ends, shape [n, n] [m]; inf where
     there is none. A way that would kink at its first or last node is not in it: no shortest path has such a part."""
-    previous: NDArray[np.int32]
+    previous: NDArray[np.int16]
     """Node before j on the shortest path from i to j, shape [n, n]; negative: none."""
     rings: NDArray[np.float64]
     """Edges of the free area, ``x0 z0 x1 z1``, shape [r, 4]."""

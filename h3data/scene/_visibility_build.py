@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
+from h3data.errors import SceneError
 from h3data.scene._potentially_visible import potentially_visible
 from h3data.scene._visibility import GROW_M, Graph, bucket_edges, visibility_edges
 
@@ -57,7 +58,7 @@ def build_graph(area: MultiPolygon) -> Graph:
         after=after,
         first=first,
         distance=np.zeros((0, 0), np.float32),
-        previous=np.zeros((0, 0), np.int32),
+        previous=np.zeros((0, 0), np.int16),
         rings=rings,
         ring_island=ring_island,
         edges=edges,
@@ -145,13 +146,15 @@ def _buckets(area: MultiPolygon, grown: list[Polygon], labels: list[int]) -> tup
     return origin, size, label
 
 
-def _all_pairs(n: int, pairs: NDArray, lengths: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _all_pairs(n: int, pairs: NDArray, lengths: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     """Shortest distances [n, n] and predecessors [n, n] over the edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
+    if n > np.iinfo(np.int16).max:
+        raise SceneError(f"The floor has {n} corners, more than {np.iinfo(np.int16).max}. Hint: simplify the scene.")
     if n == 0:
-        return np.zeros((0, 0), np.float32), np.zeros((0, 0), np.int32)
+        return np.zeros((0, 0), np.float32), np.zeros((0, 0), np.int16)
     matrix = csr_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     distance, previous = dijkstra(matrix, directed=False, return_predecessors=True)
-    return distance.astype(np.float32), previous.astype(np.int32)
+    return distance.astype(np.float32), previous.astype(np.int16)

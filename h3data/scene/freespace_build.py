@@ -23,7 +23,7 @@ from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_
 
 log = logging.getLogger(__name__)
 
-BUILD_VERSION = 3
+BUILD_VERSION = 4
 """Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
 ARC_SEGMENTS = 8
 """Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""

@@ -24,7 +24,7 @@ from h3data.scene.freespace import FreeSpace
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 _NUMBERS = ("floor_y", "radius_m", "height_m", "max_climb_m", "cell_m")
 
 
