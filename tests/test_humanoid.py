@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -281,17 +282,19 @@ def test_files_of_another_kind_are_refused(tmp_path) -> None:
     with pytest.raises(FormatError, match="another npz file"):
         load_humanoid(other)
     with np.load(builtin_path("bodies/female_0.npz")) as file:
-        data = {k: file[k] for k in file.files if k != "capsule_start"}
+        data: dict[str, Any] = {k: file[k] for k in file.files if k != "capsule_start"}
     partial = tmp_path / "partial.npz"
     np.savez(partial, **data)
     with pytest.raises(FormatError, match="lacks the array 'capsule_start'"):
         load_humanoid(partial)
-    np.savez(tmp_path / "elsewhere.npz", **(data | {"common": np.array("0" * 16)}))
+    elsewhere: dict[str, Any] = data | {"common": np.array("0" * 16)}
+    np.savez(tmp_path / "elsewhere.npz", **elsewhere)
     with pytest.raises(FormatError, match="another topology"):
         load_humanoid(tmp_path / "elsewhere.npz")
     np.savez(tmp_path / "short.npz", **(data | {"full_delta": data["full_delta"][:, :, :-1]}))
     with pytest.raises(FormatError, match="damaged"):
         load_humanoid(tmp_path / "short.npz")
-    np.savez(tmp_path / "pickled.npz", **(data | {"format": np.array({"a": 1}, dtype=object)}))
+    pickled: dict[str, Any] = data | {"format": np.array({"a": 1}, dtype=object)}
+    np.savez(tmp_path / "pickled.npz", **pickled)
     with pytest.raises(FormatError):
         load_humanoid(tmp_path / "pickled.npz")
