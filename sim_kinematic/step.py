@@ -150,7 +150,8 @@ def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt:
     """
     _walk_worlds(
         state.human_xz, state.human_heading, state.human_distance, state.human_set_off, state.human_blend,
-        _per_world(goal_xz, state), spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
+        _per_world(goal_xz, state),
+        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
     )  # fmt: skip
 
 
