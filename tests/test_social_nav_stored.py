@@ -24,7 +24,8 @@ from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRu
 from h3data_pipelines.cli import main
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.social_nav_episodes import drawn_episode, episode_of, rules_of, set_episode, world_of
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.spec import STEP_S, SocialNavSpec, WalkerSpec
+from sim_kinematic.waypoint_human import human_plan
 
 HOME = HomeSpec(seed=1)
 SET_TEXT = """
@@ -94,7 +95,12 @@ def test_all_episodes_of_the_eval_splits_can_be_played(split: str) -> None:
         free = open_free_space(entry.source, 0.25, 1.41)
         world = world_of(episode, open_scene(entry.source), free=free)
         assert free.geodesic(world.starts.robot_xz, world.starts.human_xz) >= 5.0
-        assert len(episode.human_goals) >= 3
+        start, goals = world.starts, world.goals
+        track = human_plan(free, start.human_xz, start.human_heading, world.seed, WalkerSpec(), 1500, goals).xz
+        steps = np.hypot(*np.diff(track, axis=0).T)
+        assert steps.sum() > 50  # of the 125 m that fit into 50 s; the largest homes have goals 40 m apart
+        standing = np.diff(np.flatnonzero(np.concatenate([[1], steps > 1e-9, [1]]))) - 1
+        assert standing.max() <= np.ceil(np.pi / (WalkerSpec().turn_rad_s * STEP_S))  # a turn right round, never stuck
 
 
 # --- playing ----------------------------------------------------------------------------------------------------------
