@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from sim_kinematic.social_nav import SocialNavWorld
     from sim_kinematic.spec import SocialNavSpec
 
+ANY_BODY = "any"
+"""As the name of a body: each episode draws one of the built-in ones."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
@@ -80,6 +83,16 @@ class Changes:
     human_speed: float | None = None
     max_steps: int | None = None
 
+    def body(self, seed: int) -> str | None:
+        """Whose body the person has in an episode with this seed."""
+        if self.human != ANY_BODY:
+            return self.human
+        from h3data.bodies import humanoid_names
+        from sim_kinematic.randomness import generator
+
+        names = humanoid_names()
+        return names[int(generator(seed, "body").integers(len(names)))]
+
     def applied(self, spec: SocialNavSpec) -> SocialNavSpec:
         """``spec`` with them."""
         if self.human_speed is not None:
@@ -95,11 +108,11 @@ def seeded_jobs(
 
     return [
         Job(
-            index=i, seed=episode_seed(seed, i), scene=scenes[i % len(scenes)].name,
-            source=scenes[i % len(scenes)].source, policy=changes.policy, human=changes.human,
-            spec=changes.applied(spec),
+            index=i, seed=drawn, scene=scenes[i % len(scenes)].name, source=scenes[i % len(scenes)].source,
+            policy=changes.policy, human=changes.body(drawn), spec=changes.applied(spec),
         )
         for i in range(episodes)
+        for drawn in [episode_seed(seed, i)]
     ]  # fmt: skip
 
 
@@ -115,10 +128,10 @@ def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Chan
             "set": scenes.name, "split": scenes.split, "scene": entry.id, "episode": index, "seed": seed,
             "sha256": scenes.sha256,
         }  # fmt: skip
+        drawn = scenes.episode_seed(entry.id, index, seed=seed)
         job = Job(
-            index=i, seed=scenes.episode_seed(entry.id, index, seed=seed), scene=f"{scenes.label}#{entry.id}",
-            source=entry.source, policy=changes.policy, human=changes.human, spec=changes.applied(rules),
-            drawn_with=rules, origin=origin,
+            index=i, seed=drawn, scene=f"{scenes.label}#{entry.id}", source=entry.source, policy=changes.policy,
+            human=changes.body(drawn), spec=changes.applied(rules), drawn_with=rules, origin=origin,
         )  # fmt: skip
         jobs.append(job)
     return jobs
@@ -148,8 +161,8 @@ def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job
         origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(episode.episode_id)}
         job = Job(
             index=i, seed=stored.seed, scene=episode.scene_id,
-            source=scene_of_episode(episode, stored, path.parent), policy=changes.policy, human=changes.human,
-            spec=changes.applied(rules_of(stored)), stored=stored, origin=origin,
+            source=scene_of_episode(episode, stored, path.parent), policy=changes.policy,
+            human=changes.body(stored.seed), spec=changes.applied(rules_of(stored)), stored=stored, origin=origin,
         )  # fmt: skip
         jobs.append(job)
     return jobs

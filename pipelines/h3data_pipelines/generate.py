@@ -33,7 +33,7 @@ class Generate:
     Examples:
         h3data generate social_nav --episodes 20 --seed 7 -o ds/
         h3data generate social_nav --scenes medium --homes 8 --episodes 200 --workers 2 -o ds/
-        h3data generate social_nav --scenes h3-homes/test -o ds/
+        h3data generate social_nav --scenes h3-homes/test --human any -o ds/
         h3data generate social_nav --scenes h3-homes/train --episodes 1000 --workers 2 -o ds/
         h3data generate social_nav --episodes-file exports/episodes/social_nav_h3-homes_test.json.gz -o ds/
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
@@ -57,7 +57,7 @@ class Generate:
     policy: str = "heuristic_expert"
     """Robot policy: heuristic_expert or stand_still."""
     human: str | None = None
-    """Built-in body of the person (default: the episode's, else female_0)."""
+    """Built-in body of the person, or any: each episode draws one (default: the episode's, else female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
     max_steps: int | None = None
