@@ -7,12 +7,14 @@ import os
 import posixpath
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from h3data.errors import SceneError
 from h3data.interop.meshes import MESH_SUFFIXES, is_file, load_mesh
 from h3data.interop.placeholders import placeholder_mesh
 from h3data.interop.primitives import box_mesh, is_primitive, primitive_mesh
+from h3data.interop.skinned_meshes import SkinnedMesh, load_skinned_mesh
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.meshes import painted
 from h3data.scene.records import Mesh, Scene
@@ -93,6 +95,18 @@ class AssetLibrary:
         if mesh is not None and ref.color is not None:
             mesh = painted(mesh, ref.color)
         return mesh
+
+    def skinned(self, ref: AssetRef) -> SkinnedMesh | None:
+        """The skinned mesh of an asset; None if its file is missing, unreadable or has no skin."""
+        path = None if ":" in ref.uri else self.resolve(ref.uri)
+        if path is None:
+            return None
+        try:
+            found = load_skinned_mesh(path, up=ref.up, front=ref.front, units_m=ref.units_m)
+        except SceneError as fault:
+            self._note_unreadable(ref.uri, str(fault))
+            return None
+        return found if found is None or ref.color is None else replace(found, mesh=painted(found.mesh, ref.color))
 
     def placeholder(self, ref: AssetRef | str, body: Body | None = None) -> Mesh:
         """A clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""

@@ -39,7 +39,8 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     - The format has no time stamps: row k is keyframe k, at ``fps`` keyframes per second (default: the nominal 30).
     - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are
       cameras keep Habitat's camera frame: x right, y up, looking along -z.
-    - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; skinned meshes are not deformed by them here.
+    - Bones become columns ``rig.<id>`` [T, bones, 7], pose7 in the world; ``episode.info["rigs"]`` names the bones and the
+      body that they deform (`h3data.interop.skinned_meshes`).
     - Robots and people are recognised by their file names, see `h3data.interop.gfx_agents`.
 
     ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
@@ -73,9 +74,6 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     rigs = _rig_info(fold, bodies)
     if rigs:
         info["rigs"] = rigs
-        warnings.append(
-            f"{len(rigs)} rigged meshes are drawn in their rest shape: their bones are kept, not yet applied"
-        )
     name = path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".gfx_replay")
     return Recording(
         episode=Episode(

@@ -1,7 +1,8 @@
 """glTF 2.0 files (GLB, or JSON with files beside it) as meshes: accessors, primitives and the node graph.
 
 Triangles, strips and fans; triangles with a corner twice are dropped, as strips have them by design, all others stay as
-they are. Skins and morph targets are left in their rest shape, points and lines are left out.
+they are. Skins are left in their rest shape (`h3data.interop.skinned_meshes` poses them), and so are morph targets; points
+and lines are left out.
 """
 
 from __future__ import annotations
@@ -100,12 +101,12 @@ class GltfFile:
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
 
-    def _placed_meshes(self) -> list[tuple[int, NDArray[np.float64]]]:
-        """Index and 4x4 matrix of every mesh that the scene shows; a file without nodes shows each once."""
+    def _placed_meshes(self) -> list[tuple[int, NDArray[np.float64], object]]:
+        """Index, 4x4 matrix and skin of every mesh that the scene shows; a file without nodes shows each once."""
         if not self.document.get("nodes"):
-            return [(index, np.eye(4)) for index in range(len(self.document.get("meshes", [])))]
-        placed = [(entry(self.document, "nodes", index).get("mesh"), matrix) for index, _, matrix in self.nodes]
-        return [(mesh, matrix) for mesh, matrix in placed if mesh is not None]
+            return [(index, np.eye(4), None) for index in range(len(self.document.get("meshes", [])))]
+        placed = [(self.node(index), matrix) for index, _, matrix in self.nodes]
+        return [(node["mesh"], matrix, node.get("skin")) for node, matrix in placed if node.get("mesh") is not None]
 
     def node(self, index: int) -> dict[str, Any]:
         """``nodes[index]``."""
@@ -125,13 +126,17 @@ class GltfFile:
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
         """Every primitive that the scene shows, once per node, with its 4x4 matrix to the file's frame."""
+        yield from ((part, matrix) for part, matrix, _ in self.skinned_parts())
+
+    def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
+        """The same with the index of the node's skin; None if it has none."""
         placed = self._placed_meshes()
-        counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh, _ in placed}
-        total = sum(counts[mesh] for mesh, _ in placed)
+        counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh, _, _ in placed}
+        total = sum(counts[mesh] for mesh, _, _ in placed)
         if total > MAX_TRIANGLES:
             raise ValueError(f"its nodes show {total} triangles, the most that are read are {MAX_TRIANGLES}")
-        for mesh, matrix in placed:
-            yield from ((part, matrix) for part in self.mesh(mesh))
+        for mesh, matrix, skin in placed:
+            yield from ((part, matrix, skin) for part in self.mesh(mesh))
 
 
 def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:

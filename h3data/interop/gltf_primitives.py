@@ -36,6 +36,8 @@ class PlainMesh:
     normals: NDArray[Any] | None
     uv: NDArray[np.float32] | None
     texture: Texture | None
+    influences: tuple[NDArray[np.int32], NDArray[np.float32]] | None = None
+    """Joints of its skin and their weights, both [V, 4]."""
 
 
 def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) -> int:
@@ -75,7 +77,17 @@ def read_primitive(arrays: GltfArrays, materials: GltfMaterials, primitive: dict
 
 
 def _used(name: str) -> bool:
-    return name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_")
+    return name in ("POSITION", "NORMAL", "COLOR_0", "JOINTS_0", "WEIGHTS_0") or name.startswith("TEXCOORD_")
+
+
+def _influences(attributes: Mapping[str, NDArray[Any]], where: str) -> tuple[NDArray[Any], NDArray[Any]] | None:
+    joints, weights = attributes.get("JOINTS_0"), attributes.get("WEIGHTS_0")
+    if joints is None or weights is None:
+        return None
+    for name, values in (("JOINTS_0", joints), ("WEIGHTS_0", weights)):
+        if values.ndim != 2 or values.shape[1] != 4:
+            raise ValueError(f"{where}.attributes.{name} is not an accessor of VEC4")
+    return joints.astype(np.int32), weights.astype(np.float32)
 
 
 def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) -> NDArray[np.int64]:
@@ -134,7 +146,7 @@ def _painted(
         uv = None
     return PlainMesh(
         vertices=position, faces=faces, colors=_colors(color, look, len(position)), normals=normals, uv=uv,
-        texture=None if uv is None else texture,
+        texture=None if uv is None else texture, influences=_influences(attributes, where),
     )  # fmt: skip
 
 

@@ -89,7 +89,7 @@ def node_box(
         with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
             found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
     except Exception as fault:
-        raise _unreadable(fault, path) from None
+        raise unreadable(fault, path) from None
     if not len(found) or not np.isfinite(found).all():
         raise SceneError(f"A mesh file without triangles: {path}")
     turned = _corners(found) @ rotation.T * units_m
@@ -170,7 +170,7 @@ def load_parts(
             else:
                 parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
     except Exception as fault:
-        raise _unreadable(fault, path) from None
+        raise unreadable(fault, path) from None
     if not parts:
         raise SceneError(f"A mesh file without triangles: {path}")
     if not all(np.isfinite(part.vertices).all() for part in parts):
@@ -184,10 +184,10 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
     try:
         return joined(load_parts(path, up=up, front=front, units_m=units_m))
     except (MemoryError, ValueError) as fault:
-        raise _unreadable(fault, Path(path)) from None
+        raise unreadable(fault, Path(path)) from None
 
 
-def _unreadable(fault: Exception, path: Path) -> SceneError:
+def unreadable(fault: Exception, path: Path) -> SceneError:
     """What the reader of a file met, with the file's name."""
     if str(path) in str(fault):
         return SceneError(str(fault))

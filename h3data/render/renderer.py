@@ -56,7 +56,6 @@ class Renderer:
                 mesh_half=shared.mesh_half.copy(),
             )
             self._surface = scene.surface._replace(normals=scene.surface.normals.copy())
-        self._ids = np.arange(len(scene.instances), dtype=np.int32)
         self._targets: dict[tuple[int, int], Target] = {}
 
     # --- what moves -----------------------------------------------------------------------------------------------
@@ -185,7 +184,7 @@ class Renderer:
         if "depth" in results:
             read_depth(target.inv_z, results["depth"])
         if "instance" in results:
-            read_ids(target.words, target.draws, self._ids, results["instance"])
+            read_ids(target.words, target.draws, self.scene.ids, results["instance"])
         if "semantic" in results:
             read_ids(target.words, target.draws, self.scene.semantic_ids, results["semantic"])
         if "triangle" in results:

@@ -19,7 +19,7 @@ from h3data.scene.records import Mesh
 
 @dataclass(frozen=True, eq=False)
 class RenderInstance:
-    """One mesh placed in the world. Its position in the scene's list is its id in pictures."""
+    """One mesh placed in the world."""
 
     mesh: int
     """Index into the scene's meshes."""
@@ -29,6 +29,8 @@ class RenderInstance:
     layer: str = ""
     """Cameras can leave layers out (`Camera.hidden_layers`)."""
     name: str = ""
+    id: int = -1
+    """Its id in pictures; -1: its position in the scene's list."""
 
 
 class Surface(NamedTuple):
@@ -70,6 +72,7 @@ class RenderScene:
         self.instance_matrix = np.zeros((count, 3, 4))
         for k, instance in enumerate(self.instances):
             self.instance_matrix[k] = np.asarray(instance.matrix, np.float64)[:3]
+        self.ids = np.array([k if i.id < 0 else i.id for k, i in enumerate(self.instances)], np.int32).reshape(count)
         self.semantic_ids = np.array([i.semantic_id for i in self.instances], np.int32).reshape(count)
         self.layers = np.array([i.layer for i in self.instances], dtype=np.str_).reshape(count)
 

@@ -124,10 +124,11 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if drawable.placeholder and np.max(hi - lo) > PLACEHOLDER_STAGE_M:
             continue  # the slab that stands for a missing building says nothing about its size
         box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
-        if drawable.deformable:
-            corners.append(replay.recording.agent_column(drawable.agent, "base_pose")[:, :3].astype(np.float64))
+        steps = np.unique(np.linspace(0, len(replay) - 1, 32).astype(int)) if drawable.moving else None
+        if drawable.deformable and steps is not None:
+            points = replay.vertices(index, steps).reshape(-1, 3).astype(np.float64)
+            corners.append(points[np.isfinite(points).all(-1)])
         else:
-            steps = np.unique(np.linspace(0, len(replay) - 1, 32).astype(int)) if drawable.moving else None
             matrices = replay.matrices(index, steps) if drawable.moving else drawable.matrix[None]
             points = np.einsum("tij,nj->tni", matrices[:, :3, :3], box) + matrices[:, None, :3, 3]
             corners.append(points[np.isfinite(points).all(-1)])

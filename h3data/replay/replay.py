@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +21,9 @@ from h3data.render.camera import Camera
 from h3data.scene import Mesh, Scene, load_scene
 
 if TYPE_CHECKING:
-    from h3data.render import Output, Renderer, RenderScene
+    from h3data.interop.skinned_meshes import SkinnedMesh
+    from h3data.render import Output
+    from h3data.replay.stage import Stage
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +45,8 @@ class Drawable:
     """A stand-in: the recorded asset was not found."""
 
 
-@dataclass(frozen=True)
-class _BodyTrack:
+@dataclass(frozen=True, eq=False)
+class BodyTrack:
     """A rigid body with a recorded track."""
 
     column: int
@@ -54,7 +54,7 @@ class _BodyTrack:
 
 
 @dataclass(frozen=True)
-class _LinkTrack:
+class LinkTrack:
     """A link of a robot that is drawn by its model."""
 
     agent: int
@@ -62,10 +62,23 @@ class _LinkTrack:
 
 
 @dataclass(frozen=True)
-class _SkinTrack:
+class PersonTrack:
     """A humanoid that is drawn by its model."""
 
     agent: int
+
+
+@dataclass(frozen=True, eq=False)
+class RigTrack:
+    """A body whose mesh follows recorded bones."""
+
+    body: Body
+    column: str
+    bones: tuple[str, ...]
+    skin: SkinnedMesh
+
+
+Track = BodyTrack | LinkTrack | PersonTrack | RigTrack
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +97,13 @@ class Replay:
     """Poses and pictures of a recording.
 
     ``assets`` finds the files that a foreign recording names; what is missing is drawn as a marked placeholder and listed
-    in `missing`. ``detail`` chooses the full body meshes instead of the reduced ones. ``stepping`` lets legs trot that the
+    in `missing`. ``detail`` chooses the full (True) or the reduced (False) meshes of people; by default pictures take what the
+    camera can tell apart (`Humanoid.light_enough`), everything else the full ones. ``stepping`` lets legs trot that the
     recording only holds in their resting posture (`h3data.bodies.trot`); nothing but their looks depends on it.
     """
 
     def __init__(self, recording: Recording, *, assets: AssetLibrary | Sequence[str | Path] | None = None,
-                 detail: bool = True, stepping: bool = True) -> None:  # fmt: skip
+                 detail: bool | None = None, stepping: bool = True) -> None:  # fmt: skip
         self.recording = recording
         self.detail = detail
         self.stepping = stepping
@@ -98,16 +112,16 @@ class Replay:
         if "scene.glb" in recording.attachments:
             self.scene = load_scene(recording.attachments["scene.glb"])
             self.library = self.library.with_scene(self.scene)
-        self._tracks: list[_BodyTrack | _LinkTrack | _SkinTrack | None] = []
-        self._mesh_slots: dict[str, int] = {}
-        self._meshes: list[Mesh] = []
-        self._slot_of: list[int] = []
+        self._tracks: list[Track | None] = []
         self._drawables: list[Drawable] = []
+        self._assets: dict[str, Mesh | None] = {}
         self.missing: dict[str, int] = {}
         """Asset files that were not found, and how many bodies wanted each."""
         refs = {ref.name: ref for ref in recording.assets}
+        rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
         for body in recording.bodies:
-            self._add_body(body, refs[body.asset])
+            if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
+                self._add_body(body, refs[body.asset])
         for index, agent in enumerate(recording.agents):
             if agent.model:
                 self._add_agent(index, agent)
@@ -121,33 +135,45 @@ class Replay:
     def __len__(self) -> int:
         return len(self.recording)
 
-    def _slot(self, key: str, mesh: Mesh) -> int:
-        if key not in self._mesh_slots:
-            self._mesh_slots[key] = len(self._meshes)
-            self._meshes.append(mesh)
-        return self._mesh_slots[key]
+    @property
+    def tracks(self) -> Sequence[Track | None]:
+        """How each drawable moves; None = it stands still."""
+        return self._tracks
 
-    def _add(self, drawable: Drawable, key: str, track: _BodyTrack | _LinkTrack | _SkinTrack | None) -> None:
+    def _add(self, drawable: Drawable, track: Track | None) -> None:
         self._drawables.append(drawable)
-        self._slot_of.append(self._slot(key, drawable.mesh))
         self._tracks.append(track)
 
     def _add_body(self, body: Body, ref: AssetRef) -> None:
-        mesh = self.library.mesh(ref)
-        key, missing = f"asset:{ref.name}", mesh is None
+        if ref.name not in self._assets:
+            self._assets[ref.name] = self.library.mesh(ref)
+        mesh = self._assets[ref.name]
+        missing = mesh is None
         if mesh is None:
-            mesh, key = self.library.placeholder(ref, body), f"placeholder:{ref.name}"
+            mesh = self.library.placeholder(ref, body)
             self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
-        matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
-        matrix[:3, :3] *= body.scale
         self._add(
             Drawable(
-                name=body.name, mesh=mesh, matrix=matrix, layer=body.layer, semantic_id=body.semantic_id,
+                name=body.name, mesh=mesh, matrix=_matrix(body), layer=body.layer, semantic_id=body.semantic_id,
                 agent=body.agent, moving=body.moving >= 0, placeholder=missing,
             ),
-            key,
-            _BodyTrack(body.moving, body.scale) if body.moving >= 0 else None,
+            BodyTrack(body.moving, body.scale) if body.moving >= 0 else None,
         )  # fmt: skip
+
+    def _add_rigged(self, body: Body, ref: AssetRef, rig: Mapping[str, Any]) -> bool:
+        """Add a body that is deformed by recorded bones; False if its file has no skin or the bones were not recorded."""
+        column = f"rig.{rig['id']}"
+        skin = self.library.skinned(ref) if column in self.recording.columns else None
+        if skin is None:
+            return False
+        self._add(
+            Drawable(
+                name=body.name, mesh=skin.mesh, matrix=_matrix(body), layer=body.layer, semantic_id=body.semantic_id,
+                agent=body.agent, moving=True, deformable=True,
+            ),
+            RigTrack(body, column, tuple(rig["bones"]), skin),
+        )  # fmt: skip
+        return True
 
     def _add_agent(self, index: int, agent: Agent) -> None:
         model = self.model(index)
@@ -161,18 +187,16 @@ class Replay:
                             name=f"{agent.name}/{link.name}", mesh=link.mesh, matrix=matrix.astype(np.float64),
                             semantic_id=agent.semantic_id, agent=index, moving=True,
                         ),
-                        f"{agent.model}/{link.name}",
-                        _LinkTrack(index, number),
+                        LinkTrack(index, number),
                     )  # fmt: skip
         else:
-            mesh = model.mesh if self.detail else model.lod_mesh
+            mesh = model.lod_mesh if self.detail is False else model.mesh
             self._add(
                 Drawable(
                     name=agent.name, mesh=mesh, matrix=np.eye(4), semantic_id=agent.semantic_id, agent=index, moving=True,
                     deformable=True,
                 ),
-                f"{agent.model}/{agent.name}",  # never shared: each body has vertices of its own
-                _SkinTrack(index),
+                PersonTrack(index),
             )  # fmt: skip
 
     def _require_motion(self, index: int, model: Robot | Humanoid) -> None:
@@ -225,12 +249,12 @@ class Replay:
         """4x4 of a moving drawable at ``steps`` (all by default), shape [T, 4, 4]; NaN where it was not in the world."""
         rows = np.arange(len(self)) if steps is None else np.asarray(steps)
         track = self._tracks[index]
-        if isinstance(track, _BodyTrack):
+        if isinstance(track, BodyTrack):
             out = pose_to_matrix(self.recording.columns["object_pose"][rows, track.column])
             out[:, :3, :3] *= track.scale
             out[np.isnan(out[:, 0, 0])] = np.nan
             return out
-        if isinstance(track, _LinkTrack):
+        if isinstance(track, LinkTrack):
             return self.link_matrices(track.agent)[rows, track.link]
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
@@ -250,13 +274,23 @@ class Replay:
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
-        """World vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]."""
-        track = self._tracks[index]
-        if not isinstance(track, _SkinTrack):
+        """World vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was not in the world."""
+        track, steps = self._tracks[index], np.asarray(steps)
+        if isinstance(track, RigTrack):
+            bones = pose_to_matrix(self.recording.columns[track.column][steps].astype(np.float64))
+            return track.skin.vertices(self._roots(track.body, steps), bones, track.bones)
+        if not isinstance(track, PersonTrack):
             raise InputError(f"{self._drawables[index].name!r} is rigid; ask for its matrices.")
         body = self.model(track.agent)
         assert isinstance(body, Humanoid)
-        return body.skin(self.joint_matrices(track.agent, np.asarray(steps)), lod=not self.detail)
+        return body.skin(self.joint_matrices(track.agent, steps), lod=self.detail is False)
+
+    def _roots(self, body: Body, steps: NDArray[np.integer]) -> Array:
+        if body.moving < 0:
+            return np.broadcast_to(_matrix(body), (len(steps), 4, 4))
+        roots = pose_to_matrix(self.recording.columns["object_pose"][steps, body.moving].astype(np.float64))
+        roots[:, :3, :3] *= body.scale
+        return roots
 
     def row(self, step: int) -> int:
         """The row of ``step`` in the recording's columns; negative steps count from the end."""
@@ -288,34 +322,11 @@ class Replay:
 
     # --- pictures -----------------------------------------------------------------------------------------------------
     @cached_property
-    def render_scene(self) -> RenderScene:
-        """The immutable half of the renderer, shared by all threads."""
-        from h3data.render import RenderInstance, RenderScene
+    def stage(self) -> Stage:
+        """What pictures are drawn from, shared by all threads; built at first use."""
+        from h3data.replay.stage import Stage
 
-        instances = [
-            RenderInstance(
-                mesh=slot, matrix=d.matrix.astype(np.float64), semantic_id=d.semantic_id, layer=d.layer, name=d.name
-            )
-            for slot, d in zip(self._slot_of, self._drawables, strict=True)
-        ]
-        deformable = tuple(s for s, d in zip(self._slot_of, self._drawables, strict=True) if d.deformable)
-        return RenderScene(self._meshes, instances, deformable=deformable)
-
-    def renderer(self) -> Renderer:
-        """A renderer for one thread, posed by `pose`."""
-        from h3data.render import Renderer
-
-        return Renderer(self.render_scene)
-
-    def pose(self, renderer: Renderer, step: int) -> None:
-        """Put everything that moves where it was at ``step``."""
-        rows = np.array([step])
-        rigid = [i for i, d in enumerate(self._drawables) if d.moving and not d.deformable]
-        if rigid:
-            renderer.set_transforms(rigid, np.concatenate([self.matrices(i, rows) for i in rigid]))
-        for index, drawable in enumerate(self._drawables):
-            if drawable.deformable:
-                renderer.set_vertices(self._slot_of[index], self.vertices(index, rows)[0])
+        return Stage(self)
 
     def frames(
         self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output] = ("rgb",),
@@ -323,35 +334,20 @@ class Replay:
     ) -> Iterator[tuple[int, list[dict[str, NDArray[Any]]]]]:  # fmt: skip
         """``(step, [outputs of each camera])`` in the order of ``steps``, drawn by ``threads`` threads.
 
-        A few frames are drawn ahead, so memory stays constant however long the recording.
+        A few frames are drawn ahead, so memory stays constant however long the recording. The pictures do not depend on
+        the number of threads.
         """
         outside = [step for step in steps if not 0 <= step < len(self)]
         if outside:
             raise self._no_step(outside[0])
-        _ = self.render_scene  # built once, before the threads start
-        local = threading.local()
+        yield from self.stage.frames(tracks, steps, outputs=outputs, samples=samples, threads=threads)
 
-        def draw(step: int) -> list[dict[str, NDArray[Any]]]:
-            if not hasattr(local, "renderer"):
-                local.renderer = self.renderer()
-            self.pose(local.renderer, step)
-            return [local.renderer.render(t.at(step), outputs=outputs, samples=samples) for t in tracks]
 
-        if threads <= 1:
-            for step in steps:
-                yield step, draw(step)
-            return
-        with ThreadPoolExecutor(threads) as pool:
-            ahead, pending, todo = 2 * threads, [], list(steps)
-            try:
-                while todo or pending:
-                    while todo and len(pending) < ahead:
-                        pending.append((todo[0], pool.submit(draw, todo.pop(0))))
-                    step, future = pending.pop(0)
-                    yield step, future.result()
-            finally:
-                for _, future in pending:
-                    future.cancel()
+def _matrix(body: Body) -> Array:
+    """Mesh to world, 4x4, of a body at its first pose."""
+    matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
+    matrix[:3, :3] *= body.scale
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,180 @@
+"""Pictures of a recording: its things as a scene to render, posed step by step, drawn by several threads."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid
+from h3data.geometry import Array, pose_to_matrix
+from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
+from h3data.replay.replay import BodyTrack, LinkTrack, PersonTrack
+from h3data.scene import Mesh
+
+if TYPE_CHECKING:
+    from h3data.replay.replay import CameraTrack, Replay
+
+Pictures = list[dict[str, NDArray[Any]]]
+"""The outputs of each camera."""
+
+
+@dataclass(frozen=True)
+class _Skin:
+    """A deformable mesh in the scene and its instance, which shows one drawable."""
+
+    drawable: int
+    instance: int
+    mesh: int
+
+
+@dataclass(frozen=True)
+class _Person:
+    """A person whose mesh each camera chooses."""
+
+    body: Humanoid
+    agent: int
+    full: _Skin
+    light: _Skin
+
+
+class Stage:
+    """What a replay shows, as a scene to render. Immutable: threads share it, each with a renderer of its own."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.replay = replay
+        self._meshes: list[Mesh] = []
+        self._slots: dict[int, int] = {}
+        self._instances: list[RenderInstance] = []
+        skins = []
+        for index, drawable in enumerate(replay.drawables):
+            mesh = self._add(index, drawable.mesh, shared=not drawable.deformable)
+            if drawable.deformable:
+                skins.append(_Skin(index, index, mesh))
+        self._people = [self._person(skin) for skin in skins if self._chosen_by_cameras(skin.drawable)]
+        self._skins = [skin for skin in skins if not self._chosen_by_cameras(skin.drawable)]
+        light = [person.light for person in self._people]
+        self.scene = RenderScene(self._meshes, self._instances, deformable=[s.mesh for s in skins + light])
+        self._find_movers()
+
+    def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
+        """An instance of drawable ``index``; returns the number of its mesh."""
+        if not shared or id(mesh) not in self._slots:
+            self._slots[id(mesh)] = len(self._meshes)
+            self._meshes.append(mesh)
+        slot, drawable = self._slots[id(mesh)], self.replay.drawables[index]
+        matrix = np.eye(4) if drawable.deformable else drawable.matrix.astype(np.float64)
+        self._instances.append(
+            RenderInstance(
+                mesh=slot, matrix=matrix, semantic_id=drawable.semantic_id, layer=drawable.layer, name=drawable.name,
+                id=index,
+            )
+        )  # fmt: skip
+        return slot
+
+    def _chosen_by_cameras(self, index: int) -> bool:
+        return self.replay.detail is None and isinstance(self.replay.tracks[index], PersonTrack)
+
+    def _person(self, full: _Skin) -> _Person:
+        track = self.replay.tracks[full.drawable]
+        assert isinstance(track, PersonTrack)
+        body = self.replay.model(track.agent)
+        assert isinstance(body, Humanoid)
+        instance = len(self._instances)
+        mesh = self._add(full.drawable, body.lod_mesh, shared=False)
+        return _Person(body, track.agent, full, _Skin(full.drawable, instance, mesh))
+
+    def _find_movers(self) -> None:
+        """Tables of what moves, so that a step is posed by a few array operations."""
+        tracks = list(enumerate(self.replay.tracks))
+        bodies = [(i, t) for i, t in tracks if isinstance(t, BodyTrack)]
+        self._bodies = np.array([i for i, _ in bodies], np.intp)
+        self._columns = np.array([t.column for _, t in bodies], np.intp)
+        self._scales = np.array([t.scale for _, t in bodies], np.float64).reshape(-1, 1, 3)
+        links = [(i, t) for i, t in tracks if isinstance(t, LinkTrack)]
+        self._robots = [
+            (agent, np.array([i for i, t in links if t.agent == agent]), [t.link for _, t in links if t.agent == agent])
+            for agent in sorted({t.agent for _, t in links})
+        ]
+
+    # --- drawing ------------------------------------------------------------------------------------------------------
+    def renderer(self) -> Renderer:
+        """A renderer for one thread, to be given to `draw`."""
+        return Renderer(self.scene)
+
+    def draw(
+        self, renderer: Renderer, step: int, cameras: Sequence[Camera], *, outputs: Sequence[Output],
+        samples: Literal[1, 4] = 1,
+    ) -> Pictures:  # fmt: skip
+        """What each camera sees at ``step``, from what a renderer of this stage draws."""
+        if len(self._bodies):
+            poses = self.replay.recording.columns["object_pose"][step, self._columns]
+            matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is not there
+            matrices[:, :3, :3] *= self._scales
+            renderer.set_transforms(self._bodies, matrices)
+        for agent, instances, links in self._robots:
+            renderer.set_transforms(instances, self.replay.link_matrices(agent)[step, links])
+        rows = np.array([step])
+        for skin in self._skins:
+            _deform(renderer, skin, self.replay.vertices(skin.drawable, rows)[0])
+        people = [(person, self.replay.joint_matrices(person.agent, rows)) for person in self._people]
+        posed: set[_Skin] = set()
+        pictures = []
+        for camera in cameras:
+            for person, joints in people:
+                _show(renderer, person, joints, camera, posed)
+            pictures.append(renderer.render(camera, outputs=outputs, samples=samples))
+        return pictures
+
+    def frames(
+        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output], samples: Literal[1, 4],
+        threads: int,
+    ) -> Iterator[tuple[int, Pictures]]:  # fmt: skip
+        """As `Replay.frames`."""
+        local = threading.local()
+
+        def draw(step: int) -> Pictures:
+            if not hasattr(local, "renderer"):
+                local.renderer = self.renderer()
+            cameras = [track.at(step) for track in tracks]
+            return self.draw(local.renderer, step, cameras, outputs=outputs, samples=samples)
+
+        if threads <= 1:
+            for step in steps:
+                yield step, draw(step)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            ahead, pending, todo = 2 * threads, [], list(steps)
+            try:
+                while todo or pending:
+                    while todo and len(pending) < ahead:
+                        pending.append((todo[0], pool.submit(draw, todo.pop(0))))
+                    step, future = pending.pop(0)
+                    yield step, future.result()
+            finally:
+                for _, future in pending:
+                    future.cancel()
+
+
+def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin]) -> None:
+    """Show the mesh that ``camera`` needs of a person with joint frames [1, 55, 4, 4]; ``posed`` ones have their shape."""
+    there = bool(np.isfinite(joints).all())
+    distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min() if there else 0.0
+    light = person.body.light_enough(camera.fx, distance)
+    renderer.set_visible([person.full.instance, person.light.instance], [there and not light, there and light])
+    skin = person.light if light else person.full
+    if there and skin not in posed:
+        posed.add(skin)
+        renderer.set_vertices(skin.mesh, person.body.skin(joints, lod=light)[0])
+
+
+def _deform(renderer: Renderer, skin: _Skin, vertices: NDArray[np.float32]) -> None:
+    there = bool(np.isfinite(vertices).all())
+    renderer.set_visible([skin.instance], there)
+    if there:
+        renderer.set_vertices(skin.mesh, vertices)
