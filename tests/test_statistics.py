@@ -1,4 +1,4 @@
-"""Intervals against scipy.stats."""
+"""Intervals and adjusted p values against scipy.stats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 from h3data.errors import InputError
-from h3data.metrics import bootstrap_interval, t_interval, wilson_interval
+from h3data.metrics import adjust_p_values, bootstrap_interval, over_seeds, t_interval, wilson_interval
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 20), (20, 20), (3, 7), (451, 500), (702, 1000)])
@@ -63,3 +63,42 @@ def test_nonsense_is_refused():
         t_interval([1.0, 2.0], confidence=95)
     with pytest.raises(InputError, match="shape"):
         bootstrap_interval([[1.0, 2.0]])
+
+
+@pytest.mark.parametrize("method", ["holm", "bonferroni", "benjamini-hochberg", "none"])
+def test_adjusted_p_values_are_ordered_and_never_smaller(method):
+    p = np.random.default_rng(4).random(25) ** 3
+    adjusted = adjust_p_values(p, method=method)
+    assert (adjusted >= p).all()
+    assert (adjusted <= 1).all()
+    assert (np.diff(adjusted[np.argsort(p)]) >= 0).all()
+    shuffled = np.random.default_rng(5).permutation(25)
+    np.testing.assert_array_equal(adjust_p_values(p[shuffled], method=method), adjusted[shuffled])
+
+
+def test_adjusted_p_values_by_hand():
+    p = [0.01, 0.04, 0.03, math.nan]
+    assert adjust_p_values(p, method="holm")[:3] == pytest.approx([0.03, 0.06, 0.06])
+    assert adjust_p_values(p, method="bonferroni")[:3] == pytest.approx([0.03, 0.12, 0.09])
+    assert math.isnan(adjust_p_values(p)[3])
+    values = np.random.default_rng(6).random(40)
+    np.testing.assert_allclose(
+        adjust_p_values(values, method="benjamini-hochberg"), scipy.stats.false_discovery_control(values)
+    )
+    assert adjust_p_values([]).shape == (0,)
+
+
+def test_seeds():
+    summary = over_seeds([0.9, 0.94, math.nan, 0.95])
+    assert (summary.mean, summary.std, summary.seeds) == pytest.approx((0.93, 0.0264575, 3), rel=1e-5)
+    assert (summary.low, summary.high) == t_interval([0.9, 0.94, 0.95])
+    assert str(summary) == "0.93 ± 0.026"
+    assert math.isnan(over_seeds([0.5]).std)
+    assert math.isnan(over_seeds([]).mean)
+
+
+def test_bad_p_values_are_refused():
+    with pytest.raises(InputError, match="between 0 and 1"):
+        adjust_p_values([0.2, 1.2])
+    with pytest.raises(InputError, match="'fdr'"):
+        adjust_p_values([0.2], method="fdr")  # type: ignore[arg-type]

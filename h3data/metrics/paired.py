@@ -1,0 +1,203 @@
+"""Two runs on the same episodes: paired tests, intervals of the difference, effect sizes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics.statistics import adjust_p_values, bootstrap_interval
+
+if TYPE_CHECKING:
+    from h3data.metrics.table import MetricsTable
+
+PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
+
+_RESAMPLES = 10_000
+_BLOCK = 2_000_000
+"""Random signs drawn at once."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairedComparison:
+    """``first - second`` over the episodes that both define."""
+
+    first_mean: float
+    second_mean: float
+    difference: float
+    low: float
+    """Lower end of the bootstrap interval of the mean difference over episodes."""
+    high: float
+    p: float
+    """Two-sided; NaN below two pairs."""
+    p_adjusted: float
+    """For all metrics compared together; equals ``p`` of a single one."""
+    method: str
+    effect: float
+    """See ``effect_name``; positive where the first is larger; NaN if undefined."""
+    effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
+    pairs: int
+    undefined: int
+    """Episodes that one of the two or both do not define."""
+
+
+def compare_paired(
+    first: Mapping[str, float],
+    second: Mapping[str, float],
+    *,
+    method: PairedMethod = "auto",
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> PairedComparison:
+    """Compares one value per episode id of two runs.
+
+    Methods (each two-sided) and their effect sizes:
+    ``permutation``: random signs of the differences, 10,000 seeded draws; Cohen's d_z = mean / std of the differences.
+    ``t``: Student's paired t test; d_z.
+    ``wilcoxon``: signed ranks; matched-pairs rank-biserial correlation (Kerby 2014), zeros left out.
+    ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
+    ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
+
+    Raises:
+        InputError: the runs hold different episodes; the message names them.
+    """
+    _check_same_episodes(first, second)
+    a = np.array([first[k] for k in first], np.float64)
+    b = np.array([second[k] for k in first], np.float64)
+    both = ~(np.isnan(a) | np.isnan(b))
+    undefined = int((~both).sum())
+    a, b = a[both], b[both]
+    binary = bool(len(a)) and bool(np.isin(np.append(a, b), (0, 1)).all())
+    if method == "auto":
+        method = "mcnemar" if binary else "permutation"
+    if method == "mcnemar" and len(a) and not binary:
+        raise InputError("McNemar's test compares 0/1 values; these are others. Hint: method='permutation'.")
+    if method not in _TESTS:
+        raise InputError(f"Expected a method of auto, {', '.join(_TESTS)}, got {method!r}.")
+    name, test, effect_name = _TESTS[method]
+    d = a - b
+    p, effect = test(d, seed) if len(d) > 1 else (float("nan"), float("nan"))
+    low, high = bootstrap_interval(d, confidence=confidence, seed=seed)
+    nothing = not len(d)
+    return PairedComparison(
+        first_mean=float("nan") if nothing else float(a.mean()),
+        second_mean=float("nan") if nothing else float(b.mean()),
+        difference=float("nan") if nothing else float(d.mean()),
+        low=low,
+        high=high,
+        p=p,
+        p_adjusted=p,
+        method=name,
+        effect=effect,
+        effect_name=effect_name,
+        pairs=len(d),
+        undefined=undefined,
+    )
+
+
+def compare_runs(
+    first: MetricsTable,
+    second: MetricsTable,
+    *,
+    metrics: Sequence[str] | None = None,
+    adjust: Literal["holm", "bonferroni", "benjamini-hochberg", "none"] = "holm",
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> dict[str, PairedComparison]:
+    """Paired comparison of every metric (or ``metrics``) of two tables over the same episodes, p values adjusted together."""
+    if first.profile != second.profile:
+        raise InputError(f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.")
+    names = list(metrics) if metrics is not None else list(first.columns)
+    unknown = [n for n in names if n not in first.columns]
+    if unknown:
+        raise InputError(f"No metric {', '.join(map(repr, unknown))}. There are: {', '.join(first.columns)}.")
+    for table, which in ((first, "first"), (second, "second")):
+        twice = sorted(e for e, times in Counter(table.episode_ids).items() if times > 1)
+        if twice:
+            raise InputError(f"Expected each episode once; the {which} run repeats {_some(twice)}.")
+    results = {
+        name: compare_paired(
+            dict(zip(first.episode_ids, map(float, first.columns[name]), strict=True)),
+            dict(zip(second.episode_ids, map(float, second.columns[name]), strict=True)),
+            confidence=confidence,
+            seed=seed,
+        )
+        for name in names
+    }
+    adjusted = adjust_p_values([r.p for r in results.values()], method=adjust)
+    return {name: replace(r, p_adjusted=float(p)) for (name, r), p in zip(results.items(), adjusted, strict=True)}
+
+
+def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
+    random = np.random.default_rng(seed)
+    observed, extreme = abs(d.sum()), 0
+    per_block = max(1, _BLOCK // len(d))
+    for start in range(0, _RESAMPLES, per_block):
+        rows = min(per_block, _RESAMPLES - start)
+        signs = random.integers(0, 2, (rows, len(d)), np.int8) * 2 - 1
+        extreme += int((np.abs(signs @ d) >= observed * (1 - 1e-12)).sum())
+    return (extreme + 1) / (_RESAMPLES + 1), _cohen(d)
+
+
+def _student(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
+    from scipy.special import stdtr
+
+    spread = d.std(ddof=1)
+    if spread == 0:
+        return (1.0 if d[0] == 0 else 0.0), _cohen(d)
+    return float(2 * stdtr(len(d) - 1, -abs(d.mean()) / spread * np.sqrt(len(d)))), _cohen(d)
+
+
+def _wilcoxon(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
+    from scipy.stats import rankdata, wilcoxon
+
+    d = d[d != 0]
+    if not len(d):
+        return 1.0, 0.0
+    ranks = rankdata(np.abs(d))
+    result: Any = wilcoxon(d)
+    return float(result.pvalue), float((ranks * np.sign(d)).sum() / ranks.sum())
+
+
+def _mcnemar(d: NDArray[np.float64], _seed: int) -> tuple[float, float]:
+    from scipy.stats import binomtest
+
+    up, down = int((d > 0).sum()), int((d < 0).sum())
+    p = float(binomtest(up, up + down).pvalue) if up + down else 1.0
+    return p, (up + 0.5) / (down + 0.5)
+
+
+def _cohen(d: NDArray[np.float64]) -> float:
+    spread = d.std(ddof=1)
+    return float(d.mean() / spread) if spread > 0 else float("nan")
+
+
+_TESTS = {
+    "permutation": ("permutation", _permutation, "Cohen's d_z"),
+    "t": ("paired t", _student, "Cohen's d_z"),
+    "wilcoxon": ("Wilcoxon signed-rank", _wilcoxon, "rank-biserial correlation"),
+    "mcnemar": ("exact McNemar", _mcnemar, "odds ratio"),
+}
+
+
+def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]) -> None:
+    only_first, only_second = [k for k in first if k not in second], [k for k in second if k not in first]
+    if only_first or only_second:
+        raise InputError(
+            f"A paired comparison needs the same episodes in both runs. Only in the first: {_some(only_first)}. "
+            f"Only in the second: {_some(only_second)}."
+        )
+    if not first:
+        raise InputError("The runs have no episodes.")
+
+
+def _some(names: Sequence[str], most: int = 5) -> str:
+    if not names:
+        return "none"
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -1,0 +1,120 @@
+"""How often a planned study would find the differences that are expected: simulate it, fit it, count."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics.glmm_design import Family
+from h3data.metrics.mixed_models import fit_glmm
+from h3data.metrics.posthoc import Adjustment, contrasts, marginal_means
+from h3data.metrics.statistics import wilson_interval
+from h3data.metrics.study import Session, study_rows
+
+_GROUPS = ("participant", "scene", "observation")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Power:
+    """Share of simulated studies that find a difference between two conditions."""
+
+    first: str
+    second: str
+    power: float
+    low: float
+    """Lower end of the Wilson interval: simulation error only."""
+    high: float
+    runs: int
+    failed: int
+    """Runs without a converged fit (separation, for one); counted as finding nothing."""
+
+
+def simulate_study(
+    sessions: Sequence[Session],
+    means: Mapping[str, float],
+    family: Family,
+    *,
+    deviations: Mapping[Literal["participant", "scene", "observation"], float],
+    seed: int = 0,
+) -> dict[str, NDArray[Any]]:
+    """Columns of a study as `study_rows`, and ``response`` drawn from the mixed model.
+
+    Args:
+        sessions: From `plan_sessions`.
+        means: Expected steps or rate of a typical participant in a typical scene, by condition.
+        family: ``poisson`` (log link) or ``binomial`` (logit link, one trial per row).
+        deviations: Standard deviations on the link scale of participants, scenes and, beyond the family, single episodes.
+        seed: Same seed, same study.
+    """
+    table: dict[str, NDArray[Any]] = {name: np.array(column) for name, column in study_rows(sessions).items()}
+    unknown = [name for name in deviations if name not in _GROUPS]
+    if unknown or any(not value >= 0 for value in deviations.values()):
+        raise InputError(f"Expected deviations >= 0 of {', '.join(_GROUPS)}, got {dict(deviations)}.")
+    wanted = sorted(set(table["condition"].tolist()))
+    if sorted(means) != wanted:
+        raise InputError(f"Expected a mean of each condition ({', '.join(wanted)}), got {', '.join(sorted(means))}.")
+    ends = (0, np.inf) if family == "poisson" else (0, 1)
+    if not all(ends[0] < m < ends[1] for m in means.values()):
+        raise InputError(f"Expected means between {ends[0]} and {ends[1]} for the {family} family, got {dict(means)}.")
+    random = np.random.default_rng(seed)
+    mean = np.array([means[c] for c in table["condition"]])
+    eta = np.log(mean) if family == "poisson" else np.log(mean / (1 - mean))
+    for name in ("participant", "scene"):
+        levels, codes = np.unique(table[name], return_inverse=True)
+        eta += deviations.get(name, 0.0) * random.standard_normal(len(levels))[codes]
+    eta += deviations.get("observation", 0.0) * random.standard_normal(len(eta))
+    if family == "poisson":
+        table["response"] = random.poisson(np.exp(eta))
+    else:
+        table["response"] = (random.random(len(eta)) < 1 / (1 + np.exp(-eta))).astype(np.int64)
+    return table
+
+
+def simulate_power(
+    sessions: Sequence[Session],
+    means: Mapping[str, float],
+    family: Family,
+    *,
+    deviations: Mapping[Literal["participant", "scene", "observation"], float],
+    runs: int = 100,
+    alpha: float = 0.05,
+    adjust: Adjustment = "tukey",
+    seed: int = 0,
+) -> tuple[Power, ...]:
+    """Power of each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``, ``runs`` times.
+
+    Poisson models get the observation-level effect if the simulation has one. Takes about 0.1 to 0.3 s a run.
+    """
+    if runs < 1 or not 0 < alpha < 1:
+        raise InputError(f"Expected one run or more and 0 < alpha < 1, got {runs} and {alpha}.")
+    observation = family == "poisson" and deviations.get("observation", 0.0) > 0
+    levels = sorted(means)
+    found = {(a, b): 0 for k, a in enumerate(levels) for b in levels[k + 1 :]}
+    failed = 0
+    for run in range(runs):
+        table = simulate_study(sessions, means, family, deviations=deviations, seed=seed + run)
+        random = [name for name in ("participant", "scene") if len(np.unique(table[name])) > 1]
+        try:
+            fit = fit_glmm(
+                table, "response", family, fixed=["condition"], random=random, observation_effect=observation
+            )
+        except InputError as error:
+            if "Separation" not in str(error):
+                raise
+            failed += 1
+            continue
+        if not fit.converged:
+            failed += 1
+            continue
+        for c in contrasts(marginal_means(fit, "condition"), adjust=adjust):
+            found[c.first, c.second] += c.p < alpha
+    result = []
+    for (a, b), times in found.items():
+        low, high = wilson_interval(times, runs)
+        result.append(Power(first=a, second=b, power=times / runs, low=low, high=high, runs=runs, failed=failed))
+    return tuple(result)

@@ -1,0 +1,190 @@
+"""Planning a study with people: balanced orders of conditions, a session manifest per participant, anonymous ids."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import math
+import os
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+
+_SHORTEST_KEY = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Episodes that a participant does in a row under one condition in one scene."""
+
+    condition: str
+    scene: str
+    episodes: tuple[str, ...]
+    """Ids, in order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """All that one participant does, in order: training, then the blocks. The manifest that a session client reads."""
+
+    study: str
+    participant: str
+    """Anonymous id."""
+    training: tuple[str, ...]
+    """Episode ids of the first block's scene, not counted; no later episode repeats them."""
+    blocks: tuple[Block, ...]
+    format: Literal["h3data/session@1"] = "h3data/session@1"
+
+
+def latin_square(conditions: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Orders of ``conditions``, N of an even number N, 2 N of an odd one, balanced for position and for what comes before.
+
+    Each condition is equally often at each position, and follows each other condition equally often (J. V. Bradley 1958,
+    "Complete Counterbalancing of Immediate Sequential Effects in a Latin Square Design").
+    """
+    count = len(conditions)
+    if count < 2 or len(set(conditions)) != count:
+        raise InputError(f"Expected two or more different conditions, got {list(conditions)}.")
+    zigzag = [(k + 1) // 2 if k % 2 else (count - k // 2) % count for k in range(count)]  # 0 1 n-1 2 n-2 ...
+    rows = [[(k + shift) % count for k in zigzag] for shift in range(count)]
+    if count % 2:
+        rows += [row[::-1] for row in rows]
+    return tuple(tuple(conditions[k] for k in row) for row in rows)
+
+
+def plan_sessions(
+    participants: int | Sequence[str],
+    conditions: Sequence[str],
+    episodes: Mapping[str, Sequence[str]],
+    *,
+    episodes_per_condition: int = 10,
+    training_episodes: int = 1,
+    study: str = "study",
+    seed: int = 0,
+) -> tuple[Session, ...]:
+    """One session per participant: every condition once, each in one scene, no episode twice for the same person.
+
+    Orders come from `latin_square`, dealt in turn, so that they balance whenever the participants are a multiple of their
+    number. Scenes rotate over participants and conditions: participant and scene are crossed, not nested. Who gets which
+    order and which episodes is drawn with ``seed``.
+
+    Args:
+        participants: Ids (see `anonymous_id`), or their number: then P01, P02, ...
+        conditions: E.g. solo, learn_single, plan_pop3.
+        episodes: Episode ids by scene.
+        episodes_per_condition: Of each block.
+        training_episodes: Before the first block, in its scene.
+        study: Name that the manifests carry.
+        seed: Same seed, same plan.
+
+    Raises:
+        InputError: a repeated id, or a scene with too few episodes.
+    """
+    if isinstance(participants, int):
+        width = max(2, len(str(participants)))
+        people = [f"P{k:0{width}d}" for k in range(1, participants + 1)]
+    else:
+        people = list(participants)
+    if not people or len(set(people)) != len(people):
+        raise InputError(f"Expected different participants, one or more, got {people}.")
+    if not episodes or episodes_per_condition < 1 or training_episodes < 0:
+        raise InputError(
+            "Expected at least one scene, one episode per condition, and no negative number of training episodes."
+        )
+    for scene, ids in episodes.items():
+        if len(set(ids)) != len(ids):
+            raise InputError(f"Scene {scene!r} holds the same episode id twice.")
+    orders, scenes = latin_square(conditions), list(episodes)
+    cycle = math.lcm(len(orders), len(scenes))
+    random = np.random.default_rng(seed)
+    dealt = random.permutation(len(people)).tolist()
+    sessions: dict[str, Session] = {}
+    for turn, who in enumerate(dealt):
+        left: dict[str, list[str]] = {
+            scene: [str(e) for e in random.permutation(list(ids))] for scene, ids in episodes.items()
+        }
+        order = orders[turn % len(orders)]
+        # The shift after each cycle lets every order meet every scene.
+        offset = turn + turn // cycle
+        places = [scenes[(offset + conditions.index(c)) % len(scenes)] for c in order]
+        training = _take(left, places[0], training_episodes)
+        blocks = tuple(
+            Block(condition=c, scene=scene, episodes=_take(left, scene, episodes_per_condition))
+            for c, scene in zip(order, places, strict=True)
+        )
+        name = people[who]
+        sessions[name] = Session(study=study, participant=name, training=training, blocks=blocks)
+    return tuple(sessions[name] for name in people)
+
+
+def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
+    """One row per planned episode: participant, condition, scene, episode, block (from 1) and trial (from 1, overall)."""
+    rows = [
+        (s.participant, b.condition, b.scene, e, k + 1, sum(len(x.episodes) for x in s.blocks[:k]) + j + 1)
+        for s in sessions
+        for k, b in enumerate(s.blocks)
+        for j, e in enumerate(b.episodes)
+    ]
+    names = ("participant", "condition", "scene", "episode", "block", "trial")
+    return {name: list(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}  # type: ignore[misc]
+
+
+def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) -> list[Path]:
+    """Writes a manifest ``<participant>.json`` per session; the folder must exist."""
+    import msgspec
+
+    paths = [Path(folder) / f"{s.participant}.json" for s in sessions]
+    bad = [s.participant for s in sessions if Path(s.participant).name != s.participant]
+    if bad:
+        raise InputError(f"A participant's id becomes a file name; {bad[0]!r} cannot. Hint: anonymous_id.")
+    for session, path in zip(sessions, paths, strict=True):
+        with part_file(path) as part:
+            part.write_bytes(msgspec.json.format(msgspec.json.encode(session), indent=2) + b"\n")
+    return paths
+
+
+def read_session(path: str | os.PathLike[str]) -> Session:
+    """The session of a manifest."""
+    import msgspec
+
+    try:
+        return msgspec.json.decode(Path(path).read_bytes(), type=Session)
+    except OSError as error:
+        raise InputError(f"Cannot read the session manifest: {error.strerror}. File: {path}") from error
+    except msgspec.DecodeError as error:
+        raise FormatError(f"Expected a session manifest (h3data/session@1): {error}. File: {path}") from error
+
+
+def anonymous_id(person: str, *, key: bytes) -> str:
+    """``P-`` and ten letters or digits that stand for ``person`` (an e-mail address, say): the same key, the same id.
+
+    HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
+    whose id it is, not even by trying names: keep the key away from the data, and delete it to make the ids final.
+    """
+    if len(key) < _SHORTEST_KEY:
+        raise InputError(
+            f"Expected a key of {_SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32)."
+        )
+    text = unicodedata.normalize("NFKC", person).strip().casefold()
+    if not text:
+        raise InputError("Expected a person's name or address, got an empty text.")
+    digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
+    return "P-" + base64.b32encode(digest).decode()[:10]
+
+
+def _take(left: dict[str, list[str]], scene: str, count: int) -> tuple[str, ...]:
+    if len(left[scene]) < count:
+        raise InputError(
+            f"Scene {scene!r} has too few episodes: nobody may see one twice. Hint: more episodes or scenes, or fewer "
+            "episodes per condition or for training."
+        )
+    taken, left[scene] = left[scene][:count], left[scene][count:]
+    return tuple(taken)

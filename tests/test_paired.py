@@ -1,0 +1,149 @@
+"""Two runs on the same episodes: tests against scipy.stats, effect sizes, and runs that cannot be paired."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from h3data.errors import InputError
+from h3data.metrics import MetricsTable, compare_paired, compare_runs
+
+
+def runs(n: int = 30, shift: float = 0.4, seed: int = 0) -> tuple[dict[str, float], dict[str, float]]:
+    random = np.random.default_rng(seed)
+    first = random.normal(2, 1, n)
+    second = first - shift + random.normal(0, 0.8, n)
+    return (
+        {f"e{k}": float(v) for k, v in enumerate(first)},
+        {f"e{k}": float(second[k]) for k in reversed(range(n))},
+    )
+
+
+def arrays(first, second):
+    return np.array(list(first.values())), np.array([second[k] for k in first])
+
+
+def test_t():
+    first, second = runs()
+    a, b = arrays(first, second)
+    got, expected = compare_paired(first, second, method="t"), scipy.stats.ttest_rel(a, b)
+    assert got.p == pytest.approx(expected.pvalue)
+    assert got.effect == pytest.approx((a - b).mean() / (a - b).std(ddof=1))
+    assert (got.first_mean, got.second_mean, got.difference) == pytest.approx((a.mean(), b.mean(), (a - b).mean()))
+    assert got.low < got.difference < got.high
+    assert (got.pairs, got.undefined) == (30, 0)
+
+
+def test_permutation_agrees_with_scipy_and_is_the_default():
+    first, second = runs()
+    a, b = arrays(first, second)
+    got = compare_paired(first, second)
+    expected = scipy.stats.permutation_test(
+        (a, b), lambda x, y, axis: np.mean(x - y, axis=axis), permutation_type="samples", vectorized=True
+    )
+    assert got.method == "permutation"
+    assert got.p == pytest.approx(expected.pvalue, abs=0.01)
+    assert compare_paired(first, second, seed=0) == got
+
+
+def test_permutation_of_few_pairs_is_near_the_exact_share():
+    """All of 4 differences positive: 2 of 16 sign patterns are as extreme."""
+    got = compare_paired(dict.fromkeys("abcd", 2.0), {"a": 1.0, "b": 0.5, "c": 1.5, "d": 0.1}, method="permutation")
+    assert got.p == pytest.approx(2 / 16, abs=0.02)
+
+
+def test_wilcoxon():
+    first, second = runs()
+    first["e0"] = second["e0"]
+    a, b = arrays(first, second)
+    got = compare_paired(first, second, method="wilcoxon")
+    assert got.p == pytest.approx(scipy.stats.wilcoxon(a[1:], b[1:]).pvalue)
+    assert -1 <= got.effect <= 1
+    every = compare_paired({k: v + 5 for k, v in second.items()}, second, method="wilcoxon")
+    assert every.effect == 1
+
+
+def test_mcnemar_of_0_1_values():
+    first = {str(k): float(k < 12) for k in range(20)}
+    second = {str(k): float(k < 3 or k == 19) for k in range(20)}
+    got = compare_paired(first, second)
+    assert got.method == "exact McNemar"
+    assert got.p == pytest.approx(scipy.stats.binomtest(9, 10).pvalue)
+    assert got.effect == pytest.approx(9.5 / 1.5)
+    assert got.difference == pytest.approx(8 / 20)
+
+
+@pytest.mark.parametrize("method", ["permutation", "t", "wilcoxon", "mcnemar"])
+def test_swapping_the_runs_swaps_the_signs(method):
+    first, second = runs(12)
+    if method == "mcnemar":
+        first, second = ({k: float(v > 1.5) for k, v in run.items()} for run in (first, second))
+    ahead, back = compare_paired(first, second, method=method), compare_paired(second, first, method=method)
+    assert ahead.difference == pytest.approx(-back.difference)
+    assert ahead.p == pytest.approx(back.p, abs=0.01)
+    assert ahead.effect == pytest.approx(1 / back.effect if method == "mcnemar" else -back.effect)
+
+
+@pytest.mark.parametrize("method", ["permutation", "t", "wilcoxon"])
+def test_equal_runs_do_not_differ(method):
+    first, _ = runs(10)
+    got = compare_paired(first, dict(first), method=method)
+    assert (got.p, got.difference) == (1.0, 0.0)
+
+
+def test_undefined_episodes_are_left_out_and_counted():
+    first, second = runs(10)
+    first["e3"] = math.nan
+    second["e7"] = math.nan
+    got = compare_paired(first, second)
+    assert (got.pairs, got.undefined) == (8, 2)
+    empty = compare_paired({"a": math.nan}, {"a": 1.0})
+    assert empty.pairs == 0
+    assert all(math.isnan(v) for v in (empty.p, empty.difference, empty.first_mean, empty.low))
+
+
+def test_different_episodes_are_named():
+    first, second = runs(8)
+    del first["e2"], first["e4"]
+    second.pop("e7")
+    with pytest.raises(InputError, match=r"Only in the first: e7. Only in the second: e4, e2"):
+        compare_paired(first, second)
+    with pytest.raises(InputError, match=r"e0, e1, e2, e3, e4 and 3 more. Only in the second: none"):
+        compare_paired({f"e{k}": 1.0 for k in range(9)}, {"e8": 1.0})
+    with pytest.raises(InputError, match="no episodes"):
+        compare_paired({}, {})
+
+
+def test_nonsense_is_refused():
+    with pytest.raises(InputError, match="McNemar's test compares 0/1"):
+        compare_paired({"a": 2.0}, {"a": 1.0}, method="mcnemar")
+    with pytest.raises(InputError, match="'anova'"):
+        compare_paired({"a": 2.0}, {"a": 1.0}, method="anova")  # type: ignore[arg-type]
+
+
+def table(ids, **columns) -> MetricsTable:
+    """What `compare_runs` reads of a table."""
+    values = {k: np.asarray(v, np.float64) for k, v in columns.items()}
+    return cast(MetricsTable, SimpleNamespace(profile="paper", episode_ids=tuple(ids), columns=values))
+
+
+def test_all_metrics_of_two_tables_together():
+    ids = [f"e{k}" for k in range(20)]
+    random = np.random.default_rng(0)
+    td = random.normal(3, 1, 20)
+    first = table(ids, S=[1.0] * 20, TD=td)
+    second = table(ids[::-1], S=[0.0] * 9 + [1.0] * 11, TD=td[::-1] + random.normal(0, 0.1, 20))
+    got = compare_runs(first, second)
+    assert got["S"].method == "exact McNemar"
+    assert got["S"].p_adjusted == pytest.approx(2 * got["S"].p)
+    assert got["TD"].p_adjusted == pytest.approx(max(got["TD"].p, 2 * got["S"].p))
+    assert compare_runs(first, second, metrics=["TD"])["TD"].p_adjusted == got["TD"].p
+    with pytest.raises(InputError, match=r"No metric 'XX'. There are: S, TD"):
+        compare_runs(first, second, metrics=["XX"])
+    with pytest.raises(InputError, match="the second run repeats e0"):
+        compare_runs(first, table(["e0", *ids[:-1]], S=[1.0] * 20, TD=td))
