@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import json
 import math
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def recording(robot_x, human_x, *, heading=0.0, info=LIMIT, agents=(ROBOT, HUMAN
         **columns,
     }
     return Recording(
-        episode=Episode(uid="u", episode_id="e", task="social_nav", scene="none", info=info),
+        episode=Episode(uid=str(uuid.uuid4()), episode_id="e", task="social_nav", scene="none", info=info),
         agents=agents,
         columns={k: v for k, v in every.items() if k not in drop},
     )
@@ -222,7 +223,7 @@ def test_registry_and_results_agree():
         assert low <= result.values[metric.name] <= high
     with pytest.raises(InputError, match="paper/social_nav/S@1"):
         find_metric("nope")
-    with pytest.raises(InputError, match="Available: paper"):
+    with pytest.raises(InputError, match="Available: paper, habitat"):
         measure(recording(np.zeros(2), np.ones(2)), profile="habitat7")
 
 
@@ -352,9 +353,8 @@ def test_metrics_do_not_depend_on_where_the_home_stands(seed, turn, shift):
 
 
 def test_a_table_of_episodes():
-    found = recording(np.zeros(4), np.full(4, 1.5))
-    lost = recording(np.zeros(4), np.full(4, 6.0))
-    table = measure_many(r for r in [found, lost, found, found])
+    gaps = [1.5, 6.0, 1.5, 1.5]
+    table = measure_many(recording(np.zeros(4), np.full(4, gap)) for gap in gaps)
     assert len(table) == 4
     assert table.columns["S"].tolist() == [1, 0, 1, 1]
     summary = table.summary()

@@ -1,79 +1,41 @@
 """What an episode was worth: task metrics of recordings, from their columns alone."""
 
-from h3data.metrics.mixed_models import GlmmFit, fit_glmm
-from h3data.metrics.paired import PairedComparison, compare_paired, compare_runs
-from h3data.metrics.posthoc import (
-    Contrast,
-    MarginalMeans,
-    RelativeEfficiency,
-    contrasts,
-    contrasts_text,
-    marginal_means,
-    relative_efficiency,
+from h3data.metrics.explaining import explain, explain_episode, list_metrics
+from h3data.metrics.metric import EpisodeMetrics, Metric, MissingColumnsError, find_agents
+from h3data.metrics.registry import (
+    PROFILES,
+    Profile,
+    all_metrics,
+    find_metric,
+    find_profile,
+    measure,
+    metrics_of,
+    series_of,
 )
-from h3data.metrics.power import Power, simulate_power, simulate_study
-from h3data.metrics.registry import PROFILES, Metric, explain, find_metric, metrics_of
-from h3data.metrics.social_nav import EpisodeMetrics, find_agents, measure
-from h3data.metrics.statistics import (
-    SeedSummary,
-    adjust_p_values,
-    bootstrap_interval,
-    over_seeds,
-    t_interval,
-    wilson_interval,
-)
-from h3data.metrics.study import (
-    Block,
-    Session,
-    anonymous_id,
-    latin_square,
-    plan_sessions,
-    read_session,
-    study_rows,
-    write_sessions,
-)
+from h3data.metrics.statistics import bootstrap_interval, t_interval, wilson_interval
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
 
 __all__ = [
     "PROFILES",
-    "Block",
-    "Contrast",
     "EpisodeMetrics",
-    "GlmmFit",
-    "MarginalMeans",
     "Metric",
     "MetricsTable",
-    "PairedComparison",
-    "Power",
-    "RelativeEfficiency",
-    "SeedSummary",
-    "Session",
+    "MissingColumnsError",
+    "Profile",
     "Summary",
-    "adjust_p_values",
-    "anonymous_id",
+    "all_metrics",
     "bootstrap_interval",
-    "compare_paired",
-    "compare_runs",
-    "contrasts",
-    "contrasts_text",
     "explain",
+    "explain_episode",
     "find_agents",
     "find_metric",
-    "fit_glmm",
-    "latin_square",
-    "marginal_means",
+    "find_profile",
+    "list_metrics",
     "measure",
     "measure_many",
     "metrics_of",
-    "over_seeds",
-    "plan_sessions",
-    "read_session",
-    "relative_efficiency",
-    "simulate_power",
-    "simulate_study",
-    "study_rows",
+    "series_of",
     "t_interval",
     "tabulate",
     "wilson_interval",
-    "write_sessions",
 ]

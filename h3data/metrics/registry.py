@@ -1,217 +1,167 @@
-"""The metrics there are, in words: what each is, its formula and unit, and where it comes from.
+"""Which profiles there are, and how a recording finds its metrics.
 
-These records are data for people (`docs/metrics.md`, tables, ``h3data metrics explain``). The computation is in
-`h3data.metrics.social_nav`; a change of meaning gets a new version behind the ``@``.
+A profile is one way to define the metrics of a task: `paper` (as published), `habitat` and `habitat@0.3.0` (as that
+code computes them), `field` (what social navigation papers report), `partnr`. A profile may hold metrics of several
+tasks; the task of the recording decides.
 """
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
 from h3data.errors import InputError
+from h3data.metrics.metric import EpisodeMetrics, Metric, Series
+from h3data.recording.records import Recording
 
-Direction = Literal["higher", "lower", "neither"]
+REARRANGE_TASKS = ("rearrange", "social_rearrange", "rearrangement")
+"""Values of `Episode.task` that mean rearrangement; all others are social navigation to profiles that know both."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Metric:
-    """One metric of one profile."""
+class Profile:
+    """The metrics of one task by one definition. Their module is imported at first use."""
 
-    id: str
-    """``profile/task/name@version``."""
     name: str
-    """Key in results: ``S``."""
+    task: str
+    """``social_nav``, ``rearrange``, or ``any``."""
     title: str
-    formula: str
-    unit: str
-    """``1`` for ratios."""
-    range: tuple[float, float]
-    direction: Direction
-    """Which way is better; ``neither`` if the paper names none."""
-    source: str
-    columns: tuple[str, ...]
-    """Columns it reads; ``<robot>`` and ``<human>`` are agent numbers. ``info:<key>`` is a key of `Episode.info`."""
-    binary: bool = False
-    """0 or 1 per episode: its mean is a proportion and gets a Wilson interval."""
-    reading: str = ""
-    """How points that the source leaves open are read here."""
-    habitat: str = ""
-    """Where Habitat's code computes something else (spec/habitat.md 1.6)."""
+    module: str
+    """Module of `h3data.metrics` with ``<prefix>_metrics``, ``measure_<prefix>`` and ``<prefix>_series``."""
+    prefix: str
+    variant: str = ""
+    """Passed on to the module's functions, if it tells two profiles apart."""
 
     @property
-    def profile(self) -> str:
-        """Which definition it follows: ``paper``."""
-        return self.id.split("/")[0]
+    def metrics(self) -> tuple[Metric, ...]:
+        """Its metrics, in the order of tables."""
+        return self._call("{}_metrics")
 
-    @property
-    def task(self) -> str:
-        """Which task it belongs to: ``social_nav``."""
-        return self.id.split("/")[1]
+    def measure(self, recording: Recording) -> EpisodeMetrics:
+        """All its metrics of one recording."""
+        return self._call("measure_{}", recording)
+
+    def series(self, recording: Recording) -> Series:
+        """The per-row quantities and flags [T] that its metrics come from."""
+        return self._call("{}_series", recording)
+
+    def _call(self, pattern: str, *arguments: Recording):
+        function = getattr(importlib.import_module(f"h3data.metrics.{self.module}"), pattern.format(self.prefix))
+        return function(*arguments, **({"variant": self.variant} if self.variant else {}))
 
 
-_POSES = ("agent_<robot>.base_pose", "agent_<human>.base_pose")
-_FOUND = (*_POSES, "metrics.geodesic_agents")
-_FOUND_READING = (
-    "Found in row k: 1 <= distance <= 2 m, both ends included, and dot(f, u) > 0.5, where f is the robot's forward "
-    "vector and u the unit vector from robot to human, both on the floor plane. The distance is geodesic, as in the "
-    "paper's reward; without a geodesic column it is the L2 distance, and a note says so."
-)
-_ORACLE_READING = (
-    "l is the oracle's minimum number of steps, stored by the simulator as info:oracle_min_steps; a recording without "
-    "it has no {0}, unless the robot never finds the human: then {0} = 0 whatever l is."
-)
-
-PAPER_SOCIAL_NAV: tuple[Metric, ...] = (
-    Metric(
-        id="paper/social_nav/S@1",
-        name="S",
-        title="Finding success",
-        formula="S = 1 if a row k is found, else 0",
-        unit="1",
-        range=(0.0, 1.0),
-        direction="higher",
-        source="Habitat 3.0, section 4.1 'Metrics' (1); facing: appendix A.1",
-        columns=_FOUND,
-        binary=True,
-        reading=_FOUND_READING,
-        habitat="The same, but the state after reset counts as a step too.",
+_ALL = (
+    Profile(
+        name="paper",
+        task="social_nav",
+        title="Habitat 3.0 as published: social navigation",
+        module="social_nav",
+        prefix="social_nav",
     ),
-    Metric(
-        id="paper/social_nav/SPS@1",
-        name="SPS",
-        title="Finding success weighted by path steps",
-        formula="SPS = S * l / max(l, p), p = k + 1 with k the first found row",
-        unit="1",
-        range=(0.0, 1.0),
-        direction="higher",
-        source="Habitat 3.0, section 4.1 'Metrics' (2); l: appendix A.1 'Oracle for the Minimum Steps'",
-        columns=(*_FOUND, "info:oracle_min_steps"),
-        reading="Row k is the state after action k, counted from 0, so that finding in row k took p = k + 1 steps. "
-        + _ORACLE_READING.format("SPS"),
-        habitat=(
-            "Counts the state after reset as step 1, so p is one larger. With its default configuration l stays "
-            "infinite and SPS is always 0; l tests r <= i at every step, the paper r < i at equally spaced way points."
-        ),
+    Profile(
+        name="paper",
+        task="rearrange",
+        title="Habitat 3.0 as published: social rearrangement",
+        module="rearrangement",
+        prefix="rearrangement",
     ),
-    Metric(
-        id="paper/social_nav/F@1",
-        name="F",
-        title="Following rate",
-        formula="F = w / max(E - l, w), w = number of found rows; 0 if w = 0",
-        unit="1",
-        range=(0.0, 1.0),
-        direction="higher",
-        source="Habitat 3.0, section 4.1 'Metrics' (3)",
-        columns=(*_FOUND, "info:oracle_min_steps", "info:max_steps"),
-        reading=(
-            "w counts every row within 1-2 m and facing, the first one included; they need not be consecutive. E is "
-            "the longest duration that the task allows (info:max_steps, 1500 in the paper), not the duration of this "
-            "episode: one that ends early by a collision loses its remaining steps. " + _ORACLE_READING.format("F")
-        ),
-        habitat="w / (1500 - l): no maximum, 1500 even if the task allows another number; -0.0 while l is infinite.",
+    Profile(
+        name="habitat",
+        task="social_nav",
+        title="habitat-lab's main branch, bug for bug",
+        module="habitat",
+        prefix="habitat",
+        variant="habitat",
     ),
-    Metric(
-        id="paper/social_nav/CR@1",
-        name="CR",
-        title="Collision rate",
-        formula="CR = 1 if the robot touches the human in any row, else 0",
-        unit="1",
-        range=(0.0, 1.0),
-        direction="lower",
-        source="Habitat 3.0, section 4.1 'Metrics' (4)",
-        columns=("metrics.collision",),
-        binary=True,
-        reading=(
-            "The paper counts episodes that END in a collision; its episodes end at the first contact. A recording "
-            "that goes on after a contact counts too, and a note says so. Without the column CR is undefined: that "
-            "nobody noted a contact does not mean that there was none."
-        ),
-        habitat="num_agents_collide counts per episode; it equals CR only while the first contact ends the episode.",
+    Profile(
+        name="habitat@0.3.0",
+        task="social_nav",
+        title="habitat-lab 0.3.0, the paper's release, where it differs",
+        module="habitat",
+        prefix="habitat",
+        variant="habitat@0.3.0",
     ),
-    Metric(
-        id="paper/social_nav/BYR@1",
-        name="BYR",
-        title="Backup-yield rate",
-        formula="BYR = share of rows with d < 1.5 m and (robot moves backwards, or its speed < 0.1 m/s)",
-        unit="1",
-        range=(0.0, 1.0),
-        direction="neither",
-        source="Habitat 3.0, appendix 'Additional Metrics' (1)",
-        columns=("time_ns", *_POSES),
-        reading=(
-            "d is the L2 distance. The velocity of row k is the change of the robot's position since row k - 1; it "
-            "moves backwards if the part along its heading in row k - 1 is below -1 mm/s (less is rounding noise). "
-            "Row 0 has no velocity and counts as neither. The denominator is ALL rows: the paper's own heuristic "
-            "backs up whenever d < 1.5 m, so over near rows alone its published 0.24 would have to be close to 1."
-        ),
-        habitat=(
-            "d <= 1.5 m; a yield is anything below 1 'unit' = 0.25 m/s; backward is any negative rounding error, so "
-            "that a standing robot counts as backing up or yielding at random (their sum does not change)."
-        ),
+    Profile(
+        name="field",
+        task="any",
+        title="what papers on social navigation report: proxemics, efficiency, smoothness",
+        module="field",
+        prefix="field",
     ),
-    Metric(
-        id="paper/social_nav/TD@1",
-        name="TD",
-        title="Total distance",
-        formula="TD = mean of d over all rows",
-        unit="m",
-        range=(0.0, float("inf")),
-        direction="lower",
-        source="Habitat 3.0, appendix 'Additional Metrics' (2)",
-        columns=_POSES,
-        reading="d is the L2 distance of the two base positions in space. Rows in which an agent has no pose are left "
-        "out, and a note says how many.",
-        habitat="The same, with the state after reset as one more row.",
-    ),
-    Metric(
-        id="paper/social_nav/FD@1",
-        name="FD",
-        title="Following distance",
-        formula="FD = mean of d from the first found row on, that row included",
-        unit="m",
-        range=(0.0, float("inf")),
-        direction="lower",
-        source="Habitat 3.0, appendix 'Additional Metrics' (3)",
-        columns=_FOUND,
-        reading="d is the L2 distance. An episode in which the human is never found has no FD; the mean over episodes "
-        "is over those that have one.",
-        habitat="An episode in which the human is never found contributes 0, which pulls the mean down.",
+    Profile(
+        name="partnr",
+        task="any",
+        title="PARTNR's measures of people and robots tidying up together",
+        module="partnr",
+        prefix="partnr",
     ),
 )
+PROFILES: dict[str, tuple[Profile, ...]] = {
+    name: tuple(p for p in _ALL if p.name == name) for name in dict.fromkeys(p.name for p in _ALL)
+}
 
-PROFILES: dict[str, tuple[Metric, ...]] = {"paper": PAPER_SOCIAL_NAV}
+
+def find_profile(name: str, task: str = "social_nav") -> Profile:
+    """The profile of this name for recordings of a task; an `InputError` names the profiles there are."""
+    if name not in PROFILES:
+        raise InputError(f"No metrics profile {name!r}. Available: {', '.join(PROFILES)}.")
+    kind = "rearrange" if task in REARRANGE_TASKS else "social_nav"
+    for profile in PROFILES[name]:
+        if profile.task in ("any", kind):
+            return profile
+    raise InputError(
+        f"Profile {name!r} has no metrics of {kind}. Use one of: "
+        f"{', '.join(p.name for p in _ALL if p.task in ('any', kind))}."
+    )
 
 
-def metrics_of(profile: str) -> tuple[Metric, ...]:
-    """All metrics of a profile; an `InputError` names the profiles there are."""
-    if profile not in PROFILES:
-        raise InputError(f"No metrics profile {profile!r}. Available: {', '.join(PROFILES)}.")
-    return PROFILES[profile]
+def metrics_of(profile: str, task: str = "social_nav") -> tuple[Metric, ...]:
+    """All metrics of a profile for a task."""
+    return find_profile(profile, task).metrics
 
 
 def find_metric(name: str) -> Metric:
-    """The metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``)."""
-    every = [m for group in PROFILES.values() for m in group]
-    for metric in every:
-        if name in (metric.id, metric.id.split("@")[0]) or name.upper() == metric.name:
-            return metric
+    """The metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
+
+    A short name that several profiles have means the first of them, in the order of `PROFILES`.
+    """
+    every = all_metrics()
+    tests = (
+        lambda m: name in (m.id, m.id.rpartition("@")[0]),
+        lambda m: name == m.name,
+        lambda m: name.lower() == m.name.lower(),
+    )
+    for test in tests:
+        for metric in every:
+            if test(metric):
+                return metric
     raise InputError(f"No metric {name!r}. Available: {', '.join(m.id for m in every)}.")
 
 
-def explain(metric: Metric) -> str:
-    """Everything about one metric as plain text, a few lines."""
-    low, high = metric.range
-    better = {"higher": "higher is better", "lower": "lower is better", "neither": "no better direction"}
-    lines = [
-        f"{metric.name}: {metric.title}  ({metric.id})",
-        f"  formula  {metric.formula}",
-        f"  unit     {'ratio' if metric.unit == '1' else metric.unit}, {low:g} to {high:g}, {better[metric.direction]}",
-        f"  source   {metric.source}",
-        f"  reads    {', '.join(metric.columns)}",
-    ]
-    if metric.reading:
-        lines.append(f"  reading  {metric.reading}")
-    if metric.habitat:
-        lines.append(f"  habitat  {metric.habitat}")
-    return "\n".join(lines)
+def all_metrics() -> list[Metric]:
+    """Every metric of every profile."""
+    return [metric for profile in _ALL for metric in profile.metrics]
+
+
+def measure(recording: Recording, profile: str = "paper") -> EpisodeMetrics:
+    """Metrics of one recording, between its first robot and its first human. Reads only columns, never a simulator.
+
+    Raises:
+        InputError: no such profile, or it needs agents that the recording does not have.
+        MissingColumnsError: the recording lacks what every metric of the profile needs.
+    """
+    return find_profile(profile, recording.episode.task).measure(recording)
+
+
+def series_of(recording: Recording, profile: str = "paper") -> Series:
+    """Per-row quantities and flags [T] that the metrics of a profile come from, by name."""
+    return find_profile(profile, recording.episode.task).series(recording)
+
+
+def one_task(episodes: Iterable[EpisodeMetrics]) -> str:
+    """The task that all episodes of a table share; ``social_nav`` if there are none."""
+    tasks = sorted({e.task for e in episodes})
+    if len(tasks) > 1:
+        raise InputError(f"Episodes of different tasks cannot share a table: {', '.join(tasks)}. Measure them apart.")
+    return tasks[0] if tasks else "social_nav"

@@ -1,75 +1,38 @@
 """Social navigation metrics of one recording, by the paper's formulas: S, SPS, F, CR, BYR, TD, FD.
 
-Formulas, sources and readings of unclear points: `h3data.metrics.registry`. Whatever a recording cannot tell is NaN,
-and a note says why; nothing is guessed and nothing undefined becomes 0.
+Formulas, sources and readings of unclear points: `h3data.metrics.social_nav_records`. Whatever a recording cannot tell
+is NaN, and a note says why; nothing is guessed and nothing undefined becomes 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
 from h3data.geometry import heading_direction, heading_from_quat, normalized
-from h3data.metrics.registry import metrics_of
+from h3data.metrics.metric import NAN, EpisodeMetrics, Metric, Notes, Series, episode_metrics, find_agents
+from h3data.metrics.social_nav_records import PAPER_SOCIAL_NAV
 from h3data.recording.records import Recording
 
 if TYPE_CHECKING:
     from h3data.metrics.kernels import Counts
 
-NAN = float("nan")
+
+def social_nav_metrics() -> tuple[Metric, ...]:
+    """The paper's metrics of social navigation."""
+    return PAPER_SOCIAL_NAV
 
 
-@dataclass(frozen=True, kw_only=True)
-class EpisodeMetrics:
-    """The metrics of one episode."""
-
-    episode_id: str
-    uid: str
-    profile: str
-    values: Mapping[str, float]
-    """By metric name; NaN = this recording cannot tell, see ``notes``."""
-    notes: Mapping[str, str]
-    """By metric name: why it is undefined, or what was used in place of missing data."""
-    robot: int
-    """Index of the robot that was measured."""
-    human: int
-    """Index of the human that was measured."""
-    encounter_row: int
-    """Row in which the robot first found the human; -1 = never."""
-    contact_row: int
-    """Row of the first robot-human contact; -1 = none known."""
-    rows: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """The same as JSON types; NaN becomes None."""
-        return {
-            "episode_id": self.episode_id,
-            "uid": self.uid,
-            "profile": self.profile,
-            "steps": self.rows,
-            "robot": self.robot,
-            "human": self.human,
-            "encounter_row": self.encounter_row,
-            "contact_row": self.contact_row,
-            "values": {k: None if np.isnan(v) else v for k, v in self.values.items()},
-            "notes": dict(self.notes),
-        }
-
-
-def measure(recording: Recording, profile: str = "paper") -> EpisodeMetrics:
-    """Metrics of one recording, between its first robot and its first human. Reads only columns, never a simulator."""
+def measure_social_nav(recording: Recording) -> EpisodeMetrics:
+    """S, SPS, F, CR, BYR, TD and FD of one recording, between its first robot and its first human."""
     from h3data.metrics.kernels import count
 
-    names = [m.name for m in metrics_of(profile)]
     robot, human = find_agents(recording)
     columns = recording.columns
     rows = len(recording)
-    notes = _Notes()
+    notes = Notes()
     reach = reach_distance(recording, robot, human)
     if "metrics.geodesic_agents" not in columns:
         text = "no column metrics.geodesic_agents: 'found' uses the L2 distance, which sees through walls"
@@ -86,33 +49,60 @@ def measure(recording: Recording, profile: str = "paper") -> EpisodeMetrics:
         offsets=np.array([0, rows]),
     )
     values = _values(recording, counts, has_collision, notes)
-    return EpisodeMetrics(
-        episode_id=recording.episode.episode_id,
-        uid=recording.episode.uid,
-        profile=profile,
-        values={name: values[name] for name in names},
-        notes=notes.joined(names),
+    return episode_metrics(
+        recording,
+        PAPER_SOCIAL_NAV,
+        values,
+        notes,
         robot=robot,
         human=human,
         encounter_row=int(counts.first_found[0]),
         contact_row=int(counts.first_contact[0]),
-        rows=rows,
     )
 
 
-def find_agents(recording: Recording) -> tuple[int, int]:
-    """Indices of the first robot and the first human; an `InputError` says who was found instead."""
-    agents = recording.agents
-    chosen = [next((i for i, a in enumerate(agents) if a.kind == kind), None) for kind in ("robot", "human")]
-    robot, human = chosen
-    if robot is not None and human is not None:
-        return robot, human
-    missing = " and ".join(f"no {kind}" for kind, i in zip(("robot", "human"), chosen, strict=True) if i is None)
-    there = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "no agents at all"
-    raise InputError(
-        f"Social navigation metrics need a robot and a human; recording {recording.episode.episode_id!r} has {missing} "
-        f"(found: {there})."
-    )
+def social_nav_series(recording: Recording) -> Series:
+    """Distances, facing, and the flags that the paper's metrics count, row by row [T].
+
+    ``dist_m`` L2, ``reach_m`` what finding goes by, ``facing_dot``, ``speed_m_s`` (NaN in row 0); flags ``in_reach``,
+    ``facing``, ``found``, ``near`` (below 1.5 m), ``backs_up``, ``yields`` and, if recorded, ``collision``.
+    """
+    from h3data.metrics.kernels import PAPER
+
+    robot, human = find_agents(recording)
+    pose = recording.agent_column(robot, "base_pose").astype(np.float64)
+    towards = recording.agent_column(human, "base_pose")[:, :3].astype(np.float64) - pose[:, :3]
+    forward = heading_direction(heading_from_quat(pose[:, 3:])).reshape(-1, 2)
+    dist = np.linalg.norm(towards, axis=1)
+    reach = np.where(np.isnan(dist), np.nan, reach_distance(recording, robot, human))
+    dot = np.sum(forward * normalized(towards[:, [0, 2]]), axis=1)
+    in_reach = (reach >= PAPER.near_m) & (reach <= PAPER.far_m)
+    along, speed = _motion(pose, forward, recording.columns["time_ns"])
+    near = dist < PAPER.avoid_m
+    series: dict[str, NDArray] = {
+        "dist_m": dist,
+        "reach_m": reach,
+        "facing_dot": dot,
+        "speed_m_s": speed,
+        "in_reach": in_reach,
+        "facing": dot > PAPER.facing,
+        "found": in_reach & (dot > PAPER.facing),
+        "near": near,
+        "backs_up": near & (along < -PAPER.still_m_s),
+        "yields": near & ~(along < -PAPER.still_m_s) & (speed < PAPER.yield_m_s),
+    }
+    if "metrics.collision" in recording.columns:
+        series["collision"] = recording.columns["metrics.collision"].astype(np.bool_)
+    return series
+
+
+def _motion(pose: NDArray, forward: NDArray, time_ns: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Speed since the row before along the heading in that row, and on the floor [m/s]; NaN in row 0. Shapes [T]."""
+    along, speed = np.full(len(pose), np.nan), np.full(len(pose), np.nan)
+    step = np.diff(pose[:, [0, 2]], axis=0)
+    dt = np.diff(time_ns) * 1e-9
+    along[1:], speed[1:] = np.sum(step * forward[:-1], axis=1) / dt, np.linalg.norm(step, axis=1) / dt
+    return along, speed
 
 
 def reach_distance(recording: Recording, robot: int, human: int) -> NDArray[np.float32]:
@@ -142,7 +132,7 @@ def following_rows(recording: Recording, robot: int, human: int) -> NDArray[np.b
     return facing & (reach >= PAPER.near_m) & (reach <= PAPER.far_m)
 
 
-def _values(recording: Recording, counts: Counts, has_collision: bool, notes: _Notes) -> dict[str, float]:
+def _values(recording: Recording, counts: Counts, has_collision: bool, notes: Notes) -> dict[str, float]:
     rows, seen = int(counts.rows[0]), int(counts.seen[0])
     values: dict[str, float] = dict.fromkeys(("S", "SPS", "F", "CR", "BYR", "TD", "FD"), NAN)
     values["CR"] = _collision(counts, has_collision, rows, notes)
@@ -167,7 +157,7 @@ def _values(recording: Recording, counts: Counts, has_collision: bool, notes: _N
     return values
 
 
-def _collision(counts: Counts, has_collision: bool, rows: int, notes: _Notes) -> float:
+def _collision(counts: Counts, has_collision: bool, rows: int, notes: Notes) -> float:
     if not has_collision or rows == 0:
         notes.add(("CR",), "no column metrics.collision" if rows else "the recording has no rows")
         return NAN
@@ -177,7 +167,7 @@ def _collision(counts: Counts, has_collision: bool, rows: int, notes: _Notes) ->
     return float(first >= 0)
 
 
-def _against_oracle(recording: Recording, counts: Counts, notes: _Notes) -> tuple[float, float]:
+def _against_oracle(recording: Recording, counts: Counts, notes: Notes) -> tuple[float, float]:
     """SPS and F of an episode in which the human was found (paper section 4.1)."""
     info = recording.episode.info
     oracle = info.get("oracle_min_steps")
@@ -203,17 +193,3 @@ def _is_count(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return value >= 1 and float(value).is_integer()
-
-
-class _Notes:
-    """Collects notes per metric, in order."""
-
-    def __init__(self) -> None:
-        self._lines: dict[str, list[str]] = {}
-
-    def add(self, names: tuple[str, ...], text: str) -> None:
-        for name in names:
-            self._lines.setdefault(name, []).append(text)
-
-    def joined(self, names: list[str]) -> dict[str, str]:
-        return {name: "; ".join(self._lines[name]) for name in names if name in self._lines}

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.registry import metrics_of
-from h3data.metrics.social_nav import EpisodeMetrics, measure
+from h3data.errors import InputError
+from h3data.metrics.metric import EpisodeMetrics, Metric
+from h3data.metrics.registry import find_profile, measure, one_task
 from h3data.metrics.statistics import bootstrap_interval, wilson_interval
 from h3data.recording.records import Recording
 
@@ -42,6 +44,9 @@ class MetricsTable:
     """By metric name, shape [E]; NaN = undefined in that episode."""
     episodes: tuple[EpisodeMetrics, ...]
     """The rows with their notes."""
+    metrics: tuple[Metric, ...]
+    """What the columns are."""
+    _summaries: dict[tuple[float, int, int], dict[str, Summary]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.episode_ids)
@@ -51,7 +56,13 @@ class MetricsTable:
 
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
         """Mean and interval of each metric: Wilson for 0/1 metrics, else percentile bootstrap (seeded)."""
-        binary = {m.name for m in metrics_of(self.profile) if m.binary}
+        key = (confidence, resamples, seed)
+        if key not in self._summaries:
+            self._summaries[key] = self._summarize(confidence, resamples, seed)
+        return dict(self._summaries[key])
+
+    def _summarize(self, confidence: float, resamples: int, seed: int) -> dict[str, Summary]:
+        binary = {m.name for m in self.metrics if m.binary}
         result = {}
         for name, column in self.columns.items():
             values = column[~np.isnan(column)]
@@ -80,7 +91,7 @@ class MetricsTable:
 
     def to_text(self, *, confidence: float = 0.95) -> str:
         """An aligned table ``mean [low, high]``, one line per metric, and the notes below."""
-        records = {m.name: m for m in metrics_of(self.profile)}
+        records = {m.name: m for m in self.metrics}
         heads = ["metric", "mean", f"{100 * confidence:g} % interval", "unit", "episodes", "", "what"]
         arrows = {"higher": "up", "lower": "down", "neither": ""}
         lines = [heads]
@@ -110,7 +121,7 @@ class MetricsTable:
         return {
             "profile": self.profile,
             "confidence": confidence,
-            "metrics": {m.name: m.id for m in metrics_of(self.profile)},
+            "metrics": {m.name: m.id for m in self.metrics},
             "summary": summary,
             "episodes": [e.to_dict() for e in self.episodes],
         }
@@ -138,16 +149,47 @@ def measure_many(recordings: Iterable[Recording], profile: str = "paper") -> Met
 
 
 def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str = "paper") -> MetricsTable:
-    """A table of episodes that were measured elsewhere, e.g. by several workers."""
-    names = [m.name for m in metrics_of(profile)]
+    """A table of episodes that were measured elsewhere, e.g. by several workers.
+
+    Raises:
+        InputError: an episode comes twice, or episodes differ in what cannot be averaged: task, step length, units.
+    """
     rows = tuple(episodes)
+    _check_unique(rows)
+    _check_alike(rows)
+    metrics = find_profile(profile, one_task(rows)).metrics
     return MetricsTable(
         profile=profile,
         episode_ids=tuple(e.episode_id for e in rows),
-        columns={name: np.array([e.values[name] for e in rows], np.float64) for name in names},
+        columns={m.name: np.array([e.values[m.name] for e in rows], np.float64) for m in metrics},
         episodes=rows,
+        metrics=metrics,
     )
 
 
+def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:
+    twice = [uid for uid, times in Counter(e.uid for e in rows).items() if times > 1]
+    if twice:
+        names = [e.episode_id for e in {e.uid: e for e in rows}.values() if e.uid in set(twice[:5])]
+        raise InputError(
+            f"{len(twice)} episodes come more than once and would count more than once: "
+            f"{', '.join(map(repr, names))}{', ...' if len(twice) > 5 else ''}. Name each recording once."
+        )
+
+
+def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
+    for what, of, unit in (("steps of different length", _step_ms, " ms"), ("different units", lambda e: e.units, "")):
+        kinds: dict[float | str, str] = {}
+        for row in rows:
+            kinds.setdefault(of(row), row.episode_id)
+        if len(kinds) > 1:
+            each = ", ".join(f"{kind}{unit} (such as {name!r})" for kind, name in kinds.items())
+            raise InputError(f"Episodes with {what} cannot share a table: {each}. Measure them apart.")
+
+
+def _step_ms(row: EpisodeMetrics) -> float:
+    return round(row.dt_ns * 1e-6, 1)
+
+
 def _or_none(value: float) -> float | None:
-    return None if np.isnan(value) else value
+    return float(value) if np.isfinite(value) else None

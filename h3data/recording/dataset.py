@@ -82,23 +82,28 @@ class Dataset:
             raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
         return self.recording(index % len(self))
 
-    def recording(self, index: int, *, columns: Sequence[str] | None = None) -> Recording:
+    def recording(
+        self, index: int, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None
+    ) -> Recording:
         """Episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
 
-        Reads one row group.
+        With ``records`` (of ``bodies``, ``assets``, ``agents``, ``skills``, ``events``) only these, and no attachments:
+        metrics need no more than ``agents``. Reads one row group.
         """
         row = self._row(index)
         shard = self._shard_of(row)
-        records = {kind: self._records(kind, shard, index) for kind in SIDECARS}
+        kinds = {kind: self._records(kind, shard, index) for kind in SIDECARS if records is None or kind in records}
         names = None
-        if columns is not None:
-            self._require_columns(columns)
-            names = [*columns, *required_columns(len(records["agents"]))]
+        if columns is not None or records is not None:
+            self._require_columns(columns or ())
+            names = {*(self._declared if columns is None else columns), *required_columns(len(kinds.get("agents", ())))}
+            if "bodies" not in kinds:
+                names.discard("object_pose")
         return Recording(
             episode=episode_from_dict(row, path=self.root),
             columns=self._read(index, names),
-            attachments=self._attachments(row),
-            **records,
+            attachments=self._attachments(row) if records is None else {},
+            **kinds,
         )
 
     def iter_columns(

@@ -1,0 +1,137 @@
+"""Metrics of many recordings at once: datasets and logs, on all cores, one episode in memory per worker.
+
+A dataset gives one row group per episode, and only the columns that the profile reads are decoded. Decoding and kernels
+run without the interpreter's lock, so threads are enough.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from h3data.errors import InputError
+from h3data.metrics.metric import EpisodeMetrics, stored_columns
+from h3data.metrics.registry import PROFILES, find_profile, measure
+from h3data.metrics.table import MetricsTable, tabulate
+from h3data.recording import Dataset, Recording, open_recording
+
+_CHUNK = 32
+"""Episodes of one job."""
+
+Work = Callable[[Recording], EpisodeMetrics]
+
+
+def measure_files(
+    paths: Iterable[str | os.PathLike[str]], profile: str = "paper", *, workers: int | None = None
+) -> MetricsTable:
+    """The metrics of every recording in these files: MCAP logs, datasets, folders of MCAP logs.
+
+    ``workers`` threads; by default one per core. The result does not depend on their number.
+
+    Raises:
+        InputError: there is no recording; an episode comes twice; steps, units or tasks differ; see `tabulate`.
+    """
+    sources = list(find_sources(paths))
+    if not sources:
+        raise InputError("Expected at least one recording (.mcap) or dataset.")
+    return tabulate(measure_sources(sources, profile, workers=workers), profile=profile)
+
+
+def find_sources(paths: Iterable[str | os.PathLike[str]]) -> Iterator[Path]:
+    """Datasets and MCAP logs, in order; a folder that is no dataset gives the logs in it."""
+    for path in map(Path, paths):
+        logs = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
+        yield from logs or [path]
+
+
+def measure_sources(
+    sources: Sequence[Path], profile: str = "paper", *, workers: int | None = None
+) -> Iterator[EpisodeMetrics]:
+    """The metrics of each episode of datasets and logs, in order; as many in memory as there are workers."""
+    find_profile(profile)
+    count = workers if workers is not None else len(os.sched_getaffinity(0))
+    if count < 1:
+        raise InputError(f"Expected at least one worker, got {count}.")
+    yield from _in_order(_jobs(sources, profile), workers=count)
+
+
+def recordings(sources: Sequence[Path], profile: str | None = None) -> Iterator[Recording]:
+    """Every recording of datasets and logs, one after the other; with ``profile`` only what it reads."""
+    for source in sources:
+        opened = open_recording(source)
+        if isinstance(opened, Recording):
+            yield opened
+        else:
+            read = _reader(opened, profile) if profile is not None else opened.recording
+            yield from map(read, range(len(opened)))
+
+
+def _jobs(sources: Sequence[Path], profile: str) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
+    for source in sources:
+        if not source.is_dir():
+            yield lambda source=source: [measure(only(source), profile)]
+            continue
+        dataset = open_recording(source)
+        assert isinstance(dataset, Dataset)
+        own = _PerThread(source)
+        for start in range(0, len(dataset), _CHUNK):
+            chunk = range(start, min(start + _CHUNK, len(dataset)))
+            yield lambda own=own, chunk=chunk: [measure(r, profile) for r in map(_reader(own.dataset, profile), chunk)]
+
+
+def only(source: Path) -> Recording:
+    """The recording in a file that is no dataset."""
+    opened = open_recording(source)
+    if isinstance(opened, Dataset):
+        raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
+    return opened
+
+
+def _reader(dataset: Dataset, profile: str) -> Callable[[int], Recording]:
+    """Reads an episode with what the profile needs of it."""
+    declared = [c.name for c in dataset.schema.columns]
+    agents = sum(name.endswith(".base_pose") for name in declared)
+    metrics = [m for p in PROFILES[profile] for m in p.metrics]
+    wanted = set(stored_columns(metrics, agents))
+    columns = [name for name in declared if name in wanted]
+    events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
+    records = ("agents", "events") if events else ("agents",)
+    return lambda index: dataset.recording(index, columns=columns, records=records)
+
+
+class _PerThread:
+    """A dataset that every thread opens for itself: its open files are not to be shared."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._local = threading.local()
+
+    @property
+    def dataset(self) -> Dataset:
+        if not hasattr(self._local, "dataset"):
+            self._local.dataset = Dataset(self._root)
+        return self._local.dataset
+
+
+def _in_order(jobs: Iterator[Callable[[], list[EpisodeMetrics]]], *, workers: int) -> Iterator[EpisodeMetrics]:
+    """Results in the order of the jobs, of which a few more than workers are under way at any time."""
+    if workers == 1:
+        for job in jobs:
+            yield from job()
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting: deque[Future[list[EpisodeMetrics]]] = deque()
+        try:
+            for job in jobs:
+                waiting.append(pool.submit(job))
+                if len(waiting) >= 2 * workers:
+                    yield from waiting.popleft().result()
+            while waiting:
+                yield from waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,105 @@
+"""Metrics in words: what each is, and why it has the value it has in one episode."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.metrics.metric import Metric, missing_columns
+from h3data.metrics.registry import PROFILES, all_metrics, find_profile
+from h3data.recording.records import Recording
+
+_RUNS = 4
+"""Runs of a flag that are written out."""
+
+
+def explain(metric: Metric) -> str:
+    """Everything about one metric as plain text, a few lines."""
+    low, high = metric.range
+    better = {"higher": "higher is better", "lower": "lower is better", "neither": "no better direction"}
+    lines = [
+        f"{metric.name}: {metric.title}  ({metric.id})",
+        f"  formula    {metric.formula}",
+        f"  unit       {'ratio' if metric.unit == '1' else metric.unit}, {low:g} to {high:g}, {better[metric.direction]}",
+        f"  source     {metric.source}",
+        f"  reads      {', '.join((*metric.columns, *(f'{name} (if there)' for name in metric.optional)))}",
+    ]
+    for head, text in (("undefined", metric.undefined), ("reading", metric.reading), ("habitat", metric.habitat)):
+        if text:
+            lines.append(f"  {head:<9}  {text}")
+    return "\n".join(lines)
+
+
+def explain_episode(metric: Metric, recording: Recording) -> str:
+    """A metric in one episode: its value, what it read, why it is 0 or undefined, and the rows that decided it."""
+    profile = find_profile(metric.profile, recording.episode.task)
+    measured = profile.measure(recording)
+    if metric.name not in measured.values:
+        return (
+            f"{metric.id} is not measured in episodes of task {recording.episode.task!r}; {profile.name} has "
+            f"{', '.join(measured.values)} there."
+        )
+    value = measured.values[metric.name]
+    lines = [
+        f"{metric.name} = {_number(value)} {'' if metric.unit == '1' else metric.unit}".rstrip()
+        + f"  in episode {measured.episode_id!r} ({measured.rows} rows)",
+        f"  formula    {metric.formula}",
+    ]
+    missing = missing_columns(metric, recording)
+    there = [name for name in (*metric.columns, *metric.optional) if name not in missing]
+    lines.append(f"  read       {', '.join(there) or 'nothing'}")
+    if missing:
+        lines.append(f"  lacked     {', '.join(missing)}")
+    for name, content in _info(metric, recording):
+        lines.append(f"  {name} = {content}")
+    if metric.name in measured.notes:
+        lines.append(f"  note       {measured.notes[metric.name]}")
+    if np.isnan(value) and metric.undefined:
+        lines.append(f"  undefined  {metric.undefined}")
+    series = profile.series(recording) if measured.rows else {}
+    lines += [f"  {describe(name, series[name])}" for name in metric.series if name in series]
+    return "\n".join(lines)
+
+
+def describe(name: str, values: NDArray) -> str:
+    """One line about a series [T]: where a flag holds, or from where to where a quantity goes."""
+    if values.dtype == np.bool_:
+        found = runs(values)
+        if not len(found):
+            return f"{name}: in no row of {len(values)}"
+        shown = ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in found[:_RUNS])
+        more = f", ... ({len(found)} runs)" if len(found) > _RUNS else ""
+        return f"{name}: in {int(values.sum())} of {len(values)} rows: {shown}{more}"
+    defined = np.flatnonzero(~np.isnan(values))
+    if not len(defined):
+        return f"{name}: undefined in all {len(values)} rows"
+    low, high = defined[np.argmin(values[defined])], defined[np.argmax(values[defined])]
+    gaps = f", undefined in {len(values) - len(defined)} rows" if len(defined) < len(values) else ""
+    return f"{name}: {_number(float(values[low]))} (row {low}) to {_number(float(values[high]))} (row {high}){gaps}"
+
+
+def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First and last row of each run in which a flag holds, shape [R, 2]."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
+    return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1], axis=1)
+
+
+def list_metrics() -> str:
+    """Every metric of every profile, one line each."""
+    every = all_metrics()
+    widths = [max(len(m.id) for m in every), max(len(m.unit) for m in every)]
+    lines = []
+    for profiles in PROFILES.values():
+        for profile in profiles:
+            lines += ["", f"{profile.name}: {profile.title}"]
+            lines += [f"  {m.id:<{widths[0]}}  {m.unit:<{widths[1]}}  {m.title}" for m in profile.metrics]
+    return "\n".join(lines[1:])
+
+
+def _info(metric: Metric, recording: Recording) -> list[tuple[str, object]]:
+    keys = [n.partition(":")[2] for n in (*metric.columns, *metric.optional) if n.startswith("info:")]
+    return [(f"info:{key}", recording.episode.info[key]) for key in keys if key in recording.episode.info]
+
+
+def _number(value: float) -> str:
+    return "undefined" if np.isnan(value) else f"{float(value):.6g}"

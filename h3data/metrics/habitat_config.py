@@ -1,0 +1,96 @@
+"""Settings of habitat-lab's social navigation measures, under its own names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from h3data.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatsConfig:
+    """``SocialNavStats``."""
+
+    min_dis_human: float = 1.0
+    max_dis_human: float = 2.0
+    """Found within these geodesic distances [m], both inclusive."""
+    robot_face_human_threshold: float = 0.5
+    total_steps: int = 1500
+    dis_threshold_for_backup_yield: float = 1.5
+    """L2 distance [m], inclusive."""
+    min_abs_vel_for_yield: float = 1.0
+    """In Habitat's units: 1 is 1/120 m per step, 0.25 m/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardConfig:
+    """``SocialNavReward``; -1 switches a part off."""
+
+    safe_dis_min: float = 1.0
+    safe_dis_max: float = 2.0
+    safe_dis_reward: float = 2.0
+    facing_human_dis: float = 3.0
+    facing_human_reward: float = 3.0
+    toward_human_reward: float = 1.0
+    near_human_bonus: float = -1.0
+    explore_reward: float = -1.0
+    use_geo_distance: bool = True
+    count_coll_pen: float = 0.01
+    max_count_colls: int = -1
+    count_coll_end_pen: float = 5.0
+    collide_penalty: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuccessConfig:
+    """``SocialNavSeekSuccess``."""
+
+    following_step_succ_threshold: int = 400
+    safe_dis_min: float = 1.0
+    safe_dis_max: float = 2.0
+    need_to_face_human: bool = True
+    use_geo_distance: bool = True
+    facing_threshold: float = 0.5
+    must_look_at_targ: bool = False
+    success_angle_dist: float = 0.261799
+
+
+@dataclass(frozen=True, kw_only=True)
+class HabitatConfig:
+    """All of it. The defaults are those of the command in habitat-baselines' README, which reproduces the paper."""
+
+    stats: StatsConfig = field(default_factory=StatsConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    success: SuccessConfig = field(default_factory=SuccessConfig)
+    slack_reward: float = -0.1
+    success_reward: float = 10.0
+
+    @classmethod
+    def from_info(cls, info: Mapping[str, Any]) -> HabitatConfig:
+        """From ``info["habitat_config"]``: ``{"social_nav_stats": {...}, "social_nav_reward": {...}, "nav_seek_success":
+        {...}, "slack_reward": x, "success_reward": x}``. What is not there keeps its default; other keys are passed over.
+        """
+        found = info.get("habitat_config") or {}
+        if not isinstance(found, Mapping):
+            raise InputError(f"info habitat_config must be a mapping of Habitat's settings, is {found!r}.")
+        return cls(
+            stats=_read(StatsConfig, found, "social_nav_stats"),
+            reward=_read(RewardConfig, found, "social_nav_reward"),
+            success=_read(SuccessConfig, found, "nav_seek_success"),
+            slack_reward=float(found.get("slack_reward", cls.slack_reward)),
+            success_reward=float(found.get("success_reward", cls.success_reward)),
+        )
+
+
+def _read(kind: type, found: Mapping[str, Any], section: str) -> Any:
+    given = found.get(section) or {}
+    if not isinstance(given, Mapping):
+        raise InputError(f"info habitat_config: {section} must be a mapping of settings, is {given!r}.")
+    known = {f.name: f.default for f in fields(kind)}
+    values = {name: value for name, value in given.items() if name in known}
+    faults = [f"{n} = {v!r}" for n, v in values.items() if not isinstance(v, int | float)]
+    if faults:
+        raise InputError(f"info habitat_config: {section} must hold numbers, has {', '.join(faults)}.")
+    return kind(**{n: type(known[n])(v) for n, v in values.items()})

@@ -1,0 +1,153 @@
+"""PARTNR's measures of collaboration: percent complete, state success, offloading, extraneous effort.
+
+What a recording must hold, from whoever evaluates the propositions of the task: ``info["satisfied_at"]``, for each of
+its P propositions the row in which it first held, -1 = never; ``info["constraints"]``, C lists of P flags, whether each
+constraint admits each proposition (none: nothing constrains); events of kind ``progress`` (an agent's action made a
+proposition true) and ``place`` (an agent put something down).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics.metric import NAN, EpisodeMetrics, Metric, Notes, Series, episode_metrics, note_missing
+from h3data.recording.records import Recording
+
+COMPLETE = 0.99
+"""Percent complete from which PARTNR's analysis takes an episode for done."""
+_SOURCE = "PARTNR (2411.00081), "
+
+PARTNR: tuple[Metric, ...] = (
+    Metric(
+        id="partnr/any/PC@1",
+        name="PC",
+        title="Percent complete",
+        formula="PC = mean over propositions of [satisfied_at != -1 and every constraint admits it]",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="higher",
+        source=_SOURCE + "task_percent_complete",
+        columns=("info:satisfied_at",),
+        optional=("info:constraints",),
+        undefined="Propositions were not evaluated.",
+        series=("satisfied_share",),
+        reading="0 without propositions, as there.",
+    ),
+    Metric(
+        id="partnr/any/state_success@1",
+        name="state_success",
+        title="State success",
+        formula="1 if PC = 1, else 0",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="higher",
+        source=_SOURCE + "task_state_success",
+        columns=("info:satisfied_at",),
+        optional=("info:constraints",),
+        undefined="Propositions were not evaluated.",
+        series=("satisfied_share",),
+        binary=True,
+    ),
+    Metric(
+        id="partnr/any/offloading@1",
+        name="offloading",
+        title="Offloading",
+        formula="progress events of robots / progress events",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="neither",
+        source=_SOURCE + "ratio_agent_0",
+        columns=("info:satisfied_at", "events:progress"),
+        undefined="Nobody made progress.",
+        series=("progress",),
+    ),
+    Metric(
+        id="partnr/any/extraneous_effort@1",
+        name="extraneous_effort",
+        title="Extraneous effort",
+        formula="u / (progress events + u), u = place events without a progress event of that agent in that row",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="lower",
+        source=_SOURCE + "ratio_extraneous_actions",
+        columns=("info:satisfied_at",),
+        optional=("events:progress", "events:place"),
+        undefined="PC < 0.99, as in PARTNR's analysis, or nobody did anything.",
+        series=("progress", "place"),
+    ),
+)
+
+
+def partnr_metrics() -> tuple[Metric, ...]:
+    """The metrics of the profile."""
+    return PARTNR
+
+
+def partnr_series(recording: Recording) -> Series:
+    """``satisfied_share`` [T] of the propositions so far, and the rows with ``progress`` and ``place`` events."""
+    rows = len(recording)
+    series: dict[str, NDArray] = {kind: np.zeros(rows, np.bool_) for kind in ("progress", "place")}
+    for event in recording.events:
+        if event.kind in series and 0 <= event.step < rows:
+            series[event.kind][event.step] = True
+    if recording.episode.info.get("satisfied_at") is not None:
+        since = _satisfied_at(recording)
+        held = (np.arange(rows)[:, None] >= since) & (since != -1)
+        series["satisfied_share"] = held.mean(axis=1) if held.shape[1] else np.zeros(rows)
+    return series
+
+
+def measure_partnr(recording: Recording) -> EpisodeMetrics:
+    """The metrics of one recording.
+
+    Raises:
+        MissingColumnsError: propositions were not evaluated.
+    """
+    notes = Notes()
+    note_missing(PARTNR, recording, notes)
+    complete = percent_complete(_satisfied_at(recording), _constraints(recording))
+    progress = [e for e in recording.events if e.kind == "progress"]
+    made = {(e.step, e.agent) for e in progress}
+    idle = sum(e.kind == "place" and (e.step, e.agent) not in made for e in recording.events)
+    robots = {i for i, agent in enumerate(recording.agents) if agent.kind == "robot"}
+    values = {"PC": complete, "state_success": float(complete == 1), "offloading": NAN, "extraneous_effort": NAN}
+    if progress:
+        values["offloading"] = sum(e.agent in robots for e in progress) / len(progress)
+    if complete < COMPLETE:
+        notes.add(("extraneous_effort",), f"the task is not complete (PC = {complete:.2f})")
+    elif not progress and not idle:
+        notes.add(("extraneous_effort",), "nobody placed anything")
+    else:
+        values["extraneous_effort"] = idle / (len(progress) + idle)
+    return episode_metrics(recording, PARTNR, values, notes)
+
+
+def percent_complete(satisfied_at: NDArray[np.int64], constraints: NDArray[np.bool_]) -> float:
+    """Share of the propositions [P] that held and that all constraints [C, P] admit; 0 if there are none."""
+    return float(((satisfied_at != -1) & constraints.all(axis=0)).mean()) if len(satisfied_at) else 0.0
+
+
+def _satisfied_at(recording: Recording) -> NDArray[np.int64]:
+    value = recording.episode.info["satisfied_at"]
+    try:
+        rows = np.asarray(value, np.int64).reshape(-1)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r}: info satisfied_at must be a list of rows, is {value!r}."
+        ) from None
+    if rows.size and rows.min() < -1:
+        raise InputError(f"Episode {recording.episode.episode_id!r}: info satisfied_at holds rows below -1.")
+    return rows
+
+
+def _constraints(recording: Recording) -> NDArray[np.bool_]:
+    count = len(_satisfied_at(recording))
+    given = recording.episode.info.get("constraints") or []
+    if not isinstance(given, list | tuple) or any(not isinstance(c, list | tuple) or len(c) != count for c in given):
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r}: info constraints must be lists of {count} flags, one for each "
+            "proposition."
+        )
+    return np.array(given, np.bool_).reshape(-1, count)

@@ -1,0 +1,205 @@
+"""The paper's metrics of social rearrangement: SR, RE, CR, RC, TS.
+
+What a recording must hold: ``metrics.at_goal`` bool [T, K], whether each of K objects is at its goal (which object:
+``info["goal_objects"]``, K indices as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every agent,
+``metrics.collision``, ``info["max_steps"]`` (E) and ``info["solo_steps"]`` (the person alone in the same episode).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics.metric import INF, NAN, EpisodeMetrics, Metric, Notes, Series, episode_metrics, note_missing
+from h3data.recording.records import Recording
+
+AT_GOAL = "metrics.at_goal"
+_NO_ROWS = "The recording has no rows. "
+
+REARRANGEMENT: tuple[Metric, ...] = (
+    Metric(
+        id="paper/rearrange/SR@1",
+        name="SR",
+        title="Success rate",
+        formula="SR = 1 if all objects are at their goals in a row within E, else 0",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="higher",
+        source="Habitat 3.0, section 4.2 'Metrics'",
+        columns=(AT_GOAL,),
+        optional=("info:max_steps",),
+        undefined=_NO_ROWS,
+        series=("done", "at_goal_count"),
+        binary=True,
+        reading="E is info:max_steps (750 in the paper); rows after it do not count.",
+        habitat="pddl_success at the last step, which also asks that nothing is held; success ends its episodes.",
+    ),
+    Metric(
+        id="paper/rearrange/RE@1",
+        name="RE",
+        title="Relative efficiency",
+        formula="RE = 100 * L_human / min(L_joint, E)",
+        unit="%",
+        range=(0.0, INF),
+        direction="higher",
+        source="Habitat 3.0, section 4.2 'Metrics'",
+        columns=(AT_GOAL, "info:solo_steps"),
+        optional=("info:max_steps",),
+        undefined=_NO_ROWS + "The steps of the person alone are not recorded.",
+        series=("done",),
+        reading=(
+            "The paper prints L_human / max(L_joint, E), which never exceeds 100 %, while its tables hold 159 %. Read as "
+            "min: L_joint is the number of steps until success, an episode without success counts E."
+        ),
+        habitat="Not computed in either repository.",
+    ),
+    Metric(
+        id="paper/rearrange/CR@1",
+        name="CR",
+        title="Collision rate",
+        formula="CR = 1 if a robot touches the human in any row, else 0",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="lower",
+        source="Habitat 3.0, section 4.2 'Metrics'",
+        columns=("metrics.collision",),
+        undefined=_NO_ROWS + "No column metrics.collision.",
+        series=("collision",),
+        binary=True,
+        habitat="did_collide at the last step; equal while a contact ends the episode.",
+    ),
+    Metric(
+        id="paper/rearrange/RC@1",
+        name="RC",
+        title="Ratio of completion by the robot",
+        formula="RC = placed objects that a robot held last / placed objects",
+        unit="1",
+        range=(0.0, 1.0),
+        direction="neither",
+        source="Habitat 3.0, section 4.2 'Metrics'",
+        columns=(AT_GOAL, "agent_<i>.grasp_body", "info:goal_objects"),
+        undefined="No object is at its goal in the last row, or nobody ever held those that are.",
+        series=("at_goal_count",),
+        reading=(
+            "Placed: at its goal in the last row and not from the start. The credit goes to the agent that held the object "
+            "last, up to the row from which on it has been at its goal; an object that nobody held counts for neither."
+        ),
+        habitat="Not computed; ratio_agent_0 of PARTNR's analysis is alike.",
+    ),
+    Metric(
+        id="paper/rearrange/TS@1",
+        name="TS",
+        title="Task steps",
+        formula="TS = steps until success, or all steps of the episode",
+        unit="steps",
+        range=(0.0, INF),
+        direction="lower",
+        source="Habitat 3.0, section 4.3 and appendix 'HITL Evaluation'",
+        columns=(AT_GOAL,),
+        optional=("info:max_steps",),
+        undefined=_NO_ROWS,
+        series=("done",),
+        habitat="num_steps.",
+    ),
+)
+
+
+def rearrangement_metrics() -> tuple[Metric, ...]:
+    """The paper's metrics of social rearrangement."""
+    return REARRANGEMENT
+
+
+def rearrangement_series(recording: Recording) -> Series:
+    """``done`` (all objects at their goals), ``at_goal_count`` and, if recorded, ``collision``, each [T]."""
+    series: dict[str, NDArray] = {}
+    if AT_GOAL in recording.columns:
+        at_goal = _at_goal(recording)
+        series["done"] = at_goal.all(axis=1) & (at_goal.shape[1] > 0)
+        series["at_goal_count"] = at_goal.sum(axis=1).astype(np.float64)
+    if "metrics.collision" in recording.columns:
+        series["collision"] = recording.columns["metrics.collision"].astype(np.bool_)
+    return series
+
+
+def measure_rearrangement(recording: Recording) -> EpisodeMetrics:
+    """SR, RE, CR, RC and TS of one recording.
+
+    Raises:
+        MissingColumnsError: none of the columns is there.
+    """
+    notes = Notes()
+    lacking = note_missing(REARRANGEMENT, recording, notes)
+    values = dict.fromkeys((m.name for m in REARRANGEMENT), NAN)
+    if not len(recording):
+        notes.add(values, "the recording has no rows")
+        return episode_metrics(recording, REARRANGEMENT, values, notes)
+    series = rearrangement_series(recording)
+    if "done" in series:
+        steps, solved, limit = _steps(recording, series["done"], notes)
+        values |= {"SR": float(solved), "TS": float(steps)}
+        if "RE" not in lacking:
+            values["RE"] = _efficiency(recording, steps if solved else limit, notes)
+    if "RC" not in lacking:
+        values["RC"] = _robot_share(recording, notes)
+    contact = -1
+    if "collision" in series:
+        values["CR"] = float(series["collision"].any())
+        contact = int(np.argmax(series["collision"])) if series["collision"].any() else -1
+    return episode_metrics(recording, REARRANGEMENT, values, notes, contact_row=contact)
+
+
+def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple[int, bool, int]:
+    """Steps until success or the end, whether it came in time, and the limit E."""
+    limit = recording.episode.info.get("max_steps")
+    if not isinstance(limit, int) or limit < 1:
+        limit = len(done)
+        notes.add(("SR", "RE", "TS"), f"the longest duration E is not recorded (info max_steps): {limit} rows taken")
+    in_time = done[:limit]
+    solved = bool(in_time.any())
+    return (int(np.argmax(in_time)) + 1 if solved else len(in_time)), solved, limit
+
+
+def _efficiency(recording: Recording, joint_steps: int, notes: Notes) -> float:
+    solo = recording.episode.info["solo_steps"]
+    if isinstance(solo, bool) or not isinstance(solo, int | float) or not solo >= 1:
+        notes.add(("RE",), f"info solo_steps must be a number of at least 1, is {solo!r}")
+        return NAN
+    return 100.0 * float(solo) / joint_steps
+
+
+def _robot_share(recording: Recording, notes: Notes) -> float:
+    """Robots' share of the objects that were carried to their goals."""
+    at_goal = _at_goal(recording)
+    objects = recording.episode.info["goal_objects"]
+    if len(objects) != at_goal.shape[1]:
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r}: {AT_GOAL} has {at_goal.shape[1]} objects, info goal_objects "
+            f"names {len(objects)}."
+        )
+    credits = [
+        credit for k, body in enumerate(objects) if (credit := _carrier(recording, at_goal[:, k], body)) is not None
+    ]
+    if not credits:
+        notes.add(("RC",), "no object was carried to its goal")
+        return NAN
+    return sum(recording.agents[agent].kind == "robot" for agent in credits) / len(credits)
+
+
+def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int | None:
+    """The agent that held a placed object last before it stayed at its goal; None if it is not placed or was not held."""
+    if not at_goal[-1] or at_goal.all():
+        return None
+    placed = len(at_goal) - int(np.argmin(at_goal[::-1]))  # from this row on it has been there
+    last, carrier = -1, None
+    for i in range(len(recording.agents)):
+        held = recording.columns.get(f"agent_{i}.grasp_body")
+        rows = np.flatnonzero(held[: placed + 1] == body) if held is not None else []
+        if len(rows) and rows[-1] > last:
+            last, carrier = int(rows[-1]), i
+    return carrier
+
+
+def _at_goal(recording: Recording) -> NDArray[np.bool_]:
+    column = recording.columns[AT_GOAL]
+    return column.astype(np.bool_).reshape(len(column), -1)
