@@ -107,9 +107,9 @@ class SceneSet:
 
 # --- by name ----------------------------------------------------------------------------------------------------------
 def builtin_sets() -> Mapping[str, tuple[str, ...]]:
-    """Names of the sets that ship with h3data, with their splits: train, val, test first."""
+    """Names of the sets that ship with h3data, with their splits: train, val, test first. A set is a folder with a card."""
     order = {"train": 0, "val": 1, "test": 2}
-    files = builtin_root().glob(f"*/*{SUFFIX}")
+    files = [file for card in builtin_root().glob("*/README.md") for file in card.parent.glob(f"*{SUFFIX}")]
     splits: dict[str, list[str]] = {}
     for file in sorted(files, key=lambda f: (f.parent.name, order.get(f.stem, 3), f.stem)):
         splits.setdefault(file.parent.name, []).append(file.stem)
