@@ -1,0 +1,120 @@
+"""Vectors and quaternions (xyzw) as tuples of floats, for compiled kernels: nothing is allocated."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+
+@njit(nogil=True)
+def multiply(a, b):
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )
+
+
+@njit(nogil=True)
+def inverse(q):
+    return (-q[0], -q[1], -q[2], q[3])
+
+
+@njit(nogil=True)
+def cross(a, b):
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@njit(nogil=True)
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(nogil=True)
+def plus(a, b, share):
+    return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2])
+
+
+@njit(nogil=True)
+def unit(a):
+    length = math.sqrt(dot(a, a))
+    if length < 1e-12:
+        return (0.0, 0.0, 0.0)
+    return (a[0] / length, a[1] / length, a[2] / length)
+
+
+@njit(nogil=True)
+def turned(q, v):
+    axis = (q[0], q[1], q[2])
+    t = cross(axis, v)
+    t = (2 * t[0], 2 * t[1], 2 * t[2])
+    return plus(plus(v, t, q[3]), cross(axis, t), 1.0)
+
+
+@njit(nogil=True)
+def from_vector(x, y, z):
+    """Quaternion of a rotation vector."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    s = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
+    return (s * x, s * y, s * z, math.cos(angle / 2))
+
+
+@njit(nogil=True)
+def to_vector(q):
+    """Rotation vector of a quaternion, of at most half a turn."""
+    sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    if sine < 1e-9:
+        return (0.0, 0.0, 0.0)
+    angle = 2 * math.atan2(sine, abs(q[3])) / sine
+    if q[3] < 0:
+        angle = -angle
+    return (q[0] * angle, q[1] * angle, q[2] * angle)
+
+
+@njit(nogil=True)
+def from_axes(a, b, c):
+    """Quaternion of the rotation whose columns are a, b, c (Shepperd's method)."""
+    trace = a[0] + b[1] + c[2]
+    if trace > max(a[0], b[1], c[2]):
+        q = (b[2] - c[1], c[0] - a[2], a[1] - b[0], 1 + trace)
+    elif a[0] >= b[1] and a[0] >= c[2]:
+        q = (1 + a[0] - b[1] - c[2], a[1] + b[0], a[2] + c[0], b[2] - c[1])
+    elif b[1] >= c[2]:
+        q = (a[1] + b[0], 1 + b[1] - a[0] - c[2], b[2] + c[1], c[0] - a[2])
+    else:
+        q = (a[2] + c[0], b[2] + c[1], 1 + c[2] - a[0] - b[1], a[1] - b[0])
+    n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] / n, q[1] / n, q[2] / n, q[3] / n)
+
+
+@njit(nogil=True)
+def row3(array, k):
+    return (array[k, 0], array[k, 1], array[k, 2])
+
+
+@njit(nogil=True)
+def row4(array, k):
+    return (array[k, 0], array[k, 1], array[k, 2], array[k, 3])
+
+
+@njit(nogil=True)
+def put(quats, joint, q):
+    quats[joint, 0], quats[joint, 1], quats[joint, 2], quats[joint, 3] = q
+
+
+@njit(nogil=True)
+def segments_apart(p, q, a, b):
+    """Distance of the segments p-q and a-b (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    d1, d2, r = plus(q, p, -1.0), plus(b, a, -1.0), plus(p, a, -1.0)
+    e1, e2, f = dot(d1, d1), dot(d2, d2), dot(d2, r)
+    c, g = dot(d1, r), dot(d1, d2)
+    room = e1 * e2 - g * g
+    s = min(max((g * f - c * e2) / room, 0.0), 1.0) if room > 1e-12 else 0.0
+    t = (g * s + f) / e2 if e2 > 1e-12 else 0.0
+    if t < 0.0 or t > 1.0:
+        t = min(max(t, 0.0), 1.0)
+        s = min(max((g * t - c) / e1, 0.0), 1.0) if e1 > 1e-12 else 0.0
+    gap = plus(plus(r, d1, s), d2, -t)
+    return math.sqrt(dot(gap, gap))

@@ -1,0 +1,201 @@
+"""Skills: an object moves with the hand that holds it and stays put otherwise; lines are straight; feet do not slide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names, load_humanoid
+from h3data.bodies.reach import HANDS, Hand, hand_points, reacher
+from h3data.errors import InputError
+from h3data.geometry import (
+    ground_pose,
+    heading_from_quat,
+    pose_inverse,
+    pose_multiply,
+    quat_from_matrix,
+    quat_rotate,
+)
+from sim_kinematic import person as skills
+from sim_kinematic.person import Frame, Person, run
+
+BODIES = humanoid_names()
+SPOTS = st.tuples(st.floats(0.32, 0.42), st.floats(0.05, 1.0), st.floats(-0.02, 0.25))
+"""Forward, up and to the hand's side, in heights of the shoulder."""
+
+
+def _at(person: Person, hand: Hand, spot: tuple[float, float, float]) -> np.ndarray:
+    local = np.array(spot) * (1, 1, 1 if hand == "right" else -1) * reacher(person.body, hand).body.scale
+    return person.base[:3] + quat_rotate(person.base[3:], local)
+
+
+def _someone(name: str, hand: Hand, spot: tuple[float, float, float]) -> Person:
+    person = Person(load_humanoid(name), ground_pose([1.0, -2.0], 0.7), {"far": [9.0, 1, 9, 0, 0, 0, 1]})
+    person.objects["mug"] = np.concatenate([_at(person, hand, spot), ground_pose([0, 0], 2.0)[3:]])
+    return person
+
+
+def _joints(body: Humanoid, frames: list[Frame]) -> np.ndarray:
+    return body.joint_matrices_free(np.stack([f.root for f in frames]), np.stack([f.joints for f in frames]))
+
+
+def _palms(body: Humanoid, frames: list[Frame], hand: Hand) -> np.ndarray:
+    joints = _joints(body, frames)
+    turn = quat_from_matrix(joints[:, JOINT_INDEX[f"{hand}_wrist"], :3, :3])
+    return np.concatenate([hand_points(joints, body, hand), turn], axis=1)
+
+
+def _poses(frames: list[Frame], name: str) -> np.ndarray:
+    return np.stack([f.objects[name] for f in frames])
+
+
+def _off_the_line(points: np.ndarray) -> float:
+    """Largest distance [m] of points [T, 3] from the line between the first and the last."""
+    along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
+    gap = points - points[0]
+    return float(np.linalg.norm(gap - (gap @ along)[:, None] * along, axis=1).max())
+
+
+@given(st.sampled_from(BODIES), st.sampled_from(HANDS), SPOTS, SPOTS)
+def test_pick_and_place(name: str, hand: Hand, start: tuple, end: tuple) -> None:
+    person = _someone(name, hand, start)
+    body, first = person.body, person.frame()
+    there = person.objects["mug"].copy()
+    picking, picked = run(person, person.pick("mug", hand))
+    assert picked.success
+    assert picked.hand_error_m < 1e-5
+    palms, mugs = _palms(body, picking, hand), _poses(picking, "mug")
+    taken = int(np.argmax(np.any(np.abs(mugs - there) > 1e-9, axis=1)))
+    np.testing.assert_array_equal(mugs[:taken], np.broadcast_to(there, (taken, 7)))
+    assert np.linalg.norm(palms[taken - 1, :3] - there[:3]) < 1e-5
+    grip = pose_multiply(pose_inverse(palms[taken:]), mugs[taken:])
+    assert np.abs(np.abs(grip @ grip[0]) - grip[0] @ grip[0]).max() < 1e-6  # rigid, up to the quaternion's sign
+    assert _off_the_line(palms[taken - 1 :, :3]) < 1e-5
+    goal = _at(person, hand, end)
+    placing, placed = run(person, person.place(goal, hand))
+    assert placed.success
+    palms, mugs = _palms(body, placing, hand), _poses(placing, "mug")
+    let_go = int(np.argmax(np.linalg.norm(mugs[:, :3] - mugs[-1, :3], axis=1) < 1e-9))
+    np.testing.assert_allclose(mugs[: let_go + 1, :3], palms[: let_go + 1, :3], atol=2e-5)
+    assert _off_the_line(mugs[: let_go + 1, :3]) < 1e-5
+    np.testing.assert_allclose(mugs[-1, :3], goal, atol=1e-3)
+    np.testing.assert_allclose(np.abs(mugs[-1, 3:] @ there[3:]), 1, atol=1e-6)  # as upright as it stood
+    np.testing.assert_array_equal(
+        _poses(picking + placing, "far"), np.tile(person.objects["far"], (len(picking + placing), 1))
+    )
+    joints = _joints(body, [first, *picking, *placing])
+    for foot in ("left_ankle", "left_foot", "right_ankle", "right_foot"):
+        assert np.ptp(joints[:, JOINT_INDEX[foot], :3, 3], axis=0).max() < 1e-4
+    np.testing.assert_allclose(joints[-1], joints[0], atol=1e-6)  # standing again
+    for frames in (picking, placing):
+        assert np.degrees(skills.joint_steps(np.stack([f.joints for f in frames])).max()) < 22  # in 1/30 s
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_carrying_while_walking(hand: Hand) -> None:
+    person = _someone("neutral_2", hand, (0.38, 0.6, 0.1))
+    body, _ = person.body, run(person, person.pick("mug", hand))
+    grip = person.held[hand].grip
+    frames, done = run(person, person.walk_to([[2.6, -2.5], [2.8, -0.8]]))
+    assert done.success
+    np.testing.assert_allclose(person.base[[0, 2]], [2.8, -0.8], atol=2e-3)
+    np.testing.assert_allclose(
+        _poses(frames, "mug")[:, :3], pose_multiply(_palms(body, frames, hand), grip)[:, :3], atol=1e-9
+    )
+    high = (_poses(frames, "mug")[:, 1]) / reacher(body, hand).body.scale
+    assert high.min() > 0.75
+    assert high.max() < 0.85
+    joints = _joints(body, frames)
+    standing = body.joint_matrices(ground_pose([0, 0], 0.0)[None], *body.clip_pose([0], [0.0]))[0]
+    for side in ("left", "right"):
+        place = joints[:, JOINT_INDEX[f"{side}_foot"], :3, 3]
+        low = place[:, 1] < standing[JOINT_INDEX[f"{side}_foot"], 1, 3] + 0.001
+        slide = np.linalg.norm(np.diff(place[:, [0, 2]], axis=0), axis=1)[low[1:] & low[:-1]]
+        assert np.median(slide) < 2e-3
+        assert slide.max() < 0.006
+    back, placed = run(person, person.place(_at(person, hand, (0.36, 0.5, 0.1)), hand))
+    assert placed.success
+    assert not person.held
+    assert np.ptp([f.base for f in back], axis=0).max() == 0
+
+
+def test_both_hands_hold_something_of_their_own() -> None:
+    person = _someone("male_1", "right", (0.38, 0.5, 0.15))
+    person.objects["cup"] = np.concatenate([_at(person, "left", (0.38, 0.5, 0.15)), [0, 0, 0, 1]])
+    run(person, person.pick("mug", "right"))
+    held = pose_multiply(pose_inverse(person.palm("right")), person.objects["mug"])
+    frames, result = run(person, person.pick("cup", "left"))
+    assert result.success
+    assert set(person.held) == {"left", "right"}
+    grip = pose_multiply(pose_inverse(_palms(person.body, frames, "right")), _poses(frames, "mug"))
+    np.testing.assert_allclose(grip[:, :3], np.broadcast_to(held[:3], (len(frames), 3)), atol=1e-9)
+
+
+def test_what_is_out_of_reach_is_not_picked() -> None:
+    """Unlike in Habitat, where the commanded point decides."""
+    person = _someone("female_3", "right", (1.2, 0.7, 0.1))
+    there, before = person.objects["mug"].copy(), person.frame()
+    frames, result = run(person, person.pick("mug"))
+    assert not result.success
+    assert not frames
+    assert result.reason == "outside_box"
+    assert result.hand_error_m > 0.3
+    assert result.base_motion is not None
+    np.testing.assert_array_equal(person.objects["mug"], there)
+    np.testing.assert_array_equal(person.frame().joints, before.joints)
+    _, came = run(person, person.approach(there[:3]))
+    assert came.success
+    assert run(person, person.pick("mug"))[1].success
+
+
+def test_a_hand_that_misses_takes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    person = _someone("male_0", "right", (0.38, 0.6, 0.1))
+    there = person.objects["mug"].copy()
+    skill = person.pick("mug")
+    next(skill)
+    person.objects["mug"][0] += 0.05  # somebody moves it meanwhile
+    _, result = run(person, skill)
+    assert (result.success, result.reason) == (False, "missed")
+    assert result.hand_error_m == pytest.approx(0.05, abs=1e-3)
+    assert not person.held
+    np.testing.assert_allclose(person.objects["mug"] - there, [0.05, 0, 0, 0, 0, 0, 0], atol=1e-12)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-3, 3))
+def test_turning_ends_at_the_heading(start: float, heading: float) -> None:
+    person = Person(load_humanoid("female_1"), ground_pose([0.3, 0.4], start))
+    frames, _ = run(person, person.turn(heading))
+    assert np.abs(np.angle(np.exp(1j * (heading_from_quat(person.base[3:]) - heading)))) < 1e-9
+    np.testing.assert_allclose(person.base[:3], [0.3, 0, 0.4])
+    if frames:
+        np.testing.assert_allclose(frames[-1].joints, Person(person.body, person.base).frame().joints, atol=1e-6)
+
+
+def test_the_lower_levels() -> None:
+    person = Person(load_humanoid("neutral_3"), ground_pose([0, 0], 1.0))
+    assert run(person, person.wait(0.5))[0].__len__() == 15
+    result = person.reach_to(_at(person, "left", (0.4, 0.7, 0.1)), "left")
+    assert result.reached
+    np.testing.assert_allclose(person.palm("left")[:3], _at(person, "left", (0.4, 0.7, 0.1)), atol=1e-6)
+    quats, pelvis = person.body.clip_pose([3], [0.25])
+    person.set_pose(quats[0], pelvis[0], ground_pose([5, 6], 0.0))
+    np.testing.assert_array_equal(person.frame().joints, quats[0, 1:])
+    np.testing.assert_allclose(person.frame().root[:3], pelvis[0] + [5, 0, 6])
+    with pytest.raises(InputError, match=r"\[55, 4\]"):
+        person.set_pose(quats, pelvis)
+
+
+def test_bad_commands_are_refused() -> None:
+    person = _someone("female_0", "right", (0.38, 0.6, 0.1))
+    with pytest.raises(InputError, match=r"no object 'cup'\. There are: far, mug"):
+        next(person.pick("cup"))
+    with pytest.raises(InputError, match="right hand holds nothing"):
+        next(person.place([0, 0, 0]))
+    with pytest.raises(InputError, match=r"\[K, 2\]"):
+        next(person.walk_to([[1, 2, 3]]))
+    run(person, person.pick("mug"))
+    with pytest.raises(InputError, match="already holds 'mug'"):
+        next(person.pick("far"))
+    assert skills.SNAP_M < 0.02
