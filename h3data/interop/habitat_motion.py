@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,9 +12,8 @@ from numpy.typing import NDArray
 from h3data.bodies.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
 from h3data.errors import FormatError, InputError
 from h3data.interop.array_pickle import PickledArray, is_pickle, unpickle_arrays
+from h3data.interop.npz_arrays import MAX_BYTES, npz_members
 
-MAX_BYTES = 1 << 30
-"""Larger files are refused: real ones have 1-20 MB."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 
 
@@ -51,6 +48,11 @@ def read_habitat_sequence(path: str | Path) -> HabitatClip:
     return _clip(_part(_content(Path(path)), "pose_motion", str(path)), "pose_motion", str(path))
 
 
+def motion_parts(path: str | Path) -> tuple[str, ...]:
+    """Names of the parts in a motion file: ``walk_motion``, ``stop_pose``, ``pose_motion``, ..."""
+    return tuple(map(str, _content(Path(path))))
+
+
 # --- the file -----------------------------------------------------------------------------------------------------------
 def _content(path: Path) -> dict[str, Any]:
     try:
@@ -62,40 +64,10 @@ def _content(path: Path) -> dict[str, Any]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"Cannot read a motion file: {error.strerror or error}. Path: {path}") from None
-    content = unpickle_arrays(data, path) if is_pickle(data) else _npz(path)
+    content = unpickle_arrays(data, path) if is_pickle(data) else npz_members(path)
     if not isinstance(content, dict):
         raise FormatError(f"Expected a motion file with its parts by name, got {type(content).__name__}: {path}")
     return content
-
-
-def _npz(path: Path) -> dict[str, Any]:
-    """The members of an npz, pickled ones through our own unpickler."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            total = sum(member.file_size for member in archive.infolist())
-            if total > MAX_BYTES:
-                raise FormatError(f"The npz unpacks to {total / 2**20:.0f} MiB, more than is admitted: {path}")
-            names = [name for name in archive.namelist() if name.endswith(".npy")]
-            return {name.removesuffix(".npy"): _npy(archive.read(name), name, path) for name in names}
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
-        raise FormatError(f"Expected a pickle or an npz with motion, this is neither ({error}): {path}") from None
-
-
-def _npy(data: bytes, name: str, path: Path) -> Any:
-    width = 2 if data[6:7] == b"\x01" else 4
-    length = int.from_bytes(data[8 : 8 + width], "little")
-    try:
-        if data[:6] != b"\x93NUMPY":
-            raise ValueError("not an npy")
-        header = ast.literal_eval(data[8 + width : 8 + width + length].decode("latin1"))
-        body = data[8 + width + length :]
-        dtype, shape = np.dtype(header["descr"]), tuple(header["shape"])
-        if dtype.hasobject:
-            return unpickle_arrays(body, path)
-        order = "F" if header["fortran_order"] else "C"
-        return PickledArray(np.frombuffer(body, dtype).reshape(shape, order=order))
-    except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
-        raise FormatError(f"{name} in the npz is damaged ({error}): {path}") from None
 
 
 # --- its parts ----------------------------------------------------------------------------------------------------------

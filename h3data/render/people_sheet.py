@@ -27,7 +27,7 @@ def sheet_picture(
     rows = [people[k : k + columns] for k in range(0, len(people), columns)]
     heading, places = float(np.radians(heading_deg)), min(columns, len(people))
     standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
-    return np.concatenate([_lined_up(row, heading, lod, places, width) for row in standing])
+    return np.concatenate([lined_up(row, heading, lod, places, width) for row in standing])
 
 
 def walk_picture(
@@ -37,10 +37,10 @@ def walk_picture(
     phase = np.arange(frames) / frames
     quats, pelvis = body.walk_pose(np.full(frames, speed_mps), phase)
     poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(frames)]
-    return _lined_up(poses, 0.0, lod, frames, width, spacing=STRIDE_SPACING_M)
+    return lined_up(poses, 0.0, lod, frames, width, spacing=STRIDE_SPACING_M)
 
 
-def _lined_up(
+def lined_up(
     poses: Sequence[tuple[Humanoid, Array, Array]],
     heading: float,
     lod: bool,
@@ -49,6 +49,7 @@ def _lined_up(
     *,
     spacing: float = SPACING_M,
 ) -> NDArray[np.uint8]:
+    """Bodies with rotations [1, 55, 4] and pelvis places [1, 3], side by side from left to right, RGB [H, W, 3]."""
     meshes, at = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
     for x, (body, quats, pelvis) in zip(at, poses, strict=True):
         joints = body.joint_matrices(ground_pose(np.array([[x, 0.0]]), np.array([heading])), quats, pelvis)

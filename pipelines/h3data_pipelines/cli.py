@@ -23,6 +23,7 @@ from h3data_pipelines.doctor import Doctor
 from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
+from h3data_pipelines.motion import MotionCommand
 from h3data_pipelines.recovering import Recover
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.robots import Robots
@@ -38,6 +39,7 @@ COMMANDS: dict[str, type[Command]] = {
     "view": View,
     "scenes": Scenes,
     "bodies": Bodies,
+    "motion": MotionCommand,
     "robots": Robots,
     "recover": Recover,
     "doctor": Doctor,
