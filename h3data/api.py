@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from h3data.errors import FormatError
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.render import Output
 from h3data.replay import Replay, camera_track
@@ -16,6 +17,15 @@ from h3data.replay import Replay, camera_track
 if TYPE_CHECKING:
     from h3data.interop.habitat_dataset import SceneDataset
     from h3data.scene import Scene
+
+_INSTEAD = {
+    "navmesh": "a Habitat navmesh. Hint: read it with h3data.interop.navmesh.read_navmesh",
+    "rearrange_episodes": "a Habitat episode file. Hint: read it with h3data.interop.habitat_episodes.read_episodes",
+    "lighting_config": "a lighting configuration of a Habitat dataset. Hint: open a scene that names it",
+    "semantic_config": "a semantic configuration of a Habitat dataset. Hint: open a scene that names it",
+    "scene_filter": "a receptacle filter of a Habitat scene. Hint: open the scene that names it",
+}
+"""What to do with files that hold neither a recording nor a scene."""
 
 
 def open(path: str | os.PathLike[str]) -> Any:
@@ -32,7 +42,15 @@ def open(path: str | os.PathLike[str]) -> Any:
     dataset, name = dataset_and_scene(path)
     if dataset is not None or os.fspath(path).lower().endswith(HABITAT_ENDINGS):
         return _open_scene(Path(path) if dataset is None else dataset, name)
-    opened: Recording | Dataset = open_recording(Path(path))
+    try:
+        opened: Recording | Dataset = open_recording(Path(path))
+    except FormatError as fault:
+        from h3data.interop import sniff
+
+        instead = _INSTEAD.get(sniff(path)) if os.path.isfile(path) else None
+        if instead is None:
+            raise
+        raise FormatError(f"This is {instead}: {os.fspath(path)}") from fault
     return opened
 
 

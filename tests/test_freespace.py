@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -416,6 +417,17 @@ def test_voxel_geodesics_are_near_the_exact_ones(tall_home):
     error = np.abs(voxels.geodesic(a, b) - d)[far] / d[far]
     assert np.median(error) < 0.003
     assert error.max() < 0.02
+
+
+@pytest.mark.parametrize("far", [1e7, 3e38])
+def test_a_scene_too_large_for_voxels_is_refused(far):
+    corners = np.array([[0, 0, 0], [4, 0, 0], [4, 0, far]], np.float32)
+    mesh = Mesh(vertices=corners, faces=np.array([[0, 2, 1]], np.int32), colors=np.zeros((3, 3), np.uint8))
+    tower = replace(mesh, vertices=corners[:, [0, 2, 1]])
+    with pytest.raises(SceneError, match="m large, too large to find its floor"):
+        FreeSpace.from_scene(
+            scene_of((mesh, (), IDENTITY, "static"), (tower, (), IDENTITY, "static")), method="mesh", cache=False
+        )
 
 
 def test_a_sheet_without_thickness_still_blocks():

@@ -406,6 +406,8 @@ BRICK = {"template_name": "brick"}
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a size of zero": ({**BRICK, "uniform_scale": 0}, "its size is 0"),
     "one axis of zero": ({**BRICK, "non_uniform_scale": [1, 0, 1]}, "its size is 0"),
+    "a size beyond all measure": ({**BRICK, "uniform_scale": 1e30}, "'brick_:0000' is left out: it reaches"),
+    "a place beyond all measure": ({**BRICK, "translation": [0, 1e308, 0]}, "'brick_:0000' is left out: it reaches"),
     "no rotation": ({**BRICK, "rotation": [0, 0, 0, 0]}, "rotation of 'brick_:0000' is zero"),
     "an unknown key": ({**BRICK, "colour": "red"}, "object_instance.colour"),
 }
@@ -417,7 +419,7 @@ def test_doubtful_objects_give_a_warning_that_strict_makes_an_error(dataset: Dat
     entry, message = WRONG[case]
     scene = dataset.load(entry)
     assert any(message in w for w in scene.source["warnings"])
-    assert len(scene.instances) == (1 if "size" in message else 2)
+    assert len(scene.instances) == (1 if "size" in message or "left out" in message else 2)
     with pytest.raises(SceneError, match="strict"):
         dataset.load(entry, options={"strict": True})
 
@@ -438,6 +440,9 @@ def test_names_keep_their_numbers_when_an_object_is_left_out(dataset: Dataset) -
         '{"object_instances": [{"template_name": "brick", "is_instance_visible": "no"}]}',
         '{"object_instances": [{"template_name": "brick", "translation_origin": 3}]}',
         '{"object_instances": ' + "[" * 100_000 + "]" * 100_000 + "}",
+        '{"object_instances": {}}',
+        '{"object_instances": ""}',
+        '{"articulated_object_instances": 0}',
         '{"articulated_object_instances": [{"template_name": "chest", "initial_joint_pose": "open"}]}',
         '{"articulated_object_instances": [{"template_name": "chest", "initial_joint_pose": {"slide": "x"}}]}',
         '{"user_defined": 3}',
@@ -485,22 +490,50 @@ def test_wrong_configs_name_key_and_file(dataset: Dataset, file: str, content: A
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize("value", ["NaN", "-Infinity"])
+def test_numbers_that_are_none_name_their_key(dataset: Dataset, value: str) -> None:
+    content = '{"object_instances": [{"template_name": "brick", "translation": [0, VALUE, 0]}]}'.replace("VALUE", value)
+    path = dataset.write("scenes/one.scene_instance.json", content)
+    with pytest.raises(FormatError, match=f"{value.strip('-')} under 'translation' .*{path.name}"):
+        load_habitat_scene(dataset.config, "one")
+
+
+def test_a_stage_of_no_size_is_left_out(dataset: Dataset) -> None:
+    dataset.json("stages/room.stage_config.json", {"render_asset": "room.glb", "scale": [1, 0, 1]})
+    assert any("the stage is left out: its size is 0" in w for w in dataset.load().source["warnings"])
+
+
+def test_receptacles_that_cannot_be_used_are_told_with_their_file(dataset: Dataset) -> None:
+    wrong = {
+        "receptacle_aabb_text": "top",
+        "receptacle_aabb_thin": {"position": [0, 0, 0], "scale": [0, 1, 1]},
+        "receptacle_mesh_gone": {"mesh_filepath": "gone.ply"},
+    }
+    dataset.brick(user_defined=wrong)
+    path = dataset.root / "objects/brick.object_config.json"
+    warnings = dataset.load(BRICK).source["warnings"]
+    for key in wrong:
+        assert any(f"receptacle {key} is left out" in w and w.endswith(str(path)) for w in warnings), key
+
+
 def test_assets_that_cannot_be_used_leave_out_their_objects(dataset: Dataset) -> None:
     empty = trimesh.Trimesh(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=np.zeros((0, 3), int))
     for name, write in {
         "damaged": lambda p: p.write_bytes(b"glTF\x02\0\0\0"),
         "empty": lambda p: empty.export(p),
+        "nothing": lambda p: None,
         "config": lambda p: p.write_text("{}"),
     }.items():
-        ending = {"damaged": "glb", "empty": "ply", "config": "json"}[name]
+        ending = {"empty": "ply", "config": "json"}.get(name, "glb")
         write(dataset.write(f"objects/{name}.{ending}", ""))
         dataset.json(f"objects/{name}.object_config.json", {"render_asset": f"{name}.{ending}"})
     dataset.json("objects/circle.object_config.json", {"render_asset": "circle.object_config.json"})
-    names = ("damaged", "empty", "config", "circle")
+    names = ("damaged", "empty", "nothing", "config", "circle")
     scene = dataset.load(*({"template_name": n} for n in names))
     assert [i.name for i in scene.instances] == ["stage"]
     for name in names:
         assert any(f"'{name}' is left out" in w for w in scene.source["warnings"]), name
+    assert any("the file is empty" in w and "nothing.glb" in w for w in scene.source["warnings"])
 
 
 def test_triangles_without_area_do_not_disturb(dataset: Dataset) -> None:
@@ -557,6 +590,17 @@ def test_open_gives_scenes_and_lists_of_scenes(dataset: Dataset, tmp_path: Path)
     for missing in (f"{tmp_path}/x.scene_dataset_config.json", f"{tmp_path}/x.scene_dataset_config.json#one"):
         with pytest.raises(H3DataError, match=r"no such.*x\.scene_dataset_config\.json"):
             h3data.open(missing)
+
+
+def test_open_says_what_to_do_with_other_files_of_habitat(dataset: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "flat.navmesh").write_bytes(b"TESM" + bytes(100))
+    for path, hint in {
+        dataset.json("val.json", {"episodes": []}): "read_episodes",
+        dataset.json("lighting/l.lighting_config.json", {"lights": {}}): "open a scene that names it",
+        tmp_path / "flat.navmesh": "read_navmesh",
+    }.items():
+        with pytest.raises(FormatError, match=f"{hint}.*{path.name}"):
+            h3data.open(path)
 
 
 def test_the_scenes_command_takes_them(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:

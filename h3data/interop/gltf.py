@@ -35,6 +35,8 @@ class GltfFile:
         data = path.read_bytes()
         if data[:4] == b"glTF":
             self.document, self._binary = unpack_glb(data, str(path))
+        elif not data:
+            raise ValueError("the file is empty")
         else:
             self.document, self._binary = json.loads(data), memoryview(b"")
         if not isinstance(self.document, dict):

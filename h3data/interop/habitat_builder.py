@@ -18,6 +18,9 @@ from h3data.interop.habitat_templates import TemplateReader
 from h3data.interop.habitat_values import flag, number, numbers, text
 from h3data.scene.records import Instance, LightSource, Motion, Room, Scene
 
+REACH_MAX_M = 1e5
+"""How far from the origin [m] things may reach: 100 km, where float32 still tells centimetres."""
+
 
 @dataclass
 class SceneBuilder:
@@ -45,7 +48,7 @@ class SceneBuilder:
         """The template that a scene means by a name; warns if others fit as well."""
         template, others = dataset.find(section, name)
         if template is not None and others:
-            self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken")
+            self.warn(f"{others + 1} templates match {name!r}, {template.handle!r} is taken: {template.path}")
         return template
 
     # --- placing ------------------------------------------------------------------------------------------------------
@@ -57,11 +60,11 @@ class SceneBuilder:
         navmesh = text(read.attributes, "nav_asset", where=where) or text(read.attributes, "navmesh_asset", where=where)
         if navmesh:
             self.use_navmesh(navmesh, where.parent, where=where)
-        if np.all(read.scale):
-            pose = IDENTITY_POSE.copy()
-            self.instances.append(
-                Instance(name="stage", asset=read.asset, pose=pose, scale=read.scale, motion="static")
-            )
+        if not np.all(read.scale):
+            self.warn(f"the stage is left out: its size is 0 ({read.scale.tolist()}): {where}")
+            return
+        pose = IDENTITY_POSE.copy()
+        self._add(Instance(name="stage", asset=read.asset, pose=pose, scale=read.scale, motion="static"), where)
 
     def add_object(self, template: Template, entry: Mapping[str, Any], *, origin: Any, where: Path) -> None:
         """A rigid object; ``origin`` is the scene's ``translation_origin``, which the entry may override."""
@@ -88,7 +91,8 @@ class SceneBuilder:
                 scale=scale,
                 semantic_id=int(number(read.attributes, "semantic_id", 0, where=template.path)),
                 motion=motion,
-            )
+            ),
+            where,
         )
 
     def add_articulated(self, template: Template, entry: Mapping[str, Any], *, where: Path) -> None:
@@ -128,7 +132,8 @@ class SceneBuilder:
                     pose=link_pose(frames[link.index], link.turn),
                     scale=np.full(3, scale),
                     semantic_id=int(number(read.attributes, "semantic_id", 0, where=template.path)),
-                )
+                ),
+                where,
             )
 
     def use_navmesh(self, name: str, folder: Path, *, where: Path) -> None:
@@ -190,10 +195,16 @@ class SceneBuilder:
         count = self._counts[template.handle] = self._counts.get(template.handle, -1) + 1
         return f"{template.handle}_:{count:04d}"
 
-    def _add(self, instance: Instance) -> None:
-        if not np.isfinite(instance.pose).all() or not np.isfinite(instance.scale).all():
-            raise SceneError(f"The pose or scale of {instance.name!r} is too large to be computed with.")
-        self.instances.append(instance)
+    def _add(self, instance: Instance, where: Path) -> None:
+        """Adds it, unless it is so far away or so large that nothing else in the scene could be told from a point."""
+        mesh = self.templates.assets[instance.asset].mesh
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = np.abs(instance.scale).max() * np.abs(mesh.vertices).max(initial=0).astype(np.float64)
+            reach = float(np.abs(instance.pose[:3]).max() + size)
+        if reach <= REACH_MAX_M and np.isfinite(instance.pose).all():
+            self.instances.append(instance)
+        else:
+            self.warn(f"{instance.name!r} is left out: it reaches {reach:.3g} m from the origin: {where}")
 
     def _pose(
         self, entry: Mapping[str, Any], name: str, where: Path

@@ -126,6 +126,7 @@ IGNORED: Mapping[ConfigKind, Mapping[str, str]] = {
 """Keys that are known and not read, with the reason."""
 
 IGNORED_FILES: Mapping[str, str] = {
+    ".scn": "labels per triangle of scans (Gibson): instances carry the semantic ids",
     ".physics_config.json": "settings of habitat-sim's physics, no part of a scene",
     ".pbr_config.json": "settings of habitat-sim's shader, no part of a scene",
     "navmeshsettings.json": "settings with which habitat-sim computes a navmesh; `FreeSpace` has its own",

@@ -42,7 +42,10 @@ def read_receptacles(
     found: list[Receptacle] = []
     warnings: list[str] = []
     for key, entry in user_defined.items():
-        if not key.startswith("receptacle_") or not isinstance(entry, dict):
+        if not key.startswith("receptacle_"):
+            continue
+        if not isinstance(entry, dict):
+            warnings.append(f"receptacle {key} is left out: it is not a JSON object: {where}")
             continue
         keys.note("receptacle", entry)
         try:
@@ -56,7 +59,7 @@ def read_receptacles(
             warnings.append(f"receptacle {key} is left out: {fault}")
             continue
         if receptacle is None:
-            warnings.append(f"receptacle {key} is left out: it has no horizontal surface that can be used")
+            warnings.append(f"receptacle {key} is left out: it has no horizontal surface that can be used: {where}")
         else:
             found.append(receptacle)
     return tuple(found), warnings
@@ -94,7 +97,7 @@ def _from_mesh(
     name = text(entry, "mesh_filepath", where=where) or ""
     file = find(name) if name else None
     if file is None:
-        raise MissingAssetError(f"There is no such mesh: {name!r}")
+        raise MissingAssetError(f"There is no such mesh: {name!r}: {where}")
     mesh = load_mesh(file)
     vertices = mesh.vertices.astype(np.float64) * numbers(entry, "scale", (1, 1, 1), where=where) @ frame.T
     covered = largest_rectangle(vertices, mesh)

@@ -29,7 +29,7 @@ def mapping(attributes: Mapping[str, Any], key: str, *, where: Path) -> dict[str
 
 def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dict[str, Any]]:
     """The list of JSON objects under ``key``; empty if there is none."""
-    value = attributes.get(key) or []
+    value = _list(attributes, key)
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise _unexpected("a list of objects", key, value, where)
     return value
@@ -37,7 +37,7 @@ def objects(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[dic
 
 def texts(attributes: Mapping[str, Any], key: str, *, where: Path) -> tuple[str, ...]:
     """The list of texts under ``key``; empty if there is none."""
-    value = attributes.get(key) or []
+    value = _list(attributes, key)
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
         raise _unexpected("a list of texts", key, value, where)
     return tuple(value)
@@ -79,13 +79,19 @@ def numbers(attributes: Mapping[str, Any], key: str, default: Sequence[float], *
 
 def points(attributes: Mapping[str, Any], key: str, *, where: Path) -> list[tuple[float, float, float]]:
     """The list of points ``[x, y, z]`` under ``key``; empty if there is none."""
-    value = attributes.get(key) or []
+    value = _list(attributes, key)
     fine = isinstance(value, list) and all(
         isinstance(p, list) and len(p) == 3 and all(_is_number(v) for v in p) for p in value
     )
     if not fine:
         raise _unexpected("a list of points [x, y, z]", key, value, where)
     return [(float(x), float(y), float(z)) for x, y, z in value]
+
+
+def _list(attributes: Mapping[str, Any], key: str) -> Any:
+    """What stands under ``key``; an empty list if there is nothing."""
+    value = attributes.get(key)
+    return [] if value is None else value
 
 
 def _is_number(value: Any) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import zlib
 from pathlib import Path
 from typing import Any, Literal
@@ -48,6 +49,8 @@ _MAGIC: tuple[tuple[bytes, FileKind], ...] = (
     (b"\x80\x04", "pickle"),
     (b"\x80\x05", "pickle"),
 )
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 def sniff(path: str | Path) -> FileKind:
@@ -133,7 +136,7 @@ def decode_json(data: bytes, kind: Any = Any) -> Any:
     import msgspec
 
     try:
-        return msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"), type=kind)
+        return msgspec.json.decode(data.removeprefix(_BYTE_ORDER_MARK), type=kind)
     except RecursionError:
         raise msgspec.DecodeError("JSON is malformed: brackets are nested too deep") from None
     except UnicodeDecodeError as fault:
@@ -163,7 +166,21 @@ def not_json(path: Path, data: bytes, fault: Exception) -> FormatError:
     binary = next((kind for magic, kind in _MAGIC if data.startswith(magic)), None)
     if binary is not None:
         return FormatError(f"Expected JSON, this is a {binary} file: {path}")
+    infinite = _not_finite(data.removeprefix(_BYTE_ORDER_MARK), text)
+    if infinite is not None:
+        return FormatError(f"{infinite}, which is no number in JSON. Hint: mend it where the file was made. {path}")
     return FormatError(f"Expected JSON, this is not: {text.removeprefix('JSON is malformed: ')}: {path}")
+
+
+def _not_finite(data: bytes, fault: str) -> str | None:
+    """Where the NaN or infinity stands at which JSON ends, as Python and NumPy write them; None if it is another fault."""
+    at = re.search(r"\(byte (\d+)\)", fault)
+    found = re.compile(rb"NaN|Infinity").match(data, int(at[1])) if at else None
+    if found is None:
+        return None
+    keys = re.findall(rb'"((?:[^"\\]|\\.)*)"\s*:', data[: found.start()])
+    under = f"under {keys[-1].decode(errors='replace')!r} " if keys else ""
+    return f"{found[0].decode()} {under}(byte {found.start()})"
 
 
 def _is_dataset(content: dict[str, Any]) -> bool:

@@ -195,7 +195,12 @@ def walkable_from_triangles(
     """
     low, high = triangles.min((0, 1)), triangles.max((0, 1))
     size = high - low
-    cell = max(voxel_m, float(np.cbrt(np.prod(np.maximum(size, voxel_m)) / VOXELS_MAX)))
+    cell = max(voxel_m, float(np.prod(np.cbrt(np.maximum(size, voxel_m))) / np.cbrt(VOXELS_MAX)))
+    if not cell <= radius_m:  # NaN is not either
+        raise SceneError(
+            f"The scene is {' x '.join(f'{s:.3g}' for s in size)} m large, too large to find its floor: voxels would be "
+            f"{cell:.3g} m, the agent's radius is {radius_m:g} m. Hint: wrong unit, or a thing that is far away?"
+        )
     if cell > voxel_m:
         log.warning("The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m)
     origin = low - cell * 1.5  # no geometry on the faces of voxels, for scenes on a round grid
