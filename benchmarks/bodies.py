@@ -1,4 +1,5 @@
-"""People: CPU seconds to skin a recording of 1,500 frames (kinematics included), and to load all built-in bodies."""
+"""People: CPU seconds to skin a recording of 1,500 frames (kinematics included), to load all built-in
+bodies; microseconds to reach."""
 
 from __future__ import annotations
 
@@ -10,9 +11,10 @@ import numpy as np
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
 from h3data.bodies.humanoid_file import builtin_common
+from h3data.bodies.reach import reach, reach_poses
 from h3data.geometry import ground_pose
 
-FRAMES, REPEATS, SPEED_MPS = 1500, 5, 1.3
+FRAMES, REPEATS, SPEED_MPS, QUERIES = 1500, 5, 1.3, 10_000
 
 Emit = Callable[[str, float, str], None]
 
@@ -29,6 +31,7 @@ def run(emit: Emit) -> None:
     emit("bodies.load_all_mb", tracemalloc.get_traced_memory()[0] / 1e6, "MB")
     tracemalloc.stop()
     emit("bodies.clips_s", _timed(lambda: people[0].clips), "s")
+    _reach(body, emit)
 
 
 def _timed(work: Callable[[], object]) -> float:
@@ -54,6 +57,25 @@ def _skin(body: Humanoid, *, lod: bool) -> float:
             pass
 
     return _timed(work)
+
+
+def _reach(body: Humanoid, emit: Emit) -> None:
+    """One query with its answer, one of a batch, and one that is refused with advice."""
+    targets = np.random.default_rng(0).uniform([0.2, 0.3, -0.1], [0.5, 1.2, 0.4], (QUERIES, 3))
+    good = targets[reach_poses(body, targets).status == 0]
+    reach(body, [2.0, 1.0, 0.0])  # everything compiled and made
+    few = good[:500]
+    emit(
+        "bodies.reach_us", min(_timed(lambda: [reach(body, t) for t in few]) for _ in range(REPEATS)) / 500 * 1e6, "us"
+    )
+    batch = min(_timed(lambda: reach_poses(body, targets)) for _ in range(REPEATS))
+    emit("bodies.reach_batch_us", batch / QUERIES * 1e6, "us")
+    far = targets[:50] + np.array([2.0, 0, 0])
+    emit(
+        "bodies.reach_refused_us",
+        min(_timed(lambda: [reach(body, t) for t in far]) for _ in range(REPEATS)) / 50 * 1e6,
+        "us",
+    )
 
 
 def _load_all() -> list[Humanoid]:

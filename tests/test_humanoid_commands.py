@@ -91,7 +91,7 @@ def test_show_lists_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(["bodies", "show", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["bodies"]
     assert tuple(row["name"] for row in rows) == humanoid_names()
-    for view in ("front", "walk"):
+    for view in ("front", "walk", "reach"):
         target = tmp_path / f"{view}.png"
         assert main(["bodies", "show", "male_0", "female_3", "-o", str(target), "--view", view, "--width", "320"]) == 0
         assert target.stat().st_size > 5_000

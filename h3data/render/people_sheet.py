@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.humanoid import Humanoid
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array, ground_pose, pose_to_matrix, transform_points
 from h3data.render.camera import look_at, pinhole
 from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene
@@ -48,11 +48,21 @@ def lined_up(
     width: int,
     *,
     spacing: float = SPACING_M,
+    row_m: float = ROW_M,
+    props: Sequence[Sequence[Mesh]] = (),
 ) -> NDArray[np.uint8]:
+    """People with poses (rotations [1, 55, 4], pelvis [1, 3]) side by side, RGB [H, W, 3].
+
+    ``props`` are things beside each of them, in their agent root frames; ``row_m`` is the height that the picture shows.
+    """
     """Bodies with rotations [1, 55, 4] and pelvis places [1, 3], side by side from left to right, RGB [H, W, 3]."""
     meshes, at = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
-    for x, (body, quats, pelvis) in zip(at, poses, strict=True):
-        joints = body.joint_matrices(ground_pose(np.array([[x, 0.0]]), np.array([heading])), quats, pelvis)
+    for k, (x, (body, quats, pelvis)) in enumerate(zip(at, poses, strict=True)):
+        base = ground_pose(np.array([[x, 0.0]]), np.array([heading]))
+        joints = body.joint_matrices(base, quats, pelvis)
+        for prop in props[k] if props else ():
+            there = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
+            meshes.append(Mesh(vertices=there, faces=prop.faces, colors=prop.colors))
         rest = body.lod_mesh if lod else body.mesh
         meshes.append(
             Mesh(
@@ -64,8 +74,8 @@ def lined_up(
     renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
     span = places * spacing
     distance = span / 2 / np.tan(np.radians(HFOV_DEG) / 2)
-    height = round(width * ROW_M / span)
-    middle = ROW_M / 2 - 0.04
+    height = round(width * row_m / span)
+    middle = row_m / 2 - 0.04
     pose = look_at((0.0, middle + 0.06 * distance, distance), (0.0, middle, 0.0))
     return renderer.render(pinhole(width, height, hfov_deg=HFOV_DEG, pose=pose), outputs=("rgb",), samples=4)["rgb"]
 

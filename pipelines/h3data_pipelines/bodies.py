@@ -19,21 +19,22 @@ HEADINGS_DEG = {"front": -90.0, "back": 90.0, "side": 0.0}
 
 @dataclass(frozen=True)
 class BodiesShow:
-    """Draw people: standing, or one cycle of their walk. Without -o only list them.
+    """Draw people: standing, one cycle of their walk, or reaching. Without -o only list them.
 
     Examples:
         h3data bodies show
         h3data bodies show -o bodies.png
         h3data bodies show female_1 me.npz -o two.png --view side
         h3data bodies show male_0 -o walk.png --view walk --speed 1.3
+        h3data bodies show female_2 male_1 -o reach.png --view reach
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
     """Built-in bodies or .npz files; nothing means all built-in ones."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
-    view: Literal["front", "back", "side", "walk"] = "front"
-    """From where; walk draws one cycle, seen from the right."""
+    view: Literal["front", "back", "side", "walk", "reach"] = "front"
+    """From where; walk draws one cycle, seen from the right; reach draws them reaching, and one who picks and places."""
     speed: float = 1.3
     """For --view walk [m/s]."""
     lod: bool = False
@@ -69,6 +70,10 @@ class BodiesShow:
         if self.view == "walk":
             strips = [walk_picture(body, self.speed, lod=self.lod, width=self.width) for body in people]
             return np.concatenate(strips)
+        if self.view == "reach":
+            from h3data_pipelines.reaching import reach_picture
+
+            return reach_picture(people, lod=self.lod, width=self.width)
         return sheet_picture(people, heading_deg=HEADINGS_DEG[self.view], lod=self.lod, width=self.width)
 
 
