@@ -17,6 +17,7 @@ from h3data.errors import InputError
 from h3data.metrics import fit_glmm
 from h3data.metrics.glmm_design import mixed_design
 from h3data.metrics.laplace import LaplaceModel
+from h3data.metrics.mixed_models import _newton
 
 
 def r_name(name: str) -> str:
@@ -153,6 +154,24 @@ def test_without_groups_to_tell_apart_it_is_the_plain_model():
     assert set(fit.modes["p"].values()) == {0.0}
 
 
+def test_a_variance_that_starts_at_0_may_grow():
+    """The first search ends at deviations 0, where the deviance is flat and falls to both sides."""
+    table = columns("counts")
+    design = mixed_design(
+        table, "events", "poisson", ["condition"], ["participant"], trials=None, levels={}, observation_effect=False
+    )
+    model = LaplaceModel(design)
+    beta = stored_fit("counts").coefficients
+
+    def deviance(at):
+        return model.mode(at[:1], at[1:]).deviance
+
+    scale = np.diag([1e-3, 0.1, 0.1])
+    optimum, _, converged = _newton(deviance, np.array([0.0, *beta]), scale)
+    assert converged
+    assert abs(optimum[0]) == pytest.approx(stored_fit("counts").deviations["participant"], rel=1e-3)
+
+
 def base(rows: int = 24) -> dict[str, list]:
     random = np.random.default_rng(2)
     return {
@@ -221,7 +240,8 @@ def test_separation_by_a_covariate_is_seen():
 
 
 def test_a_fit_that_does_not_converge_says_so(monkeypatch):
-    monkeypatch.setattr("h3data.metrics.mixed_models._DECREMENT", -1.0)
+    for name in ("_DECREMENT", "_ROUNDING"):
+        monkeypatch.setattr(f"h3data.metrics.mixed_models.{name}", -1.0)
     fit = fit_glmm(base(), "y", "poisson", fixed=["c"], random=["p"])
     assert not fit.converged
     assert "NOT CONVERGED" in fit.to_text()

@@ -20,6 +20,8 @@ _SINGULAR = 1e-4
 """Deviations below count as 0, as lme4's isSingular does."""
 _DECREMENT = 1e-7
 """A fit has converged if a further Newton step would lower the deviance by less."""
+_ROUNDING = 1e-4
+"""So much may remain of the decrement, by the error of finite differences, where no step lowers the deviance at all."""
 _STEP = 0.02
 """Of the finite differences, in standard errors."""
 
@@ -126,13 +128,11 @@ def fit_glmm(
     def deviance(at: NDArray[np.float64]) -> float:
         return model.mode(at[:k], at[k:]).deviance
 
-    optimum, hessian, converged = _newton(deviance, np.append(start, mode.coefficients).astype(np.float64), scale)
+    optimum, inverse, converged = _newton(deviance, np.append(start, mode.coefficients).astype(np.float64), scale)
     theta = np.abs(optimum[:k])
     theta[theta < _SINGULAR] = 0
     coefficients = optimum[k:]
     mode = model.mode(theta, coefficients)
-    # Of -2 log L: half of it is the information.
-    covariance = 2 * scale @ np.linalg.pinv(hessian, hermitian=True) @ scale.T
     notes = _notes(design, theta, converged)
     dispersion = model.pearson(mode) / max(len(design.response) - len(optimum), 1)
     if dispersion > 1.5 and not observation_effect and not bool((design.trials == 1).all() and family == "binomial"):
@@ -146,7 +146,7 @@ def fit_glmm(
         rows=len(design.response),
         fixed=design.fixed,
         coefficients=coefficients,
-        covariance=covariance[k:, k:],
+        covariance=2 * inverse[k:, k:],  # the information is half the Hessian of -2 log L,
         deviations=dict(zip(design.groups, map(float, theta), strict=True)),
         modes={
             name: dict(zip(design.group_levels[name], map(float, values), strict=True))
@@ -179,18 +179,26 @@ def _profiled(model: LaplaceModel) -> tuple[NDArray[np.float64], Mode]:
 def _newton(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Minimum, Hessian in units of ``scale``'s columns, and whether the one is a minimum and the other positive."""
+    """Minimum, inverse of the Hessian there, and whether the one is a minimum and the other positive.
+
+    The columns of ``scale`` are the directions that derivatives are taken along, about one standard error long.
+    """
     best = function(x)
+    scale = _unit_curvature(function, x, scale, best)
     hessian, converged = np.eye(len(x)), False
     for _ in range(30):
         gradient, hessian = _differences(function, x, scale, best)
         if not np.isfinite(hessian).all():
-            return x, np.eye(len(x)), False
+            return x, np.zeros_like(scale), False
         values, vectors = np.linalg.eigh(hessian)
-        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-4))
-        converged = bool(values.min() > 1e-6 and -gradient @ step < _DECREMENT)
-        if converged:
-            x = x + scale @ step
+        slopes = vectors.T @ gradient
+        lengths = slopes / np.maximum(np.abs(values), 1e-4)
+        # A deviation of 0 is always flat: if the deviance falls to both sides, the gradient does not show it.
+        saddle = (values < -1e-3) & (np.abs(lengths) < 1)
+        step = -vectors @ np.where(saddle, np.copysign(1, slopes), lengths)
+        minimum, decrement = bool(values.min() > 1e-6), float(-gradient @ step)
+        if minimum and decrement < _DECREMENT:
+            x, converged = x + scale @ step, True
             break
         for halved in range(20):
             trial = x + scale @ step * 0.5**halved
@@ -198,9 +206,19 @@ def _newton(
             if value < best:
                 break
         else:
+            converged = minimum and decrement < _ROUNDING
             break
         x, best = trial, value
-    return x, hessian, converged
+    return x, scale @ np.linalg.pinv(hessian, hermitian=True) @ scale.T, converged
+
+
+def _unit_curvature(
+    function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64], middle: float
+) -> NDArray[np.float64]:
+    """``scale`` with columns so long that the second derivative along each is about 2, that of a standard error."""
+    ends = np.array([function(x + s) + function(x - s) for s in _STEP * scale.T])
+    curvature = np.abs(ends - 2 * middle) / _STEP**2
+    return scale * np.clip(np.sqrt(2 / np.maximum(curvature, 1e-9)), 0.1, 30)
 
 
 def _differences(
