@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion_writers import amass_arrays, bvh_text, placed, turned, walked, write_all
+from scipy.ndimage import gaussian_filter1d
 
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
 from h3data.bodies.foot_planting import ANKLE, leg_frames, legs_to, runs, sole_points
@@ -21,10 +22,10 @@ from h3data.bodies.motion_clip import Motion, same_motion
 from h3data.bodies.motion_cycle import find_loop, trim_to_cycle
 from h3data.bodies.motion_retarget import foot_report, retarget
 from h3data.errors import InputError
-from h3data.geometry import ground_pose, quat_from_rotvec
+from h3data.geometry import ground_pose, quat_from_rotvec, quat_multiply
 from h3data.interop.motion_files import load_motion, read_motion
 from h3data.interop.motion_recording import motion_columns, motion_recording
-from h3data.recording import open_recording, write_mcap
+from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
 from h3data_pipelines.cli import main
 
@@ -100,6 +101,24 @@ def test_turns_step_instead_of_sliding() -> None:
     for target in BODIES:
         body = load_humanoid(target)
         assert foot_report(retarget(motion, body), body).slide_mm < 0.3
+
+
+def test_shaky_motion_is_planted_too() -> None:
+    """Half a degree of noise in every joint and 3 mm in the pelvis' place, as of optical capture."""
+    body, random = load_humanoid("female_3"), np.random.default_rng(0)
+
+    def smooth(shape: tuple[int, ...], size: float) -> np.ndarray:
+        noise = gaussian_filter1d(random.normal(0, 1, shape), 5.0, axis=0)
+        return noise * size / noise.std()
+
+    for speed in (0.6, 1.3, 2.5):
+        motion = walked(load_humanoid("male_1"), speed)
+        shaky = quat_multiply(motion.quats, quat_from_rotvec(smooth((len(motion), 55, 3), np.radians(0.5))))
+        motion = replace(motion, quats=shaky, pelvis=motion.pelvis + smooth((len(motion), 3), 0.003))
+        before, after = (foot_report(retarget(motion, body, plant=plant), body) for plant in (False, True))
+        assert before.slide_mm > 3
+        assert after.slide_mm < 0.6
+        assert after.lowest_mm > -0.01
 
 
 def test_a_jump_stays_in_the_air() -> None:
@@ -204,6 +223,7 @@ def test_a_recording_of_motion(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, truth, atol=1e-5)
     write_mcap(motion_recording(motion, body), tmp_path / "walk.mcap")
     recording = open_recording(tmp_path / "walk.mcap")
+    assert isinstance(recording, Recording)
     replay = Replay(recording)
     skin = next(k for k, d in enumerate(replay.drawables) if d.deformable)
     vertices = replay.vertices(skin, np.arange(len(recording)))

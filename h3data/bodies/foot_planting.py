@@ -29,6 +29,8 @@ from h3data.geometry import (
 LOW_M, SLOW_MPS = 0.04, 0.25
 """A point of a sole touches the floor if height / LOW_M + speed / SLOW_MPS is below 1: on the floor it may slide, as it does
 on a body of other proportions; in the air it counts only if it rests."""
+SPEED_S = 1 / 60
+"""Speeds are ways over at least so long, before or after, whichever is less."""
 GAP_S, STANCE_S = 0.06, 0.10
 """Shorter interruptions of a stance are not believed, nor shorter stances."""
 SLIDE_M = 0.20
@@ -82,11 +84,13 @@ def sole_points(body: Humanoid, frames: Array) -> Array:
 
 def find_contacts(points: Array, fps: float) -> Contacts:
     """Which soles touch the floor, from `sole_points` [T, 2, 3, 3] at ``fps`` frames/s."""
-    step = np.zeros(points.shape[:-1])
-    step[1:] = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-    after = np.concatenate([step[1:], step[-1:]])
-    step[0] = after[0]
-    resting = np.maximum(points[..., 1], 0) / LOW_M + np.minimum(step, after) * fps / SLOW_MPS < 1
+    span = max(1, min(round(SPEED_S * fps), len(points) - 1))
+    way = np.linalg.norm(points[span:] - points[:-span], axis=-1)
+    ends = np.full((span, *way.shape[1:]), np.inf)
+    speed = np.minimum(np.concatenate([way, ends]), np.concatenate([ends, way]))[: len(points)] * fps / span
+    if len(points) == 1:
+        speed = np.zeros(points.shape[:-1])
+    resting = np.maximum(points[..., 1], 0) / LOW_M + speed / SLOW_MPS < 1
     gap, least = round(GAP_S * fps), round(STANCE_S * fps)
     any_point = np.logical_or.reduce(resting, axis=2)
     touching = np.stack([_without_short(any_point[:, k], gap, least) for k in range(2)], axis=1)
