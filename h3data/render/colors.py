@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import colorsys
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from h3data.kernels import kernel
 
 MISS_COLOR = (18, 18, 22)
 _PALETTE_SIZE = 1024
@@ -25,32 +27,58 @@ def normalize_depth(depth: ArrayLike, min_m: float, max_m: float) -> NDArray[np.
 
 def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]:
     """Depth [H, W] [m] as colours [H, W, 3] (viridis): ``near`` and less is yellow, ``far`` violet, a miss nearly black."""
-    import cv2
-
-    d = np.asarray(depth, np.float32)
     _check_range(near, far)
-    levels = np.rint(255 * (1 - normalize_depth(d, near, far))).astype(np.uint8)
-    bgr = np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), np.uint8)
-    rgb = np.ascontiguousarray(bgr[..., ::-1])
-    rgb[~(d > 0)] = MISS_COLOR
-    return rgb
+    d = np.ascontiguousarray(depth, np.float32)
+    out = np.empty((*d.shape, 3), np.uint8)
+    _paint_depth(d.ravel(), np.float32(near), np.float32(far), _depth_palette(), out.reshape(-1, 3))
+    return out
 
 
 def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
     """Distinct colours [..., 3] of ids [...]: the same id always has the same colour; negative ids are nearly black."""
-    i = np.asarray(ids)
+    i = np.ascontiguousarray(ids)
     if i.dtype.kind not in "iu":
         raise InputError(f"Ids must be integers, got {i.dtype}.")
-    return np.where((i < 0)[..., None], np.array(MISS_COLOR, np.uint8), _palette()[i % _PALETTE_SIZE]).astype(np.uint8)
+    out = np.empty((*np.shape(ids), 3), np.uint8)
+    _paint_ids(i.ravel(), _palette(), out.reshape(-1, 3))
+    return out
 
 
+@kernel(boundscheck=False)
+def _paint_depth(depth, near, far, palette, out):
+    scale = np.float32(255) / (far - near)
+    for k in range(len(depth)):
+        d = depth[k]
+        level = 256
+        if d > 0:
+            level = 255 - int((min(max(d, near), far) - near) * scale + np.float32(0.5))
+        out[k, 0], out[k, 1], out[k, 2] = palette[level, 0], palette[level, 1], palette[level, 2]
+
+
+@kernel(boundscheck=False)
+def _paint_ids(ids, palette, out):
+    for k in range(len(ids)):
+        place = ids[k] % _PALETTE_SIZE if ids[k] >= 0 else _PALETTE_SIZE
+        out[k, 0], out[k, 1], out[k, 2] = palette[place, 0], palette[place, 1], palette[place, 2]
+
+
+@lru_cache(maxsize=1)
+def _depth_palette() -> NDArray[np.uint8]:
+    """Viridis from far to near and, last, the colour of a miss, shape [257, 3]."""
+    import cv2
+
+    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
+    return np.concatenate([np.asarray(bgr, np.uint8)[:, 0, ::-1], np.array([MISS_COLOR], np.uint8)])
+
+
+@lru_cache(maxsize=1)
 def _palette() -> NDArray[np.uint8]:
-    """Hues by steps of the golden ratio, with saturation and brightness in turns, shape [1024, 3]."""
+    """Hues by steps of the golden ratio, with saturation and brightness in turns, and the colour of nothing, [1025, 3]."""
     colors = [
         colorsys.hsv_to_rgb((0.13 + 0.6180339887 * k) % 1, (0.55, 0.8, 0.4)[k % 3], (0.95, 0.8, 0.65, 0.9)[k % 4])
         for k in range(_PALETTE_SIZE)
     ]
-    return np.rint(255 * np.array(colors)).astype(np.uint8)
+    return np.concatenate([np.rint(255 * np.array(colors)), np.array([MISS_COLOR])]).astype(np.uint8)
 
 
 def _check_range(near: float, far: float) -> None:

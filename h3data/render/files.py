@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.files import part_file
+from h3data.kernels import kernel
 
 MAX_DEPTH_MM = 65535
 
@@ -44,9 +45,36 @@ def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -> None:
-    """Write depth [H, W] [m] as 16-bit PNG in millimetres; 0 = nothing hit, 65535 = 65.5 m or more."""
+    """Write depth [H, W] [m] as 16-bit PNG in millimetres, see `depth_to_mm`."""
+    write_png(path, depth_to_mm(depth))
+
+
+def depth_to_mm(depth: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Depth [H, W] [m] as whole millimetres; 0 = nothing hit (or NaN), 1 at least of a hit, 65535 = 65.5 m or more."""
     d = np.asarray(depth)
     if d.ndim != 2 or d.dtype.kind != "f":
         raise InputError(f"Expected depth as floats [H, W] in metres, got {d.dtype} {list(d.shape)}.")
-    millimetres = np.clip(np.rint(np.nan_to_num(d.astype(np.float64)) * 1000), 0, MAX_DEPTH_MM)
-    write_png(path, np.where((d > 0) & (millimetres == 0), 1, millimetres).astype(np.uint16))
+    out = np.empty(d.shape, np.uint16)
+    _to_mm(np.ascontiguousarray(d).ravel(), out.ravel())
+    return out
+
+
+@kernel(boundscheck=False)
+def _to_mm(depth, out):
+    for k in range(len(depth)):
+        d = depth[k]
+        out[k] = int(min(max(np.rint(d * 1000), 1), MAX_DEPTH_MM)) if d > 0 else 0
+
+
+def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
+    """Ids [H, W] as 16-bit pictures hold them: id + 1, 0 = nothing hit.
+
+    Raises:
+        InputError: an id is above 65534.
+    """
+    i = np.asarray(ids)
+    if i.ndim != 2 or i.dtype.kind not in "iu":
+        raise InputError(f"Expected ids as integers [H, W], got {i.dtype} {list(i.shape)}.")
+    if i.size and i.max() >= MAX_DEPTH_MM:
+        raise InputError(f"16-bit pictures hold ids up to {MAX_DEPTH_MM - 1}, got {i.max()}.")
+    return np.maximum(i + 1, 0).astype(np.uint16)

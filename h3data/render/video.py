@@ -1,4 +1,4 @@
-"""Videos that a browser plays: H.264, yuv420p, in MP4 with its index in front."""
+"""Videos: H.264 or AV1 that a browser plays, in MP4 with the index in front; FFV1 for depth that must stay exact."""
 
 from __future__ import annotations
 
@@ -7,20 +7,43 @@ from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
+from h3data.kernels import kernel
+
+Codec = Literal["h264", "av1", "ffv1"]
+
+
+class _Settings(NamedTuple):
+    encoder: str
+    pixels: str
+    container: str
+    options: dict[str, str]
+
+
+# The same frames must make the same file on every run and machine. x264: without mbtree, whose result differs from run to
+# run (seen on depth videos), and with a fixed number of threads, which shows in the file. SVT-AV1 does not depend on them.
+_SETTINGS = {
+    "h264": _Settings("libx264", "yuv420p", "mp4", {"preset": "veryfast", "x264-params": "mbtree=0:threads=4"}),
+    "av1": _Settings("libsvtav1", "yuv420p", "mp4", {"preset": "10"}),
+    "ffv1": _Settings("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1", "g": "1"}),
+}
+_CRF = {"h264": 20, "av1": 32}
+_BT601, _LIMITED_RANGE = 6, 1
+"""FFmpeg's numbers of the colour space of `_to_yuv`."""
 
 
 class VideoWriter:
-    """Writes RGB frames to an MP4 file; use it as a context manager.
+    """Writes frames to a video file; use it as a context manager.
 
-    The file is written as ``<path>.part`` and gets its name only when the block ends without an exception; otherwise
-    nothing remains. Odd sizes are padded to even ones by repeating the last row or column.
+    ``h264`` and ``av1`` take RGB uint8 [H, W, 3]; odd sizes are padded to even ones by repeating the last row or column.
+    ``ffv1`` takes uint16 [H, W] and is lossless. The file is written as ``<path>.part`` and gets its name only when the
+    block ends without an exception; otherwise nothing remains. The same frames make the same bytes.
     """
 
     def __init__(
@@ -30,49 +53,77 @@ class VideoWriter:
         height: int,
         fps: float = 30,
         *,
-        crf: int = 20,
-        preset: str = "veryfast",
+        codec: Codec = "h264",
+        crf: int | None = None,
+        preset: str | None = None,
     ) -> None:
-        """``crf`` is the quality (0 best, 51 worst), ``preset`` the encoder's effort, both as x264 names them."""
+        """``crf`` is the quality (0 best; default 20 for H.264, 32 for AV1), ``preset`` the encoder's effort, both as x264
+        and SVT-AV1 name them."""
         if width < 1 or height < 1 or not fps > 0:
             raise InputError(f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.")
+        if codec not in _SETTINGS:
+            raise InputError(f"Unknown codec {codec!r}. Expected one of: {', '.join(_SETTINGS)}.")
         self.path = Path(path)
-        self.width, self.height, self.fps = int(width), int(height), fps
+        self.width, self.height, self.fps, self.codec = int(width), int(height), fps, codec
         self.frame_count = 0
-        # without mbtree: its result differs from run to run (seen with x264 on depth videos), and files must not
-        self._options = {"crf": str(crf), "preset": preset, "x264-params": "mbtree=0"}
+        self._options = dict(_SETTINGS[codec].options)
+        if codec in _CRF:
+            self._options["crf"] = str(_CRF[codec] if crf is None else crf)
+            self._options["preset"] = preset or self._options["preset"]
         self._stack: ExitStack | None = None
         self._container: Any = None
         self._stream: Any = None
 
     def __enter__(self) -> Self:
         av = _import_av()
+        settings = _SETTINGS[self.codec]
+        even = settings.pixels == "yuv420p"
         with ExitStack() as stack:
             part = stack.enter_context(part_file(self.path))
-            options = {"movflags": "+faststart"}
-            self._container = stack.enter_context(av.open(str(part), "w", format="mp4", options=options))
+            options = {"movflags": "+faststart"} if settings.container == "mp4" else {"fflags": "+bitexact"}
+            self._container = stack.enter_context(av.open(str(part), "w", format=settings.container, options=options))
             rate = Fraction(self.fps).limit_denominator(1001)
-            self._stream = self._container.add_stream("libx264", rate=rate, options=self._options)
-            self._stream.width = self.width + self.width % 2
-            self._stream.height = self.height + self.height % 2
-            self._stream.pix_fmt = "yuv420p"
+            self._stream = self._container.add_stream(settings.encoder, rate=rate, options=self._options)
+            self._stream.width = self.width + (self.width % 2 if even else 0)
+            self._stream.height = self.height + (self.height % 2 if even else 0)
+            self._stream.pix_fmt = settings.pixels
+            if even:
+                self._stream.codec_context.colorspace = _BT601
+                self._stream.codec_context.color_range = _LIMITED_RANGE
             self._stack = stack.pop_all()
         return self
 
-    def write(self, rgb: NDArray[np.uint8]) -> None:
-        """Append one frame, uint8 [H, W, 3]."""
+    def write(self, image: NDArray[Any]) -> None:
+        """Append one frame."""
+        self.write_planes(self.planes(image))
+
+    def planes(self, image: NDArray[Any]) -> NDArray[Any]:
+        """A frame as `write_planes` takes it; any thread may prepare it."""
+        if self.codec == "ffv1":
+            shape, dtype = (self.height, self.width), np.dtype(np.uint16)
+        else:
+            shape, dtype = (self.height, self.width, 3), np.dtype(np.uint8)
+        if image.shape != shape or image.dtype != dtype:
+            raise InputError(
+                f"Frame {self.frame_count} must be {dtype} {list(shape)}, got {image.dtype} {list(image.shape)}."
+            )
+        if self.codec == "ffv1":
+            return np.ascontiguousarray(image)
+        if self.width % 2 or self.height % 2:
+            image = np.pad(image, ((0, self.height % 2), (0, self.width % 2), (0, 0)), mode="edge")
+        height, width = image.shape[:2]
+        planes = np.empty((height * 3 // 2, width), np.uint8)
+        chroma = planes[height:].reshape(2, height // 2, width // 2)
+        _to_yuv(np.ascontiguousarray(image), planes[:height], chroma[0], chroma[1])
+        return planes
+
+    def write_planes(self, planes: NDArray[Any]) -> None:
+        """Append one frame that `planes` has prepared."""
         if self._stack is None:
             raise InputError(
-                f"The video is not open. Hint: with VideoWriter(...) as video: video.write(rgb). {self.path}"
+                f"The video is not open. Hint: with VideoWriter(...) as video: video.write(image). {self.path}"
             )
-        if rgb.shape != (self.height, self.width, 3) or rgb.dtype != np.uint8:
-            raise InputError(
-                f"Frame {self.frame_count} must be uint8 [{self.height}, {self.width}, 3], "
-                f"got {rgb.dtype} {list(rgb.shape)}."
-            )
-        if self.width % 2 or self.height % 2:
-            rgb = np.pad(rgb, ((0, self.height % 2), (0, self.width % 2), (0, 0)), mode="edge")
-        frame = _import_av().VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
+        frame = _import_av().VideoFrame.from_ndarray(planes, format=_SETTINGS[self.codec].pixels)
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
         self.frame_count += 1
@@ -91,6 +142,23 @@ class VideoWriter:
                 raise InputError(f"No frame was written to the video. {self.path}")
             for packet in self._stream.encode():
                 self._container.mux(packet)
+
+
+@kernel(boundscheck=False)
+def _to_yuv(rgb, y, u, v):
+    """BT.601, limited range, 8-bit fixed point; colour is the mean of 2x2 pixels. rgb [H, W, 3], y [H, W], u and v half."""
+    for row in range(0, rgb.shape[0], 2):
+        for column in range(0, rgb.shape[1], 2):
+            red, green, blue = 0, 0, 0
+            for i in range(2):
+                for j in range(2):
+                    r = int(rgb[row + i, column + j, 0])
+                    g = int(rgb[row + i, column + j, 1])
+                    b = int(rgb[row + i, column + j, 2])
+                    y[row + i, column + j] = (66 * r + 129 * g + 25 * b + 4224) >> 8
+                    red, green, blue = red + r, green + g, blue + b
+            u[row // 2, column // 2] = (-38 * red - 74 * green + 112 * blue + 131584) >> 10
+            v[row // 2, column // 2] = (112 * red - 94 * green - 18 * blue + 131584) >> 10
 
 
 def _import_av() -> Any:

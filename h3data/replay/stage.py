@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +22,9 @@ from h3data.scene import Mesh
 
 if TYPE_CHECKING:
     from h3data.replay.replay import CameraTrack, Replay
+
+JOINT_STEPS = 64
+"""Poses of people are worked out for so many steps at once: for a single one they would cost more than skinning."""
 
 Pictures = list[dict[str, NDArray[Any]]]
 """The outputs of each camera."""
@@ -61,6 +67,7 @@ class Stage:
         light = [person.light for person in self._people]
         self.scene = RenderScene(self._meshes, self._instances, deformable=[s.mesh for s in skins + light])
         self._find_movers()
+        self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
         """An instance of drawable ``index``; returns the number of its mesh."""
@@ -102,6 +109,11 @@ class Stage:
             for agent in sorted({t.agent for _, t in links})
         ]
 
+    def _joints_of_chunk(self, agent: int, chunk: int) -> Array:
+        """Joint frames [t, 55, 4, 4] of `JOINT_STEPS` steps."""
+        first = chunk * JOINT_STEPS
+        return self.replay.joint_matrices(agent, np.arange(first, min(first + JOINT_STEPS, len(self.replay))))
+
     # --- drawing ------------------------------------------------------------------------------------------------------
     def renderer(self) -> Renderer:
         """A renderer for one thread, to be given to `draw`."""
@@ -122,7 +134,9 @@ class Stage:
         rows = np.array([step])
         for skin in self._skins:
             _deform(renderer, skin, self.replay.vertices(skin.drawable, rows)[0])
-        people = [(person, self.replay.joint_matrices(person.agent, rows)) for person in self._people]
+        people = [
+            (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
+        ]
         posed: set[_Skin] = set()
         pictures = []
         for camera in cameras:
@@ -132,30 +146,31 @@ class Stage:
         return pictures
 
     def frames(
-        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output], samples: Literal[1, 4],
-        threads: int,
-    ) -> Iterator[tuple[int, Pictures]]:  # fmt: skip
-        """As `Replay.frames`."""
+        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output],
+        samples: Literal[1, 4] = 1, threads: int = 1, then: Callable[[int, Pictures], Any] | None = None,
+    ) -> Iterator[tuple[int, Any]]:  # fmt: skip
+        """As `Replay.frames`; with ``then``, what it makes of a step and its pictures, in the thread that drew them."""
         local = threading.local()
 
-        def draw(step: int) -> Pictures:
+        def draw(step: int) -> Any:
             if not hasattr(local, "renderer"):
                 local.renderer = self.renderer()
             cameras = [track.at(step) for track in tracks]
-            return self.draw(local.renderer, step, cameras, outputs=outputs, samples=samples)
+            pictures = self.draw(local.renderer, step, cameras, outputs=outputs, samples=samples)
+            return pictures if then is None else then(step, pictures)
 
         if threads <= 1:
             for step in steps:
                 yield step, draw(step)
             return
-        with ThreadPoolExecutor(threads) as pool:
-            ahead, pending, todo = 2 * threads, [], list(steps)
+        todo = iter(steps)
+        with ThreadPoolExecutor(threads, thread_name_prefix="h3data-draw") as pool:
+            pending = deque((step, pool.submit(draw, step)) for step in islice(todo, 2 * threads))
             try:
-                while todo or pending:
-                    while todo and len(pending) < ahead:
-                        pending.append((todo[0], pool.submit(draw, todo.pop(0))))
-                    step, future = pending.pop(0)
+                while pending:
+                    step, future = pending.popleft()
                     yield step, future.result()
+                    pending.extend((step, pool.submit(draw, step)) for step in islice(todo, 1))
             finally:
                 for _, future in pending:
                     future.cancel()

@@ -25,7 +25,8 @@ from h3data_pipelines.command import (
     remove_dataset,
     write_text,
 )
-from h3data_pipelines.rerender import render_videos
+from h3data_pipelines.drawing import core_count, draw_files
+from h3data_pipelines.outputs import Target
 
 FILES = (
     "episode.mcap",
@@ -127,10 +128,9 @@ def _videos(recording: Recording, out: Path) -> dict[str, Path]:
     for output in ("rgb", "depth"):
         names = [name for name, (_, kind) in wanted.items() if kind == output]
         tracks = [camera_track(replay, wanted[name][0]) for name in names]
-        render_videos(
-            replay, tracks, (output,), {(n, output): out / f"{name}.mp4" for n, name in enumerate(names)},
-            steps=range(len(recording)), description=f"render {output}",
-        )  # fmt: skip
+        targets = [Target(output, "h264", out / f"{name}.mp4") for name in names]
+        views = [(track, [target]) for track, target in zip(tracks, targets, strict=True)]
+        draw_files(replay, views, steps=range(len(recording)), threads=core_count(), description=f"render {output}")
     return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
 
 

@@ -2,58 +2,59 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
-from tqdm import tqdm
 
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.replay import CameraTrack, Replay, camera_track
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data_pipelines.camera_log import CameraLog
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, open_episode
+from h3data_pipelines.drawing import core_count, draw_files, frames_per_second
 from h3data_pipelines.importing import recording_stem
+from h3data_pipelines.outputs import OUTPUTS, Format, Target
 
 if TYPE_CHECKING:
     from h3data.render import Output
 
-ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
-TRAJECTORY_STRIDE = 6
-"""Trajectories are drawn through every sixth step: 0.2 s."""
-
 
 @dataclass(frozen=True)
 class Rerender:
-    """Draw recordings again from any camera: H.264 videos that a browser plays, or PNG pictures.
+    """Draw recordings again from any camera, any number of each: videos that a browser plays, or lossless data.
+
+    The same command again goes on where it was interrupted: what is complete is kept. Beside the videos,
+    <recording>.cameras.json holds each camera's K and its pose at every frame.
 
     Examples:
         h3data rerender out/demo/episode.mcap --camera top_down --camera robot_arm --outputs rgb,depth -o videos/
-        h3data rerender ds#3 --camera third_person -o videos/
+        h3data rerender rec/*.mcap --camera third_person --outputs rgb,depth,instance --format data -o training/
         h3data rerender rec/session.mcap --camera my_camera.toml --steps 0:300:2 --format png -o frames/
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """.mcap files, or episodes of a dataset as ds#0."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the videos: <recording>.<camera>.<output>.mp4."""
+    """Folder for the results: <recording>.<camera>.<output>, with a suffix or as a folder of pictures."""
     camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Camera name or .toml file; may be given several times (default: top_down). Unknown names list what there is."""
     outputs: str = "rgb"
-    """Comma-separated: rgb, depth, instance."""
+    """Comma-separated: rgb, depth, instance, semantic."""
     assets: tuple[Path, ...] = ()
     """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
     steps: str = ""
     """Which steps, as start:stop:stride (default: all)."""
-    format: Literal["mp4", "png"] = "mp4"
-    """Videos, or one PNG per step (depth in 16-bit millimetres) in a folder <recording>.<camera>.<output>/."""
-    workers: int = 2
-    """Threads that draw."""
+    format: Format = "mp4"
+    """mp4 (H.264) or av1: videos to look at. png: pictures, depth as 16-bit millimetres, ids as 16-bit id + 1.
+    data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
+    workers: int = 0
+    """Threads that draw (default: one per core)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -61,8 +62,8 @@ class Rerender:
         outputs = parse_outputs(self.outputs)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
-        if self.workers < 1:
-            raise InputError(f"--workers must be at least 1, got {self.workers}.")
+        if self.workers < 0:
+            raise InputError(f"--workers must be at least 1 (0: one per core), got {self.workers}.")
         stems = [recording_stem(path) for path in self.recordings]
         twice = sorted({stem for stem in stems if stems.count(stem) > 1})
         if twice:
@@ -70,51 +71,115 @@ class Rerender:
                 f"Several recordings are called {twice[0]!r}, their videos would overwrite each other. "
                 "Render them one at a time, each to another -o."
             )
-        lines, data = [], []
-        for path in self.recordings:
-            replay = Replay(open_episode(path), assets=self.assets)
-            tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
-            steps = parse_steps(self.steps, len(replay))
-            files = render_videos(
-                replay, tracks, outputs, self._targets(path, tracks, outputs), steps=steps,
-                threads=self.workers, pictures=self.format == "png",
-            )  # fmt: skip
-            lines += [f"wrote {file}" for file in files]
-            lines += missing_lines(replay)
-            data.append(
-                {
-                    "recording": str(path),
-                    "files": [str(f) for f in files],
-                    "missing": dict(sorted(replay.missing.items())),
-                }
-            )
-        return Outcome(text="\n".join(lines), data={"recordings": data})
+        lines, rows = [], []
+        for number, (path, stem) in enumerate(zip(self.recordings, stems, strict=True)):
+            place = f"[{number + 1}/{len(stems)}] " if len(stems) > 1 else ""
+            try:
+                told, row = self._one(path, stem, outputs, place)
+            except H3DataError as error:
+                if len(stems) == 1 or isinstance(error, DiskFullError):
+                    raise
+                told, row = [f"failed {path}: {error}"], {"recording": str(path), "error": str(error)}
+            lines += told
+            rows.append(row)
+        failed = sum("error" in row for row in rows)
+        if failed:
+            lines.append(f"{failed} of {len(rows)} recordings could not be drawn")
+        return Outcome(text="\n".join(lines), data={"recordings": rows}, exit_code=1 if failed else 0)
 
-    def _targets(
-        self, path: Path, tracks: Sequence[CameraTrack], outputs: Sequence[Output]
-    ) -> dict[tuple[int, str], Path]:
-        stem, suffix = recording_stem(path), ".mp4" if self.format == "mp4" else ""
-        targets = {
-            (n, output): self.out / f"{stem}.{track.camera.name}.{output}{suffix}"
-            for n, track in enumerate(tracks)
-            for output in outputs
-        }
-        if len(set(targets.values())) < len(targets):
+    def _one(self, path: Path, stem: str, outputs: Sequence[Output], place: str) -> tuple[list[str], dict[str, Any]]:
+        """Draw one recording; what to tell, as text and as data."""
+        replay = Replay(open_episode(path), assets=self.assets)
+        tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
+        names = [track.camera.name for track in tracks]
+        if len(set(names)) < len(names):
             raise InputError("Two cameras have the same name, so their files would overwrite each other.")
-        for target in targets.values():
-            if self.format == "mp4":
-                claim_file(target, force=self.force)
-            elif target.exists() and not self.force:
-                raise InputError(f"The output folder exists. Use --force to overwrite, or another -o: {target}")
-        return targets
+        steps = parse_steps(self.steps, len(replay))
+        log = CameraLog(self.out, stem, replay, steps)
+        views = [
+            (track, [Target.named(self.out, stem, track.camera.name, output, self.format) for output in outputs])
+            for track in tracks
+        ]
+        todo = [(track, [t for t in targets if self.force or not log.has(track, t)]) for track, targets in views]
+        for track, targets in todo:
+            if not self.force and not self._mark(stem, track).exists():
+                _refuse_existing(targets)
+        for track, targets in todo:
+            if targets:
+                with _errors_of_the_disk(self.out), self._marked(stem, track, targets):
+                    log.forget(track, targets)
+                    draw_files(
+                        replay, [(track, targets)], steps=steps, threads=self.workers or core_count(),
+                        description=f"{place}{stem} {track.camera.name}",
+                    )  # fmt: skip
+                    log.add(track, targets, fps=frames_per_second(replay, steps))
+        drawn = {t.path for _, targets in todo for t in targets}
+        files = [t.path for _, targets in views for t in targets]
+        lines = [f"{'wrote' if file in drawn else 'kept '} {file}" for file in files] + missing_lines(replay)
+        row = {
+            "recording": str(path),
+            "files": [str(file) for file in files],
+            "kept": [str(file) for file in files if file not in drawn],
+            "cameras": str(log.path),
+            "missing": dict(sorted(replay.missing.items())),
+        }
+        return lines, row
+
+    def _mark(self, stem: str, track: CameraTrack) -> Path:
+        return self.out / f"{stem}.{track.camera.name}.part"
+
+    @contextmanager
+    def _marked(self, stem: str, track: CameraTrack, targets: Sequence[Target]) -> Iterator[None]:
+        """A file that is there as long as this camera is under way, so that a later run may replace what is half done."""
+        mark = self._mark(stem, track)
+        self.out.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        try:
+            yield
+        except BaseException:
+            if not any(target.path.exists() for target in targets):
+                mark.unlink()
+            raise
+        mark.unlink()
+
+
+class DiskFullError(InputError):
+    """There is no room for the results."""
+
+
+@contextmanager
+def _errors_of_the_disk(folder: Path) -> Iterator[None]:
+    """A disk without room and a folder that cannot be written, in words."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            free = shutil.disk_usage(folder).free / 1e6 if folder.is_dir() else 0
+            raise DiskFullError(
+                f"The disk is full ({free:.0f} MB free). What is complete is kept; make room and run the same command "
+                f"again to go on. {folder}"
+            ) from None
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG):
+            raise InputError(f"Cannot write here ({error.strerror}): {folder}") from None
+        raise
+
+
+def _refuse_existing(targets: Sequence[Target]) -> None:
+    for target in targets:
+        if target.path.exists():
+            kind = "folder" if target.path.is_dir() else "file"
+            raise InputError(
+                f"The output {kind} exists and was made of something else. Use --force to overwrite, or another -o: "
+                f"{target.path}"
+            )
 
 
 def parse_outputs(text: str) -> tuple[Output, ...]:
     """``"rgb,depth"`` as a tuple; an `InputError` names what exists."""
     names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in ("rgb", "depth", "instance")]
+    unknown = [name for name in names if name not in OUTPUTS]
     if unknown or not names:
-        raise InputError(f"Unknown outputs {unknown or text!r}. Expected some of: rgb, depth, instance.")
+        raise InputError(f"Unknown outputs {unknown or text!r}. Expected some of: {', '.join(OUTPUTS)}.")
     return tuple(dict.fromkeys(names))  # type: ignore[arg-type]
 
 
@@ -143,121 +208,3 @@ def missing_lines(replay: Replay, *, most: int = 8) -> list[str]:
     lines = [f"{len(names)} assets not found, drawn as marked placeholders (Hint: --assets DIR or H3DATA_ASSETS):"]
     lines += [f"  {name}" + (f"  x{replay.missing[name]}" if replay.missing[name] > 1 else "") for name in names[:most]]
     return lines + ([f"  ... and {len(names) - most} more (--json lists all)"] if len(names) > most else [])
-
-
-def render_videos(
-    replay: Replay,
-    tracks: Sequence[CameraTrack],
-    outputs: Sequence[Output],
-    targets: dict[tuple[int, str], Path],
-    *,
-    steps: range,
-    threads: int = 2,
-    pictures: bool = False,
-    annotate: bool = True,
-    description: str = "render",
-) -> list[Path]:
-    """Draw ``steps`` from every camera to ``targets[camera index, output]``; returns the files in that order.
-
-    Files appear under their names only when they are complete.
-    """
-    from h3data.render import VideoWriter, depth_to_rgb
-
-    fps = 30.0
-    times = replay.recording.columns["time_ns"]
-    if len(times) > 1:
-        fps = max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0)  # players want at least one frame a second
-    with ExitStack() as stack:
-        sinks: dict[tuple[int, str], Callable[[NDArray[Any], int], None]] = {}
-        for (n, output), target in targets.items():
-            if pictures:
-                sinks[n, output] = _picture_sink(stack.enter_context(_picture_folder(target)), output)
-            else:
-                camera = tracks[n].camera
-                writer = stack.enter_context(VideoWriter(target, camera.width, camera.height, fps=fps))
-                sinks[n, output] = lambda image, step, writer=writer: writer.write(image)
-        frames = replay.frames(tracks, steps, outputs=outputs, threads=threads)
-        ranges: list[tuple[float, float]] = []
-        for step, views in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
-            ranges = ranges or [depth_range(view["depth"]) if "depth" in view else DEPTH_RANGE_M for view in views]
-            for (n, output), sink in sinks.items():
-                if output == "depth" and not pictures:
-                    image = depth_to_rgb(views[n]["depth"], near=ranges[n][0], far=ranges[n][1])
-                else:
-                    image = _picture(replay, tracks[n], views[n], output, step, annotate=annotate)
-                sink(image, step)
-    return list(targets.values())
-
-
-DEPTH_RANGE_M = (0.0, 10.0)
-
-
-def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
-    """Nearest and farthest depth [m] that the colours of a depth video span: 0 to 10 m as a rule, what there is for
-    cameras far away from everything, such as those from above."""
-    hits = depth[depth > 0]
-    if not len(hits) or np.median(hits) <= DEPTH_RANGE_M[1]:
-        return DEPTH_RANGE_M
-    near, far = np.percentile(hits, (0.5, 99.5))
-    return float(near), float(max(far, near + 0.5))
-
-
-def _picture(
-    replay: Replay, track: CameraTrack, view: dict[str, NDArray[Any]], output: str, step: int, *, annotate: bool
-) -> NDArray[Any]:
-    from h3data.render import instance_to_rgb
-
-    if output == "depth":
-        return view["depth"]
-    if output == "instance":
-        return instance_to_rgb(view["instance"])
-    image = view["rgb"]
-    if annotate and track.camera.name == "top_down":
-        draw_trajectories(image, replay, track, step)
-    return image
-
-
-def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
-    """Draw on ``image`` where each agent has been up to ``step``, and its name."""
-    from h3data.render.overlay import draw_label, draw_polyline
-
-    camera = track.at(step)
-    for index, agent in enumerate(replay.recording.agents):
-        base = replay.recording.agent_column(index, "base_pose")[: step + 1, :3].astype(np.float64)
-        base = base[np.isfinite(base).all(-1)]
-        if not len(base):
-            continue
-        color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
-        line = base[::TRAJECTORY_STRIDE] + np.array([0.0, 0.03, 0.0])
-        draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
-        above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
-        draw_label(image, camera, above, agent.name, color=color, scale=0.6)
-
-
-@contextmanager
-def _picture_folder(target: Path) -> Iterator[Path]:
-    """A folder for pictures that gets the name ``target`` when they are complete, in the place of older pictures."""
-    part = target.with_name(target.name + ".part")
-    for folder in (part, target):
-        strangers = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
-        if strangers:
-            raise InputError(f"Other things than pictures lie in the output folder. Remove them: {strangers[0]}")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    try:
-        yield part
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
-    if target.exists():
-        shutil.rmtree(target)
-    part.rename(target)
-
-
-def _picture_sink(folder: Path, output: str) -> Callable[[NDArray[Any], int], None]:
-    from h3data.render import write_depth_png, write_png
-
-    def sink(image: NDArray[Any], step: int) -> None:
-        (write_depth_png if output == "depth" else write_png)(folder / f"{step:06d}.png", image)
-
-    return sink

@@ -1,0 +1,153 @@
+"""Drawing recordings into files: the loop that keeps all cores busy, and what is drawn over pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from h3data.replay import CameraTrack, Replay
+from h3data_pipelines.outputs import Target, ToPicture
+
+if TYPE_CHECKING:
+    from h3data.render import Output
+
+ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
+TRAJECTORY_STRIDE = 6
+"""Trajectories are drawn through every sixth step: 0.2 s."""
+DEPTH_RANGE_M = (0.0, 10.0)
+
+
+def draw_files(
+    replay: Replay,
+    views: Sequence[tuple[CameraTrack, Sequence[Target]]],
+    *,
+    steps: range,
+    threads: int = 2,
+    annotate: bool = True,
+    description: str = "render",
+) -> None:
+    """Draw ``steps`` from every camera into its targets.
+
+    ``threads`` threads pose, draw and prepare frames (colours, PNG); each video has one more that encodes. A few frames
+    are under way at a time, so memory stays constant. The files do not depend on the number of threads, and appear under
+    their names when they are complete.
+    """
+    outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
+    fps = frames_per_second(replay, steps)
+    with ExitStack() as stack:
+        sinks, encoders = [], []
+        for n, (track, targets) in enumerate(views):
+            for target in targets:
+                picture = _picture(replay, track, target, steps[0], annotate=annotate)
+                sink = stack.enter_context(target.open(track.camera, fps, picture))
+                sinks.append((n, target.output, sink))
+                encoders.append(stack.enter_context(_InOrder(sink.write)))
+
+        def prepare(step: int, pictures: list[dict[str, NDArray[Any]]]) -> list[Any]:
+            return [sink.prepare(pictures[n][output], step) for n, output, sink in sinks]
+
+        frames = replay.stage.frames(
+            [track for track, _ in views], steps, outputs=outputs, threads=threads, then=prepare
+        )
+        for _, prepared in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
+            for encoder, frame in zip(encoders, prepared, strict=True):
+                encoder.submit(frame)
+        for encoder in encoders:
+            encoder.finish()
+
+
+class _InOrder:
+    """A thread that does ``work`` on one thing after the other; a few at most wait for it."""
+
+    WAITING = 4
+
+    def __init__(self, work: Callable[[Any], None]) -> None:
+        self._work = work
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="h3data-encode")
+        self._pending: list[Future[None]] = []
+
+    def submit(self, thing: Any) -> None:
+        """Raises what the work on an earlier thing raised."""
+        while len(self._pending) >= self.WAITING:
+            self._pending.pop(0).result()
+        self._pending.append(self._pool.submit(self._work, thing))
+
+    def finish(self) -> None:
+        """Wait until all is done."""
+        while self._pending:
+            self._pending.pop(0).result()
+
+    def __enter__(self) -> _InOrder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def frames_per_second(replay: Replay, steps: range) -> float:
+    """Of a video of ``steps`` that runs at the speed of life; at least 1, as players want it."""
+    times = replay.recording.columns["time_ns"]
+    return max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0) if len(times) > 1 else 30.0
+
+
+def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, annotate: bool) -> ToPicture:
+    """How a rendered image becomes what the target stores."""
+    from h3data.render import depth_to_rgb, instance_to_rgb
+    from h3data.render.files import depth_to_mm, stored_ids
+
+    if target.output == "rgb" and annotate and track.camera.name == "top_down":
+
+        def with_trajectories(image: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+            draw_trajectories(image, replay, track, step)
+            return image
+
+        return with_trajectories
+    if target.output == "rgb":
+        return lambda image, _: image
+    if target.output == "depth" and target.colored:
+        stage = replay.stage
+        (view,) = stage.draw(stage.renderer(), first, [track.at(first)], outputs=("depth",))
+        near, far = depth_range(view["depth"])
+        return lambda image, _: depth_to_rgb(image, near, far)
+    if target.output == "depth":
+        return lambda image, _: depth_to_mm(image)
+    return lambda image, _: instance_to_rgb(image) if target.colored else stored_ids(image)
+
+
+def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
+    """Nearest and farthest depth [m] that the colours of a depth video span: 0 to 10 m as a rule, what there is for
+    cameras far away from everything, such as those from above."""
+    hits = depth[depth > 0]
+    if not len(hits) or np.median(hits) <= DEPTH_RANGE_M[1]:
+        return DEPTH_RANGE_M
+    near, far = np.percentile(hits, (0.5, 99.5))
+    return float(near), float(max(far, near + 0.5))
+
+
+def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
+    """Draw on ``image`` where each agent has been up to ``step``, and its name."""
+    from h3data.render.overlay import draw_label, draw_polyline
+
+    camera = track.at(step)
+    for index, agent in enumerate(replay.recording.agents):
+        base = replay.recording.agent_column(index, "base_pose")[: step + 1, :3].astype(np.float64)
+        base = base[np.isfinite(base).all(-1)]
+        if not len(base):
+            continue
+        color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
+        line = base[::TRAJECTORY_STRIDE] + np.array([0.0, 0.03, 0.0])
+        draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
+        above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
+        draw_label(image, camera, above, agent.name, color=color, scale=0.6)

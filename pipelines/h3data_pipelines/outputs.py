@@ -1,0 +1,135 @@
+"""What each output of a camera becomes: a video to look at, a lossless one, or numbered pictures."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+
+if TYPE_CHECKING:
+    from h3data.render import Camera, Output, VideoWriter
+
+Form = Literal["h264", "av1", "ffv1", "png"]
+Format = Literal["mp4", "av1", "png", "data"]
+ToPicture = Callable[[NDArray[Any], int], NDArray[Any]]
+"""From what was rendered at a step to what is stored."""
+
+OUTPUTS = ("rgb", "depth", "instance", "semantic")
+_FORMS: Mapping[Format, tuple[Form, Form, Form]] = {
+    "mp4": ("h264", "h264", "h264"),
+    "av1": ("av1", "av1", "av1"),
+    "png": ("png", "png", "png"),
+    "data": ("h264", "ffv1", "png"),
+}
+"""How colours, depth and ids are stored."""
+_SUFFIXES = {"h264": ".mp4", "av1": ".mp4", "ffv1": ".mkv", "png": ""}
+
+
+@dataclass(frozen=True)
+class Target:
+    """One output of one camera and the file (for pictures: the folder) that it goes to."""
+
+    output: Output
+    form: Form
+    path: Path
+
+    @classmethod
+    def named(cls, folder: Path, stem: str, camera: str, output: Output, format: Format) -> Target:
+        """``<folder>/<stem>.<camera>.<output>`` with the suffix that fits."""
+        form = _FORMS[format][min(OUTPUTS.index(output), 2)]
+        return cls(output, form, folder / f"{stem}.{camera}.{output}{_SUFFIXES[form]}")
+
+    @property
+    def colored(self) -> bool:
+        """Whether depth and ids become colours."""
+        return self.form in ("h264", "av1")
+
+    @property
+    def meaning(self) -> str:
+        """What the stored values are."""
+        if self.output == "rgb":
+            return "sRGB"
+        if self.colored:
+            return "colours of depth, to look at" if self.output == "depth" else "one colour for each id, to look at"
+        return "z-depth in millimetres, 0 = nothing hit" if self.output == "depth" else "id + 1, 0 = nothing hit"
+
+    def open(self, camera: Camera, fps: float, picture: ToPicture) -> AbstractContextManager[Sink]:
+        """Where the frames go; the target gets its name at the end of the block, if no exception came."""
+        if self.form == "png":
+            return _open_folder(self.path, picture)
+        return _open_video(self, camera, fps, picture)
+
+
+class Sink(Protocol):
+    """Takes frames in two steps."""
+
+    def prepare(self, image: NDArray[Any], step: int) -> Any:
+        """Everything that may happen in any thread and any order; what it returns goes to `write`."""
+        ...
+
+    def write(self, frame: Any) -> None:
+        """Called with one frame after the other, in their order."""
+        ...
+
+
+@dataclass(frozen=True)
+class _VideoSink:
+    writer: VideoWriter
+    picture: ToPicture
+
+    def prepare(self, image: NDArray[Any], step: int) -> NDArray[Any]:
+        return self.writer.planes(self.picture(image, step))
+
+    def write(self, frame: NDArray[Any]) -> None:
+        self.writer.write_planes(frame)
+
+
+@contextmanager
+def _open_video(target: Target, camera: Camera, fps: float, picture: ToPicture) -> Iterator[Sink]:
+    from h3data.render import VideoWriter
+
+    assert target.form != "png"
+    with VideoWriter(target.path, camera.width, camera.height, fps, codec=target.form) as writer:
+        yield _VideoSink(writer, picture)
+
+
+@dataclass(frozen=True)
+class _FolderSink:
+    folder: Path
+    picture: ToPicture
+
+    def prepare(self, image: NDArray[Any], step: int) -> None:
+        from h3data.render import write_png
+
+        write_png(self.folder / f"{step:06d}.png", self.picture(image, step))
+
+    def write(self, frame: None) -> None:
+        pass
+
+
+@contextmanager
+def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
+    """A folder for pictures that gets the name ``target`` when they are complete, in the place of older pictures."""
+    part = target.with_name(target.name + ".part")
+    for folder in (part, target):
+        strangers = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
+        if strangers:
+            raise InputError(f"Other things than pictures lie in the output folder. Remove them: {strangers[0]}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    try:
+        yield _FolderSink(part, picture)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    if target.exists():
+        shutil.rmtree(target)
+    part.rename(target)

@@ -1,0 +1,220 @@
+"""``h3data rerender``: exact data, the same bytes every time, resumed after any interruption."""
+
+from __future__ import annotations
+
+import errno
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+import h3data
+from h3data.recording.mcap_log import write_mcap
+from h3data.render import VideoWriter
+from h3data.replay import camera_track
+from h3data.scene import HomeSpec, build_home
+from h3data_pipelines.cli import main
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+
+CAMERA = 'eye = [-1.0, 1.6, 0.3]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwidth = 97\nheight = 64\n'
+
+
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rerender")
+    world = SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=24))
+    write_mcap(simulate_social_nav(world), folder / "walk.mcap")
+    (folder / "near.toml").write_text(CAMERA)
+    return folder / "walk.mcap"
+
+
+def rerender(capsys: pytest.CaptureFixture[str], *arguments: Any, code: int = 0) -> Any:
+    capsys.readouterr()
+    assert main(["rerender", *map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def files_below(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_data_is_exact_and_comes_with_its_cameras(
+    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    near = episode.with_name("near.toml")
+    rerender(
+        capsys, episode, "--camera", near, "--camera", "third_person", "--outputs", "rgb,depth,instance,semantic",
+        "--format", "data", "--steps", "2:20:4", "-o", tmp_path,
+    )  # fmt: skip
+    log = json.loads((tmp_path / "walk.cameras.json").read_text())
+    assert set(log["cameras"]) == {"near", "third_person"}
+    entry, replay = log["cameras"]["near"], h3data.Replay(h3data.open(episode))
+    track = camera_track(replay, str(near))
+    np.testing.assert_allclose(entry["K"], track.camera.intrinsics)
+    assert entry["steps"] == [2, 6, 10, 14, 18]
+    np.testing.assert_allclose(entry["time_s"], replay.recording.columns["time_ns"][2:20:4] * 1e-9)
+    np.testing.assert_allclose(entry["camera_to_world"], track.poses[2:20:4], atol=1e-6)
+    wanted = dict(replay.frames([track], entry["steps"], outputs=("depth", "instance", "semantic")))
+    with av.open(str(tmp_path / entry["outputs"]["depth"]["file"])) as container:
+        assert container.streams.video[0].codec_context.name == "ffv1"
+        depths = [frame.to_ndarray(format="gray16le") for frame in container.decode(video=0)]
+    for depth, step in zip(depths, entry["steps"], strict=True):
+        np.testing.assert_allclose(depth, wanted[step][0]["depth"] * 1e3, atol=0.51)
+        for output in ("instance", "semantic"):
+            folder = tmp_path / entry["outputs"][output]["file"]
+            ids = cv2.imread(str(folder / f"{step:06d}.png"), cv2.IMREAD_UNCHANGED)
+            assert ids is not None
+            np.testing.assert_array_equal(ids.astype(int) - 1, wanted[step][0][output])
+    with av.open(str(tmp_path / entry["outputs"]["rgb"]["file"])) as container:
+        assert container.streams.video[0].average_rate == pytest.approx(entry["frames_per_second"], rel=1e-3)
+        assert sum(1 for _ in container.decode(video=0)) == 5
+
+
+@pytest.mark.parametrize("kind", ["mp4", "av1", "data", "png"])
+def test_the_same_bytes_with_any_number_of_workers(
+    kind: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = (
+        episode, "--camera", episode.with_name("near.toml"), "--outputs", "rgb,depth,instance", "--format", kind,
+        "--steps", "0:12",
+    )  # fmt: skip
+    for name, workers in (("one", 1), ("again", 1), ("many", 3)):
+        rerender(capsys, *options, "--workers", workers, "-o", tmp_path / name)
+    one = files_below(tmp_path / "one")
+    assert len(one) == {"mp4": 4, "av1": 4, "data": 3 + 12, "png": 1 + 36}[kind]
+    assert files_below(tmp_path / "again") == one
+    assert files_below(tmp_path / "many") == one
+
+
+def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = (episode, "--steps", "0:6", "-o", tmp_path)
+    near = ("--camera", episode.with_name("near.toml"))
+    first = rerender(capsys, *options, *near)["recordings"][0]
+    assert (len(first["files"]), first["kept"]) == (1, [])
+    stamp = Path(first["files"][0]).stat().st_mtime_ns
+    again = rerender(capsys, *options, *near)["recordings"][0]
+    assert again["kept"] == first["files"]
+    more = rerender(capsys, *options, *near, "--camera", "robot_arm", "--outputs", "rgb,depth")["recordings"][0]
+    assert len(more["files"]) == 4
+    assert more["kept"] == first["files"]
+    assert Path(first["files"][0]).stat().st_mtime_ns == stamp
+    log = json.loads(Path(first["cameras"]).read_text())
+    assert {name: set(c["outputs"]) for name, c in log["cameras"].items()} == {
+        "near": {"rgb", "depth"}, "robot_arm": {"rgb", "depth"}
+    }  # fmt: skip
+    other = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, code=2)
+    assert "made of something else" in other["error"]
+    changed = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, "--force")["recordings"][0]
+    assert changed["kept"] == []
+    assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7
+
+
+def test_killed_at_any_time_it_goes_on(episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only .part files and complete ones are there after a kill; the next run ends with what an undisturbed one makes."""
+    near = str(episode.with_name("near.toml"))
+    options = [str(episode), "--camera", near, "--camera", "robot_arm", "--outputs", "rgb,instance", "--format", "data"]
+    rerender(capsys, *options, "-o", tmp_path / "whole")
+    whole = files_below(tmp_path / "whole")
+    out = tmp_path / "killed"
+    command = [sys.executable, "-c", SLOW, "rerender", *options, "-o", str(out)]
+    for patience in ("walk.near.part", "walk.robot_arm.part"):
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        while not ((out / patience).exists() and any(out.glob("*.part/000003.png"))) and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+        left = files_below(out)
+        finished = {name: data for name, data in left.items() if ".part" not in name and "cameras.json" not in name}
+        assert len(finished) < len(whole)
+        assert all(whole[name] == data for name, data in finished.items())
+    assert any(name.startswith("walk.near.") for name in finished)  # the second run kept what the first camera has
+    data = rerender(capsys, *options, "-o", out)["recordings"][0]
+    assert {Path(f).name.split(".")[1] for f in data["kept"]} == {"near"}
+    assert files_below(out) == whole
+
+
+SLOW = """
+import sys, time
+from h3data.replay.stage import Stage
+quick = Stage.draw
+def slow(*arguments, **options):
+    time.sleep(0.05)
+    return quick(*arguments, **options)
+Stage.draw = slow
+from h3data_pipelines.cli import main
+main(sys.argv[1:])
+"""
+
+
+def test_a_full_disk_is_said_and_nothing_half_done_stays(
+    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+
+    def write_planes(self: VideoWriter, planes: np.ndarray) -> None:
+        written.append(planes)
+        if len(written) > 8:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        quick(self, planes)
+
+    quick = VideoWriter.write_planes
+    monkeypatch.setattr(VideoWriter, "write_planes", write_planes)
+    options = (
+        episode,
+        "--camera",
+        episode.with_name("near.toml"),
+        "--camera",
+        "robot_arm",
+        "--steps",
+        "0:6",
+        "-o",
+        tmp_path,
+    )
+    error = rerender(capsys, *options, code=2)["error"]
+    assert "The disk is full" in error
+    assert "go on" in error
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.cameras.json", "walk.near.rgb.mp4"]
+    monkeypatch.setattr(VideoWriter, "write_planes", quick)
+    assert len(rerender(capsys, *options)["recordings"][0]["kept"]) == 1
+
+
+def test_one_bad_recording_does_not_stop_the_others(
+    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"no recording")
+    options = ("--camera", episode.with_name("near.toml"), "--steps", "0:3", "-o", tmp_path / "v")
+    rows = rerender(capsys, tmp_path / "bad.mcap", episode, *options, code=1)["recordings"]
+    assert "bad.mcap" in rows[0]["error"]
+    assert Path(rows[1]["files"][0]).exists()
+
+
+def test_cameras_choose_how_detailed_people_are(episode: Path) -> None:
+    """Near ones show the full mesh, far ones the reduced one, in the same call; ids do not tell which."""
+    recording = h3data.open(episode)
+    auto, full, light = (h3data.Replay(recording, detail=detail) for detail in (None, True, False))
+    person = next(i for i, d in enumerate(auto.drawables) if d.deformable)
+    tracks = {}
+    for name, eye in (("near", [1.2, 1.4, 0.5]), ("far", [-1.0, 7.0, 0.0])):
+        file = episode.with_name(f"{name}_person.toml")
+        file.write_text(f'eye = {eye}\ntarget = [0.0, 1.0, 0.0]\nfollow = "human"\nhidden_layers = ["ceiling"]\n')
+        tracks[name] = camera_track(auto, str(file))
+    pictures = [
+        dict(r.frames(list(tracks.values()), [5, 15], outputs=("depth", "instance"))) for r in (auto, full, light)
+    ]
+    for step in (5, 15):
+        seen = [p[step] for p in pictures]
+        for camera, chosen, other in ((0, 1, 2), (1, 2, 1)):
+            np.testing.assert_array_equal(seen[0][camera]["depth"], seen[chosen][camera]["depth"])
+            np.testing.assert_array_equal(seen[0][camera]["instance"], seen[chosen][camera]["instance"])
+            body = seen[0][camera]["instance"] == person
+            assert body.sum() > 30
+            assert (seen[0][camera]["depth"] != seen[other][camera]["depth"])[body].any()
