@@ -1,0 +1,232 @@
+"""CUDA C compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes, nothing to build.
+
+NVRTC comes with torch's own CUDA packages. What it compiled is kept in ``~/.cache/h3data`` (or ``$XDG_CACHE_HOME``), one
+file per source, options, device and NVRTC version.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from h3data.errors import H3DataError, InputError
+from h3data.files import part_file
+
+if TYPE_CHECKING:
+    import torch
+
+SOURCES = ("common.cuh", "deform.cu", "raster.cu", "shade.cu", "occlusion.cu")
+_DYNAMIC_SHARED_BYTES = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+
+
+class GpuError(H3DataError):
+    """CUDA refused something; the message holds its own words."""
+
+
+def gpu_problem() -> str | None:
+    """Why there is no GPU to draw on, in words; None where there is one."""
+    import torch
+
+    if not torch.cuda.is_available():
+        built = torch.version.cuda
+        why = "this torch is built without CUDA" if built is None else f"torch (CUDA {built}) sees no device"
+        return f"No CUDA device: {why}. Hint: use the CPU renderer (h3data.render.Renderer)."
+    try:
+        _nvrtc()
+    except GpuError as error:
+        return str(error)
+    return None
+
+
+def chosen_device(device: str | torch.device | None) -> torch.device:
+    """The CUDA device to use, with its index.
+
+    Raises:
+        InputError: there is none, or ``device`` is not one.
+    """
+    import torch
+
+    problem = gpu_problem()
+    if problem:
+        raise InputError(problem)
+    chosen = torch.device("cuda" if device is None else device)
+    if chosen.type != "cuda" or (chosen.index or 0) >= torch.cuda.device_count():
+        raise InputError(f"Expected one of {torch.cuda.device_count()} CUDA devices, got {str(chosen)!r}.")
+    return torch.device("cuda", torch.cuda.current_device() if chosen.index is None else chosen.index)
+
+
+def source_text() -> str:
+    """All the CUDA C of this package."""
+    folder = Path(__file__).parent
+    return "".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in SOURCES)
+
+
+class Program:
+    """The compiled kernels for one device."""
+
+    def __init__(self, device: torch.device, defines: Mapping[str, int]) -> None:
+        import torch
+
+        self.device = device
+        major, minor = torch.cuda.get_device_capability(device)
+        image = compiled(source_text(), (major, minor), tuple(f"-D{k}={v}" for k, v in sorted(defines.items())))
+        self._driver = _driver()
+        self._module = ctypes.c_void_p()
+        torch.cuda.synchronize(device)  # makes torch's context the current one
+        with torch.cuda.device(device):
+            _call(self._driver, "cuModuleLoadData", ctypes.byref(self._module), image)
+        self._functions: dict[str, tuple[ctypes.c_void_p, int]] = {}
+
+    def launch(
+        self, name: str, blocks: int, threads: int, argument: ctypes.Structure, *, shared_bytes: int = 0
+    ) -> None:
+        """Start a kernel on torch's current stream; its one parameter is a struct."""
+        import torch
+
+        if blocks == 0:
+            return
+        function = self._function(name, shared_bytes)
+        parameters = (ctypes.c_void_p * 1)(ctypes.addressof(argument))
+        stream = ctypes.c_void_p(torch.cuda.current_stream(self.device).cuda_stream)
+        _call(
+            self._driver,
+            "cuLaunchKernel",
+            function,
+            blocks,
+            1,
+            1,
+            threads,
+            1,
+            1,
+            shared_bytes,
+            stream,
+            parameters,
+            None,
+        )
+
+    def _function(self, name: str, shared_bytes: int) -> ctypes.c_void_p:
+        function, allowed = self._functions.get(name, (None, 48 * 1024))
+        if function is None:
+            function = ctypes.c_void_p()
+            _call(self._driver, "cuModuleGetFunction", ctypes.byref(function), self._module, name.encode())
+        if shared_bytes > allowed:
+            _call(self._driver, "cuFuncSetAttribute", function, _DYNAMIC_SHARED_BYTES, shared_bytes)
+            allowed = shared_bytes
+        self._functions[name] = function, allowed
+        return function
+
+
+def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -> bytes:
+    """Machine code (or PTX, for devices newer than NVRTC) of CUDA C, from the cache if it is there.
+
+    Raises:
+        GpuError: it does not compile.
+    """
+    nvrtc = _nvrtc()
+    version = (ctypes.c_int(), ctypes.c_int())
+    _call(nvrtc, "nvrtcVersion", ctypes.byref(version[0]), ctypes.byref(version[1]))
+    number = 10 * capability[0] + capability[1]
+    newest = max(_supported(nvrtc))
+    arch = f"sm_{number}" if number <= newest else f"compute_{newest}"
+    options = (f"--gpu-architecture={arch}", "--std=c++17", "-default-device", *options)
+    key = repr((source, options, version[0].value, version[1].value))
+    folder = _cache_folder()
+    path = None if folder is None else folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.cubin"
+    if path is not None and path.exists():
+        return path.read_bytes()
+    image = _compile(nvrtc, source, options, ptx=arch.startswith("compute"))
+    if path is not None:
+        with part_file(path, shared=True) as part:
+            part.write_bytes(image)
+    return image
+
+
+def _cache_folder() -> Path | None:
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "h3data" / "gpu"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def _supported(nvrtc: Any) -> list[int]:
+    count = ctypes.c_int()
+    _call(nvrtc, "nvrtcGetNumSupportedArchs", ctypes.byref(count))
+    archs = (ctypes.c_int * count.value)()
+    _call(nvrtc, "nvrtcGetSupportedArchs", archs)
+    return list(archs)
+
+
+def _compile(nvrtc: Any, source: str, options: Sequence[str], *, ptx: bool) -> bytes:
+    program, size = ctypes.c_void_p(), ctypes.c_size_t()
+    _call(nvrtc, "nvrtcCreateProgram", ctypes.byref(program), source.encode(), b"h3data.cu", 0, None, None)
+    try:
+        words = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
+        if nvrtc.nvrtcCompileProgram(program, len(options), words):
+            nvrtc.nvrtcGetProgramLogSize(program, ctypes.byref(size))
+            log = ctypes.create_string_buffer(size.value)
+            nvrtc.nvrtcGetProgramLog(program, log)
+            raise GpuError(f"The CUDA code does not compile:\n{log.value.decode(errors='replace')}")
+        kind = "PTX" if ptx else "CUBIN"
+        _call(nvrtc, f"nvrtcGet{kind}Size", program, ctypes.byref(size))
+        image = ctypes.create_string_buffer(size.value)
+        _call(nvrtc, f"nvrtcGet{kind}", program, image)
+        return image.raw
+    finally:
+        nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+# --- the two libraries ----------------------------------------------------------------------------------------------
+@functools.cache
+def _driver() -> Any:
+    try:
+        return ctypes.CDLL("libcuda.so.1")
+    except OSError as error:
+        raise GpuError(f"The CUDA driver's libcuda.so.1 cannot be loaded: {error}.") from None
+
+
+@functools.cache
+def _nvrtc() -> Any:
+    """NVRTC of torch's CUDA version: beside torch, in NVIDIA's packages, or wherever the system finds it."""
+    import torch
+
+    major = (torch.version.cuda or "").split(".")[0]
+    beside = Path(torch.__file__).parent / "lib"
+    site = Path(torch.__file__).parents[1]
+    found = [
+        path
+        for path in sorted([*beside.glob("libnvrtc*.so*"), *site.glob("nvidia/*/lib/libnvrtc.so*")])
+        if "builtins" not in path.name and "alt" not in path.name
+    ]
+    exact = [path for path in found if re.search(rf"\.so\.{major}\b", path.name)]
+    for name in [*map(str, exact), f"libnvrtc.so.{major}", *map(str, found), "libnvrtc.so"]:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    raise GpuError(
+        f"NVRTC of CUDA {major} was not found beside torch. "
+        f"Hint: pip install nvidia-cuda-nvrtc{'-cu12' if major == '12' else ''}."
+    )
+
+
+def _call(library: Any, name: str, *arguments: Any) -> None:
+    status = getattr(library, name)(*arguments)
+    if status:
+        raise GpuError(f"{name} failed: {_words(library, name, status)}.")
+
+
+def _words(library: Any, name: str, status: int) -> str:
+    if name.startswith("nvrtc"):
+        library.nvrtcGetErrorString.restype = ctypes.c_char_p
+        return library.nvrtcGetErrorString(status).decode()
+    text = ctypes.c_char_p()
+    library.cuGetErrorString(status, ctypes.byref(text))
+    return (text.value or b"unknown error").decode() + f" ({status})"

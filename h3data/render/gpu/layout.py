@@ -1,0 +1,82 @@
+"""The structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`), for ctypes and NumPy.
+
+Fields that are tensors on the CUDA side are addresses here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+CAMERA_WORDS = 18
+"""Of a view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
+BOX = np.dtype([("center", "3f4"), ("first", "i4"), ("half", "3f4"), ("second", "i4")])
+PLACE = np.dtype([("slot", "i4"), ("layer", "u4"), ("group", "i4"), ("instance", "i4")])
+SCENE = np.dtype(
+    [(name, "i4") for name in (
+        "first_item", "items", "first_instance", "first_group", "groups", "first_vertex", "first_cluster", "unused",
+    )]
+)  # fmt: skip
+GROUP = np.dtype([(name, "i4") for name in ("first_cluster", "clusters", "body", "first_source")])
+
+
+class Struct(ctypes.Structure):
+    """A struct that is filled by name; tensors stand for their addresses."""
+
+    def fill(self, **values: Any) -> None:
+        for name, value in values.items():
+            setattr(self, name, value.data_ptr() if hasattr(value, "data_ptr") else value)
+
+
+def _fields(pointers: str, **rest: str) -> list[tuple[str, Any]]:
+    kinds = {"int": ctypes.c_int, "float": ctypes.c_float}
+    fields: list[tuple[str, Any]] = [(name, ctypes.c_void_p) for name in pointers.split()]
+    for kind, names in rest.items():
+        fields += [(name, kinds[kind.rstrip("_")]) for name in names.split()]
+    return fields
+
+
+class World(Struct):
+    _fields_ = _fields(
+        "vertices triangles clusters items places scenes scene_of_world world_of_view groups poses cameras hidden placement deformed "
+        "deformed_clusters deformed_groups",
+        int="slots deformed_vertices deformed_cluster_count deformed_group_count width height first_view views scale "
+        "unused",
+    )
+
+
+class Deform(Struct):
+    _fields_ = [
+        ("world", World),
+        *_fields(
+            "joints inverse_bind skin_joints skin_weights sources source_vertex",
+            int="bodies joint_count source_count unused",
+        ),
+    ]
+
+
+class Raster(Struct):
+    _fields_ = [("world", World), *_fields("depth words")]
+
+
+class Shade(Struct):
+    _fields_ = [
+        ("world", World),
+        *_fields(
+            "depth words triangle_instances triangle_faces semantic_ids normals colors uv triangle_textures levels "
+            "first_level texels normal_groups group_first group_faces linear_of_byte byte_of_level surfaces occlusion "
+            "instance semantic triangle normal rgb"
+        ),
+        ("light", ctypes.c_float * 27),
+        *_fields("", float="strength", int="coarse_width coarse_height samples"),
+    ]
+
+
+class Occlude(Struct):
+    _fields_ = _fields(
+        "depth cameras offsets surfaces amounts source",
+        int="width height factor coarse_width coarse_height scale first_view views along_y",
+        float="radius near_radius gain",
+    )

@@ -1,0 +1,448 @@
+"""Thousands of worlds on one GPU: poses, skins and cameras in, pictures out; all of it torch tensors on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.render.camera import Camera
+from h3data.render.gpu.cuda import Program, chosen_device
+from h3data.render.gpu.layout import CAMERA_WORDS, Deform, Raster, World
+from h3data.render.gpu.packing import GpuScene, Packed, pack_scenes
+from h3data.render.gpu.shading import Shader
+from h3data.render.pictures import FORMS, Output, check_outputs
+from h3data.render.scene import RenderScene
+from h3data.render.shading import Light
+
+if TYPE_CHECKING:
+    import torch
+
+_SHARED_LIMIT = 227 * 1024
+"""Shared memory of a block on Hopper [bytes]; others have less, and say so."""
+
+
+class Variant(NamedTuple):
+    """How the rasteriser is compiled."""
+
+    tile: int
+    """Width and height of a block's tile [px]."""
+    warps: int
+    blocks: int
+    """That shall fit a multiprocessor at the same time."""
+
+    def shared_bytes(self, items: int) -> int:
+        """Dynamic shared memory of a block: pixels, coarse depth, corners, list of items."""
+        return self.tile**2 * 8 + (self.tile // 8) ** 2 * 4 + self.warps * 128 * 12 + -(-items * 6 // 8) * 8
+
+
+def choose_variant(worlds: int, width: int, height: int) -> Variant:
+    """The fastest measured: small tiles where there are few blocks, large ones for small pictures."""
+    pixels = worlds * width * height
+    if worlds < 64:
+        if pixels < 400_000:
+            return Variant(16, 8, 4)
+        return Variant(16, 4, 8) if pixels < 2_000_000 else Variant(32, 4, 8)
+    if max(width, height) <= 64:
+        return Variant(64, 16, 2)
+    return Variant(64, 8, 4) if max(width, height) <= 128 else Variant(32, 4, 8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """Cameras on the device, as the kernels read them."""
+
+    key: tuple[Any, ...]
+    cameras: torch.Tensor
+    hidden: torch.Tensor
+    world_of_view: torch.Tensor
+    placement: torch.Tensor
+
+    @property
+    def count(self) -> int:
+        return len(self.cameras)
+
+
+class GpuRenderer:
+    """Draws the same pictures as `h3data.render.Renderer`, for many worlds at once.
+
+    A world is one scene with poses, deformed vertices and a camera of its own. Everything runs on torch's current stream;
+    nothing waits for the GPU and nothing comes back to the host unless you ask, so a step can be captured (`captured`).
+    A fresh renderer shows the scenes as they were built.
+    """
+
+    def __init__(
+        self,
+        scenes: RenderScene | GpuScene | Sequence[RenderScene | GpuScene],
+        *,
+        width: int,
+        height: int,
+        worlds: int,
+        scene_of_world: Sequence[int] | None = None,
+        light: Light | None = None,
+        device: str | torch.device | None = None,
+    ) -> None:
+        """Pictures of ``width`` x ``height`` pixels; world w shows scene ``scene_of_world[w]``, by default all in turn.
+
+        Raises:
+            InputError: there is no GPU, or an argument is not what it should be.
+        """
+        listed = [scenes] if isinstance(scenes, RenderScene | GpuScene) else list(scenes)
+        self.scenes = tuple(s if isinstance(s, GpuScene) else GpuScene(s) for s in listed)
+        self.width, self.height, self.worlds = _positive(width=width, height=height, worlds=worlds)
+        if not self.scenes:
+            raise InputError("Expected at least one scene.")
+        chosen = np.arange(worlds) % len(self.scenes) if scene_of_world is None else np.asarray(scene_of_world)
+        if (
+            chosen.shape != (worlds,)
+            or chosen.dtype.kind not in "iu"
+            or not set(chosen) <= set(range(len(self.scenes)))
+        ):
+            raise InputError(f"scene_of_world needs {worlds} numbers from 0 to {len(self.scenes) - 1}.")
+        self.scene_of_world = tuple(int(s) for s in chosen)
+        self.light = light or Light()
+        self.device = self._find_device(device)
+        self.packed = pack_scenes(self.scenes)
+        self._items = int(self.packed.scenes["items"].max())
+        self._programs: dict[Variant, Any] = {}
+        self.variant = choose_variant(self.worlds, self.width, self.height)
+        self._views: _Views | None = None
+        self._upload()
+        self._reset()
+
+    def _find_device(self, device: str | torch.device | None) -> torch.device:
+        return chosen_device(device)
+
+    def _compile(self, variant: Variant) -> Any:
+        return Program(self.device, {"TILE": variant.tile, "WARPS": variant.warps, "BLOCKS": variant.blocks})
+
+    # --- what lies on the device --------------------------------------------------------------------------------------
+    def _upload(self) -> None:
+        import torch
+
+        packed = self.packed
+        self._tensors = {
+            f.name: _tensor(getattr(packed, f.name), self.device)
+            for f in fields(Packed)
+            if isinstance(getattr(packed, f.name), np.ndarray)
+        }
+
+        def empty(*shape: int) -> torch.Tensor:
+            return torch.zeros(shape, dtype=torch.float32, device=self.device)
+
+        worlds = self.worlds
+        self._poses = empty(worlds, packed.slots - 1, 12)
+        self._joints = empty(worlds, packed.bodies, packed.inverse_bind.shape[2], 12)
+        self._sources = empty(worlds, max(map(len, packed.sources)), 3)
+        held = self._held = {
+            "scene_of_world": _tensor(np.array(self.scene_of_world, np.int32), self.device),
+            "deformed": empty(worlds, packed.deformed_vertices, 3),
+            "deformed_clusters": empty(worlds, packed.deformed_clusters, 8),
+            "deformed_groups": empty(worlds, packed.deformed_groups, 8),
+        }
+        self._world = World()
+        self._world.fill(
+            **{
+                k: self._tensors[k]
+                for k in ("vertices", "triangles", "clusters", "items", "places", "scenes", "groups")
+            },
+            **held,
+            poses=self._poses,
+            slots=packed.slots,
+            deformed_vertices=packed.deformed_vertices,
+            deformed_cluster_count=packed.deformed_clusters,
+            deformed_group_count=packed.deformed_groups,
+        )
+        self._deform = Deform()
+        self._deform.fill(
+            **{k: self._tensors[k] for k in ("inverse_bind", "skin_joints", "skin_weights", "source_vertex")},
+            world=self._world,
+            joints=self._joints,
+            sources=self._sources,
+            bodies=packed.bodies,
+            joint_count=packed.inverse_bind.shape[2],
+            source_count=self._sources.shape[1],
+        )
+        self._shader = Shader(self._tensors, packed, self.light, self.device)
+
+    def _reset(self) -> None:
+        """Everything as the scenes were built."""
+        packed = self.packed
+        poses = np.full((len(self.scenes), packed.slots - 1, 3, 4), np.nan, np.float32)
+        sources = np.zeros((len(self.scenes), *self._sources.shape[1:]), np.float32)
+        joints = np.linalg.inv(packed.inverse_bind.astype(np.float64))[:, : packed.bodies, :, :3]
+        for number, stage in enumerate(self.scenes):
+            poses[number, : len(stage.slots)] = stage.scene.instance_matrix[list(stage.slots)]
+            sources[number, : len(packed.sources[number])] = packed.sources[number]
+        which = self._held["scene_of_world"].long()
+        self._poses.copy_(_tensor(poses, self.device)[which].flatten(2))
+        self._sources.copy_(_tensor(sources, self.device)[which])
+        self._joints.copy_(_tensor(joints.astype(np.float32), self.device)[which].flatten(3))
+        self._run_deform()
+
+    @property
+    def nbytes(self) -> int:
+        """What scenes and worlds take on the device, without pictures [bytes]."""
+        own = [self._poses, self._joints, self._sources]
+        tensors = [*self._tensors.values(), *self._held.values(), *own]
+        return sum(t.numel() * t.element_size() for t in tensors)
+
+    # --- what moves ---------------------------------------------------------------------------------------------------
+    def update_poses(self, poses: Any) -> None:
+        """Place what moves: ``poses`` [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world, in the order of
+        `GpuScene.slots`; N may be less than there are, the others stay. NaN hides."""
+        given = self._floats(poses, "poses", 4)
+        count = given.shape[1]
+        if count > self.packed.slots - 1 or given.shape[0] != self.worlds or given.shape[2:] not in ((4, 4), (3, 4)):
+            raise InputError(
+                f"poses must be [{self.worlds}, up to {self.packed.slots - 1}, 4, 4], got {list(given.shape)}."
+            )
+        self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
+
+    def update_joints(self, joints: Any) -> None:
+        """Skin all meshes that have a skin: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
+        scene's deformable meshes in order; without the second axis where there is one. NaN hides."""
+        count = self._joints.shape[2]
+        given = self._floats(joints, "joints", None)
+        if given.ndim == 4:
+            given = given[:, None]
+        expected = (self.worlds, self.packed.bodies, count)
+        if given.ndim != 5 or given.shape[:3] != expected or given.shape[3:] not in ((4, 4), (3, 4)):
+            raise InputError(f"joints must be {[*expected, 4, 4]}, got {list(given.shape)}.")
+        self._joints.unflatten(3, (3, 4)).copy_(given[..., :3, :])
+        self._run_deform()
+
+    def update_vertices(self, mesh: int, vertices: Any) -> None:
+        """Replace the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has one
+        of that number and size (there must be one). NaN hides what it touches."""
+        given = self._floats(vertices, "vertices", 3)
+        where = [
+            (number, first[mesh])
+            for number, first in enumerate(self.packed.source_first)
+            if mesh in first and len(self.scenes[number].scene.meshes[mesh].vertices) == given.shape[1]
+        ]
+        if not where or given.shape[0] != self.worlds or given.shape[2] != 3:
+            without = sorted({m for first in self.packed.source_first for m in first})
+            raise InputError(
+                f"Expected vertices [{self.worlds}, V, 3] of a deformable mesh without skin (these are: {without}), "
+                f"got {list(given.shape)} for mesh {mesh}."
+            )
+        for number, first in where:
+            if len(self.scenes) == 1:
+                self._sources[:, first : first + given.shape[1]].copy_(given)
+            else:
+                worlds = [w for w, scene in enumerate(self.scene_of_world) if scene == number]
+                self._sources[worlds, first : first + given.shape[1]] = given[worlds]
+        self._run_deform()
+
+    def _run_deform(self) -> None:
+        blocks = self.worlds * self.packed.deformed_groups
+        shared = self._deform.joint_count * 48
+        self._deform.world = self._world
+        self._program().launch("deform", blocks, 256, self._deform, shared_bytes=shared)
+
+    def _floats(self, values: Any, name: str, ndim: int | None) -> torch.Tensor:
+        import torch
+
+        tensor = torch.as_tensor(values, dtype=torch.float32, device=self.device)
+        if ndim is not None and tensor.ndim != ndim:
+            raise InputError(f"{name} must have {ndim} axes, got {list(tensor.shape)}.")
+        return tensor
+
+    # --- pictures -----------------------------------------------------------------------------------------------------
+    def render(
+        self,
+        cameras: Camera | Sequence[Camera],
+        *,
+        worlds: Sequence[int] | None = None,
+        outputs: Sequence[Output] = ("depth", "instance", "rgb"),
+        samples: Literal[1, 4] = 1,
+        poses: Any = None,
+    ) -> dict[str, torch.Tensor]:
+        """What the cameras see, by name, each [views, H, W, ...] on the device; the outputs are those of `Renderer.render`.
+
+        Args:
+            cameras: perspective cameras of this renderer's size: one for all views, or one per view.
+            worlds: the world of each view; by default there is one view of every world.
+            outputs: ``depth``, ``instance``, ``semantic``, ``triangle``, ``rgb``, ``normal``.
+            samples: 4 smooths the edges of ``rgb`` (and costs about four times as much).
+            poses: [views, 4, 4], camera (OpenCV) to world, in place of the cameras' own; rotations are not checked. NaN
+                sees nothing.
+        """
+        import torch
+
+        check_outputs(outputs)
+        if samples not in (1, 4):
+            raise InputError(f"samples must be 1 or 4, got {samples!r}.")
+        views = self._views_of([cameras] if isinstance(cameras, Camera) else list(cameras), worlds, poses)
+        results = {
+            name: torch.empty(
+                (views.count, self.height, self.width, *FORMS[name][0]),
+                dtype=getattr(torch, np.dtype(FORMS[name][1]).name),
+                device=self.device,
+            )
+            for name in outputs
+        }
+        fine = {"rgb": results["rgb"]} if samples == 4 and "rgb" in results else {}
+        coarse = {name: t for name, t in results.items() if name not in fine}
+        if coarse:
+            self._draw(views, coarse, scale=1)
+        if fine:
+            self._draw(views, fine, scale=2)
+        return results
+
+    def _views_of(self, cameras: list[Camera], worlds: Sequence[int] | None, poses: Any) -> _Views:
+        """The views on the device. With ``poses`` and the same lenses as before, nothing comes from the host."""
+        seen = tuple(range(self.worlds)) if worlds is None else tuple(int(w) for w in worlds)
+        lenses = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *_range(c)) for c in cameras)
+        key = (seen, lenses)
+        views = self._views
+        if poses is None or views is None or views.key != key:
+            views = self._views = self._new_views(key, cameras)
+        if poses is not None:
+            given = self._floats(poses, "poses", 3)
+            if given.shape not in ((views.count, 4, 4), (views.count, 3, 4)):
+                raise InputError(f"poses must be [{views.count}, 4, 4], got {list(given.shape)}.")
+            views.cameras[:, :12].unflatten(1, (3, 4)).copy_(given[:, :3])
+        return views
+
+    def _new_views(self, key: tuple[Any, ...], cameras: list[Camera]) -> _Views:
+        import torch
+
+        seen = np.array(key[0], np.int32)
+        if len(cameras) not in (1, len(seen)):
+            raise InputError(f"Expected one camera or one per view ({len(seen)}), got {len(cameras)}.")
+        if not len(seen) or seen.min() < 0 or seen.max() >= self.worlds:
+            raise InputError(f"Expected views of worlds 0 to {self.worlds - 1}, got {key[0]}.")
+        table = np.zeros((len(cameras), CAMERA_WORDS), np.float32)
+        hidden = np.zeros(len(cameras), np.uint32)
+        for k, camera in enumerate(cameras):
+            self._check_camera(camera)
+            table[k, :12] = np.asarray(camera.pose, np.float64)[:3].ravel()
+            table[k, 12:] = camera.fx, camera.fy, camera.cx, camera.cy, *_range(camera)
+            hidden[k] = sum(1 << b for b, layer in enumerate(self.packed.layers) if layer in camera.hidden_layers)
+        every = (len(seen), -1)
+        return _Views(
+            key=key,
+            cameras=_tensor(table, self.device).expand(every).contiguous(),
+            hidden=_tensor(hidden, self.device)[:, None].expand(every).contiguous(),
+            world_of_view=_tensor(seen, self.device),
+            placement=torch.empty((len(seen), self.packed.slots, 12), dtype=torch.float32, device=self.device),
+        )
+
+    def _check_camera(self, camera: Camera) -> None:
+        camera.checked()
+        if camera.projection != "perspective":
+            raise InputError(f"The GPU draws perspective cameras; camera {camera.name!r} is {camera.projection}.")
+        if (camera.width, camera.height) != (self.width, self.height):
+            raise InputError(
+                f"Camera {camera.name!r} is {camera.width}x{camera.height}, this renderer draws {self.width}x{self.height}."
+            )
+
+    def _draw(self, views: _Views, results: dict[str, torch.Tensor], *, scale: int) -> None:
+        """Draw all views into ``results``; if the memory for what lies between does not suffice, some at a time."""
+        import torch
+
+        at_once = views.count
+        while True:
+            try:
+                for first in range(0, views.count, at_once):
+                    part = slice(first, min(first + at_once, views.count))
+                    self._draw_part(views, part, {name: t[part] for name, t in results.items()}, scale)
+                return
+            except torch.cuda.OutOfMemoryError:
+                if at_once == 1:
+                    raise
+                at_once = -(-at_once // 2)
+
+    def _draw_part(self, views: _Views, part: slice, results: dict[str, torch.Tensor], scale: int) -> None:
+        import torch
+
+        count, program = part.stop - part.start, self._program()
+        size = (count, self.height * scale, self.width * scale)
+        shaded = {name: t for name, t in results.items() if name != "depth"}
+        depth = results.get("depth")
+        if depth is None:
+            depth = torch.empty(size, dtype=torch.float32, device=self.device)
+        words = torch.empty(size, dtype=torch.int32, device=self.device)
+        world = self._world
+        world.fill(
+            cameras=views.cameras, hidden=views.hidden, world_of_view=views.world_of_view, placement=views.placement,
+            width=size[2], height=size[1], first_view=part.start, views=count, scale=scale,
+        )  # fmt: skip
+        program.launch("place", -(-count * self.packed.slots // 128), 128, world)
+        raster = Raster()
+        raster.fill(world=world, depth=depth, words=words)
+        tiles = -(-size[1] // self.variant.tile) * -(-size[2] // self.variant.tile)
+        program.launch(
+            "raster",
+            tiles * count,
+            self.variant.warps * 32,
+            raster,
+            shared_bytes=self.variant.shared_bytes(self._items),
+        )
+        if shaded:
+            self._shader.run(program, world, depth, words, shaded)
+
+    def _program(self) -> Any:
+        if self.variant not in self._programs:
+            needed = self.variant.shared_bytes(self._items)
+            if needed > _SHARED_LIMIT:
+                raise InputError(
+                    f"A scene has too many groups of triangles for this GPU: {needed} of {_SHARED_LIMIT} bytes of shared "
+                    "memory. Hint: leave out what no camera sees, or split the scene."
+                )
+            self._programs[self.variant] = self._compile(self.variant)
+        return self._programs[self.variant]
+
+    def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
+        """A CUDA graph of ``step`` as a function: it reads and writes the same tensors each time, with hardly any Python.
+
+        ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors
+        already on the device. The tensors it returns are overwritten by the next call. Worth it where worlds are few.
+        """
+        import torch
+
+        step()  # compiles, and fills what is kept
+        torch.cuda.synchronize(self.device)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.device(self.device), torch.cuda.graph(graph):
+            results = step()
+        kept = results, self._views  # the graph holds addresses only
+
+        def replay() -> dict[str, torch.Tensor]:
+            graph.replay()
+            return kept[0]
+
+        return replay
+
+    def __repr__(self) -> str:
+        return (
+            f"GpuRenderer({len(self.scenes)} scenes, {self.worlds} worlds, {self.width}x{self.height}, {self.device})"
+        )
+
+
+def _range(camera: Camera) -> tuple[float, float]:
+    """Depths between which it sees [m]."""
+    return float(camera.near), float(camera.far)
+
+
+def _positive(**values: int) -> list[int]:
+    wrong = {name: v for name, v in values.items() if int(v) != v or v < 1}
+    if wrong:
+        raise InputError(f"Expected positive whole numbers, got {wrong}.")
+    return [int(v) for v in values.values()]
+
+
+def _tensor(array: np.ndarray, device: torch.device) -> torch.Tensor:
+    """An array on the device; records as their bytes."""
+    import torch
+
+    if array.dtype.fields is not None:
+        array = array.view(np.uint8)
+    elif array.dtype.kind == "u" and array.itemsize == 4:
+        array = array.view(np.int32)
+    return torch.from_numpy(np.ascontiguousarray(array)).to(device)

@@ -1,0 +1,307 @@
+// Pictures out of the words of the rasteriser: ids, normals and RGB, one thread per pixel.
+
+#define TONE_SIZE 8192
+#define TONE_LIMIT 2.f
+#define BRIGHTEST_SAMPLE 5120    // samples are averaged up to this level
+#define ONE_LEVEL 0.25f          // so far around whole levels of detail one level is enough
+#define NOWHERE 1e-3f            // weight of "not occluded" where no coarse pixel lies on the surface
+
+struct Light { float3 mean, up, sun, fill, headlight, sun_direction, fill_direction, horizon, zenith; };
+
+struct Level { int offset, width, height, following; };
+
+struct Shade {
+    World world;
+    const float* depth;
+    const u32* words;
+    const int* triangle_instances;
+    const int* triangle_faces;
+    const int* semantic_ids;
+    const float* normals;        // per pool vertex; 0 = flat
+    const uchar4* colors;        // sRGB; w = 1 in deformable meshes with smooth normals
+    const float2* uv;
+    const int* triangle_textures;
+    const Level* levels;
+    const int* first_level;
+    const u32* texels;
+    const int* normal_groups;    // per deformable pool vertex
+    const int* group_first;
+    const int3* group_faces;     // pool vertices
+    const float* linear_of_byte;
+    const unsigned char* byte_of_level;
+    const float4* surfaces;      // ambient occlusion: slopes of 1/z along x and y, sharpness, 1/z; 0 = none
+    const float* occlusion;
+    int* instance;
+    int* semantic;
+    int* triangle;
+    float* normal;
+    unsigned char* rgb;
+    Light light;
+    float strength;              // of the occlusion
+    int coarse_width, coarse_height;
+    int samples;                 // 1 or 4: then depth and words are twice as wide and high as `rgb`
+};
+
+__device__ __forceinline__ float3 operator+(float3 a, float3 b) { return make_float3(a.x + b.x, a.y + b.y, a.z + b.z); }
+__device__ __forceinline__ float3 operator-(float3 a, float3 b) { return make_float3(a.x - b.x, a.y - b.y, a.z - b.z); }
+__device__ __forceinline__ float3 operator*(float3 a, float s) { return make_float3(a.x * s, a.y * s, a.z * s); }
+__device__ __forceinline__ float3 operator*(float3 a, float3 b) { return make_float3(a.x * b.x, a.y * b.y, a.z * b.z); }
+__device__ __forceinline__ float dot(float3 a, float3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+__device__ __forceinline__ float3 cross(float3 a, float3 b) {
+    return make_float3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
+__device__ __forceinline__ float3 unit(float3 a) {
+    float squared = dot(a, a);
+    return squared > 0.f ? a * (1.f / sqrtf(squared)) : make_float3(0, 0, 0);
+}
+__device__ __forceinline__ float clamp(float x, float low, float high) { return fminf(fmaxf(x, low), high); }
+
+struct Hit {
+    Scene scene;
+    Place place;
+    int cluster, number;         // `number` of the triangle in the pool
+    int first_vertex;
+};
+
+__device__ __forceinline__ Hit hit_of(const World& s, int world, u32 word) {
+    Hit h;
+    h.scene = s.scenes[s.scene_of_world[world]];
+    int item = h.scene.first_item + (word >> 11);
+    h.place = s.places[item];
+    h.cluster = bits(s.items[item].center.w) + ((word >> 6) & 31);
+    h.number = h.cluster * CLUSTER_TRIANGLES + (word & 63);
+    h.first_vertex = bits(s.clusters[h.cluster].half.w);
+    return h;
+}
+
+struct Point { double x, y, z; };
+
+__device__ __forceinline__ Point cross(Point a, Point b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+__device__ __forceinline__ Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+
+struct Ray { double x, y; float3 direction; };  // (x, y, 1) in the camera's frame; in the world's
+
+__device__ __forceinline__ float3 to_world(const float* camera, float x, float y, float z) {
+    return make_float3(camera[0] * x + camera[1] * y + camera[2] * z, camera[4] * x + camera[5] * y + camera[6] * z,
+                       camera[8] * x + camera[9] * y + camera[10] * z);
+}
+
+// The ray through a point of the fine picture.
+__device__ __forceinline__ Ray ray_at(const float* camera, int scale, double x, double y) {
+    Ray r;
+    r.x = (x - camera[14] * scale) / ((double)camera[12] * scale);
+    r.y = (y - camera[15] * scale) / ((double)camera[13] * scale);
+    r.direction = to_world(camera, (float)r.x, (float)r.y, 1.f);
+    return r;
+}
+
+// Normal of a vertex of a deformed mesh: those of the faces around it, weighted by area.
+__device__ float3 deformed_normal(const Shade& f, const float* vertices, int vertex) {
+    int group = f.normal_groups[vertex];
+    float3 sum = make_float3(0, 0, 0);
+    for (int k = f.group_first[group]; k < f.group_first[group + 1]; k++) {
+        int3 face = f.group_faces[k];
+        const float *a = vertices + 3 * (size_t)face.x, *b = vertices + 3 * (size_t)face.y,
+                    *c = vertices + 3 * (size_t)face.z;
+        sum = sum + cross(make_float3(b[0] - a[0], b[1] - a[1], b[2] - a[2]),
+                          make_float3(c[0] - a[0], c[1] - a[1], c[2] - a[2]));
+    }
+    return unit(sum);
+}
+
+// Squared steps of one texel's channels.
+__device__ __forceinline__ float3 texel(u32 word) {
+    float r = (float)(word >> 21), g = (float)((word >> 10) & 2047), b = (float)(word & 1023);
+    return make_float3(r * r, g * g, b * b);
+}
+
+__device__ __forceinline__ int texel_before(float coordinate, int size, float& way) {
+    float place = (coordinate - floorf(coordinate)) * size - 0.5f;
+    if (place < 0.f) place += size;
+    float before = clamp(floorf(place), 0.f, size - 1.f);
+    way = place - before;
+    return (int)before;
+}
+
+__device__ __forceinline__ float3 bilinear(const u32* texels, const Level& level, float2 uv) {
+    float right, lower;
+    int column = texel_before(uv.x, level.width, right), row = texel_before(uv.y, level.height, lower);
+    const u32* at = texels + level.offset + (size_t)row * (level.width + 1) + column;
+    float3 upper = texel(at[0]) * (1.f - right) + texel(at[1]) * right;
+    at += level.width + 1;
+    return upper * (1.f - lower) + (texel(at[0]) * (1.f - right) + texel(at[1]) * right) * lower;
+}
+
+struct Surface { float3 color, normal; };  // linear; colours are lit
+
+// What a ray sees of a triangle.
+__device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray) {
+    const World& s = f.world;
+    int world = s.world_of_view[view];
+    Hit h = hit_of(s, world, word);
+    const float* camera = s.cameras + CAMERA_WORDS * (size_t)view;
+    const float* m = s.placement + ((size_t)view * s.slots + h.place.slot) * 12;
+    const float* vertices = vertices_of(s, h.scene, world, h.place.group);
+    u32 packed = s.triangles[h.number];
+    int v[3];
+    Point p[3];
+    for (int j = 0; j < 3; j++) {
+        v[j] = h.first_vertex + ((packed >> (8 * j)) & 255);
+        const float* x = vertices + 3 * (size_t)v[j];
+        p[j] = {((double)m[0] * x[0] + (double)m[1] * x[1] + (double)m[2] * x[2] + m[3]) / ((double)camera[12] * s.scale),
+                ((double)m[4] * x[0] + (double)m[5] * x[1] + (double)m[6] * x[2] + m[7]) / ((double)camera[13] * s.scale),
+                (double)m[8] * x[0] + (double)m[9] * x[1] + (double)m[10] * x[2] + m[11]};
+    }
+    // planes over the ray of 1/z and of the barycentrics of vertices 1 and 2 over z, with a common factor
+    Point n = cross(p[1] - p[0], p[2] - p[0]), second = cross(p[2], p[0]), third = cross(p[0], p[1]);
+    float per_nearness = (float)(1. / (n.x * ray.x + n.y * ray.y + n.z));
+    float b1 = clamp((float)(second.x * ray.x + second.y * ray.y + second.z) * per_nearness, 0.f, 1.f);
+    float b2 = clamp((float)(third.x * ray.x + third.y * ray.y + third.z) * per_nearness, 0.f, 1.f);
+
+    double length = sqrt(n.x * n.x + n.y * n.y + n.z * n.z);
+    double scale = length > 0. ? (n.x * p[0].x + n.y * p[0].y + n.z * p[0].z > 0. ? -1. : 1.) / length : 0.;
+    float3 flat = to_world(camera, (float)(n.x * scale), (float)(n.y * scale), (float)(n.z * scale));
+    float3 corner[3];
+    for (int j = 0; j < 3; j++) {
+        if (h.place.group >= 0)
+            corner[j] = f.colors[v[j]].w ? deformed_normal(f, vertices, v[j]) : make_float3(0, 0, 0);
+        else
+            corner[j] = make_float3(f.normals[3 * (size_t)v[j]], f.normals[3 * (size_t)v[j] + 1],
+                                    f.normals[3 * (size_t)v[j] + 2]);
+    }
+    if (h.place.slot > 0) {  // cofactors turn normals rightly under any scale
+        const float* pose = s.poses + ((size_t)world * (s.slots - 1) + h.place.slot - 1) * 12;
+        float3 x = make_float3(pose[0], pose[4], pose[8]), y = make_float3(pose[1], pose[5], pose[9]),
+               z = make_float3(pose[2], pose[6], pose[10]);
+        float3 yz = cross(y, z), zx = cross(z, x), xy = cross(x, y);
+        for (int j = 0; j < 3; j++) corner[j] = unit(yz * corner[j].x + zx * corner[j].y + xy * corner[j].z);
+    }
+    float side = dot(corner[0] + corner[1] + corner[2], flat);
+    float3 normal = flat;
+    if (side != 0.f) {
+        normal = corner[0] + (corner[1] - corner[0]) * b1 + (corner[2] - corner[0]) * b2;
+        normal = normal * ((side < 0.f ? -1.f : 1.f) / sqrtf(fmaxf(dot(normal, normal), 1e-20f)));
+    }
+    Surface out = {make_float3(0, 0, 0), normal};
+    if (!f.rgb) return out;
+
+    float3 tint[3];
+    for (int j = 0; j < 3; j++) {
+        uchar4 c = f.colors[v[j]];
+        tint[j] = make_float3(f.linear_of_byte[c.x], f.linear_of_byte[c.y], f.linear_of_byte[c.z]);
+    }
+    const Light& light = f.light;
+    float facing = fmaxf(-dot(normal, ray.direction), 0.f) / sqrtf(dot(ray.direction, ray.direction));
+    float sunny = fmaxf(dot(normal, light.sun_direction), 0.f), filled = fmaxf(dot(normal, light.fill_direction), 0.f);
+    float3 lit = light.mean + light.up * normal.y + light.sun * sunny + light.fill * filled + light.headlight * facing;
+    out.color = (tint[0] + (tint[1] - tint[0]) * b1 + (tint[2] - tint[0]) * b2) * lit;
+
+    int texture = f.triangle_textures ? f.triangle_textures[h.number] : -1;
+    if (texture >= 0) {
+        const Level* levels = f.levels + f.first_level[texture];
+        float2 start = f.uv[v[0]], to1 = f.uv[v[1]], to2 = f.uv[v[2]];
+        to1.x -= start.x, to1.y -= start.y, to2.x -= start.x, to2.y -= start.y;
+        float2 way = make_float2(b1 * to1.x + b2 * to2.x, b1 * to1.y + b2 * to2.y);
+        float2 uv = make_float2(start.x - floorf(start.x) + way.x, start.y - floorf(start.y) + way.y);
+        // the level of detail fits the pixel's longer side on the texture (Williams 1983); (s / w)' = (s' - (s / w) w') / w
+        float largest = 0.f;
+        for (int axis = 0; axis < 2; axis++) {
+            double pixel = (f.samples == 4 ? 2. : 1.) / ((double)camera[12 + axis] * s.scale);
+            float w = (float)((axis ? n.y : n.x) * pixel);
+            float d1 = (float)((axis ? second.y : second.x) * pixel), d2 = (float)((axis ? third.y : third.x) * pixel);
+            float u_step = (to1.x * d1 + to2.x * d2 - way.x * w) * levels[0].width;
+            float v_step = (to1.y * d1 + to2.y * d2 - way.y * w) * levels[0].height;
+            largest = fmaxf(largest, u_step * u_step + v_step * v_step);
+        }
+        largest *= per_nearness * per_nearness;
+        float detail = clamp(fmaf((float)bits(largest), 0.5f / (1 << 23), -63.5f), 0.f, (float)levels[0].following);
+        int base = (int)(detail + ONE_LEVEL);
+        float3 color = bilinear(f.texels, levels[base], uv);
+        float fraction = clamp((detail - base - ONE_LEVEL) * (0.5f / ONE_LEVEL), 0.f, 1.f);
+        if (fraction > 0.f) color = color + (bilinear(f.texels, levels[base + 1], uv) - color) * fraction;
+        const float hair = 1.f + 1e-6f;
+        out.color = out.color * color
+            * make_float3(hair / (2047.f * 2047.f), hair / (2047.f * 2047.f), hair / (1023.f * 1023.f));
+    }
+    return out;
+}
+
+__device__ __forceinline__ float3 sky(const Light& light, const Ray& ray) {
+    float height = clamp(ray.direction.y / sqrtf(dot(ray.direction, ray.direction)), 0.f, 1.f);
+    return light.horizon + (light.zenith - light.horizon) * height;
+}
+
+// How much light the occlusion leaves at a pixel of the picture, seen at 1/z `near`.
+__device__ __forceinline__ float light_left(const Shade& f, int local, int x, int y, float near) {
+    float total = 0.f, weights = NOWHERE;
+    for (int down = 0; down < 2; down++)
+        for (int right = 0; right < 2; right++) {
+            int row = (y + down) / 2, column = (x + right) / 2;
+            if (row >= f.coarse_height || column >= f.coarse_width) continue;
+            size_t at = ((size_t)local * f.coarse_height + row) * f.coarse_width + column;
+            float4 surface = f.surfaces[at];
+            float expected = surface.w + surface.x * 0.5f * (x - 2 * column) + surface.y * 0.5f * (y - 2 * row);
+            float weight = fmaxf(1.f - fabsf(near - expected) * surface.z, 0.f);
+            total += weight * f.occlusion[at];
+            weights += weight;
+        }
+    return 1.f - f.strength * total / weights;
+}
+
+__device__ __forceinline__ float inverse_or_zero(float z) { return z > 0.f ? 1.f / z : 0.f; }
+
+extern "C" __global__ void __launch_bounds__(256) shade(Shade f) {
+    const World& s = f.world;
+    int factor = f.samples == 4 ? 2 : 1, width = s.width / factor, height = s.height / factor;
+    size_t pixel = (size_t)blockIdx.x * blockDim.x + threadIdx.x;
+    if (pixel >= (size_t)s.views * width * height) return;
+    int x = pixel % width, y = pixel / width % height, local = pixel / ((size_t)width * height);
+    int view = s.first_view + local;
+    const float* camera = s.cameras + CAMERA_WORDS * (size_t)view;
+    size_t fine = ((size_t)local * s.height + y * factor) * s.width + x * factor;
+    u32 word = f.words[fine];
+    if (f.instance || f.semantic || f.triangle) {
+        int instance = -1, triangle = -1, semantic = -1;
+        if (word != NOTHING) {
+            Hit h = hit_of(s, s.world_of_view[view], word);
+            instance = h.place.instance < 0 ? f.triangle_instances[h.number] : h.place.instance;
+            triangle = f.triangle_faces[h.number];
+            semantic = f.semantic_ids[h.scene.first_instance + instance];
+        }
+        if (f.instance) f.instance[pixel] = instance;
+        if (f.semantic) f.semantic[pixel] = semantic;
+        if (f.triangle) f.triangle[pixel] = triangle;
+    }
+    if (!f.normal && !f.rgb) return;
+    const float levels_per_light = TONE_SIZE / TONE_LIMIT;
+    bool mixed = false;
+    if (factor == 2)
+        mixed = word != f.words[fine + 1] || word != f.words[fine + s.width] || word != f.words[fine + s.width + 1];
+    int level[3] = {0, 0, 0};
+    for (int k = 0; k < (mixed ? 4 : 1); k++) {
+        size_t at = fine + (k & 1) + (size_t)(k >> 1) * s.width;
+        double middle = mixed ? 0.5 : 0.5 * factor;
+        Ray ray = ray_at(camera, s.scale, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
+        u32 seen = f.words[at];
+        Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0)};
+        if (seen != NOTHING)
+            surface = shade_hit(f, view, seen, ray);
+        else if (f.rgb)
+            surface.color = sky(f.light, ray);
+        if (f.normal) {
+            float* out = f.normal + 3 * pixel;
+            out[0] = surface.normal.x, out[1] = surface.normal.y, out[2] = surface.normal.z;
+        }
+        if (!f.rgb) continue;
+        float left = f.strength > 0.f ? light_left(f, local, x, y, inverse_or_zero(f.depth[at])) : 1.f;
+        float color[3] = {surface.color.x, surface.color.y, surface.color.z};
+        for (int a = 0; a < 3; a++) {
+            int own = (int)clamp(color[a] * levels_per_light, 0.f, TONE_SIZE - 1.f);
+            level[a] += (int)((mixed ? min(own, BRIGHTEST_SAMPLE) : own) * left);
+        }
+    }
+    if (f.rgb)
+        for (int a = 0; a < 3; a++) f.rgb[3 * pixel + a] = f.byte_of_level[mixed ? level[a] >> 2 : level[a]];
+}

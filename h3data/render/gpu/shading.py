@@ -1,0 +1,92 @@
+"""The host's side of `shade.cu` and `occlusion.cu`: words of the rasteriser to ids, normals and RGB."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from h3data.render.gpu.layout import Occlude, Shade, World
+from h3data.render.gpu.packing import Packed
+from h3data.render.occlusion import _OFFSETS as TAP_OFFSETS
+from h3data.render.occlusion import CONTRAST, RADIUS_M, SPREAD
+from h3data.render.occlusion_simd import TAPS
+from h3data.render.shading import _BYTE_OF_LINEAR as BYTE_OF_LINEAR
+from h3data.render.shading import _LINEAR_OF_BYTE as LINEAR_OF_BYTE
+from h3data.render.shading import Light
+from h3data.render.shading import _light_table as light_table
+
+if TYPE_CHECKING:
+    import torch
+
+_THREADS = 256
+
+
+class Shader:
+    """Tables that shading needs beside the scenes', and its launches."""
+
+    def __init__(self, tensors: dict[str, torch.Tensor], packed: Packed, light: Light, device: torch.device) -> None:
+        import torch
+
+        self.device, self.strength = device, light.occlusion
+        # [4 rows, taps, xy, 8 lanes] to [4, taps, 8, xy]
+        offsets = np.ascontiguousarray(TAP_OFFSETS.swapaxes(2, 3), np.float32)
+        self._tables = {
+            "linear_of_byte": torch.from_numpy(LINEAR_OF_BYTE).to(device),
+            "byte_of_level": torch.from_numpy(BYTE_OF_LINEAR).to(device),
+            "offsets": torch.from_numpy(offsets).to(device),
+        }
+        self._shade = Shade()
+        self._shade.fill(
+            **{
+                name: tensors[name]
+                for name in (
+                    "triangle_instances", "triangle_faces", "semantic_ids", "normals", "colors", "uv", "levels",
+                    "first_level", "texels", "normal_groups", "group_first", "group_faces",
+                )
+            },
+            triangle_textures=tensors["triangle_textures"] if packed.textured else None,
+            linear_of_byte=self._tables["linear_of_byte"],
+            byte_of_level=self._tables["byte_of_level"],
+            light=(ctypes.c_float * 27)(*light_table(light)),
+        )  # fmt: skip
+
+    def run(
+        self, program: Any, world: World, depth: torch.Tensor, words: torch.Tensor, results: dict[str, torch.Tensor]
+    ) -> None:
+        """Write ``results`` (any of the outputs but depth) of a drawn picture."""
+        samples = 4 if world.scale == 2 else 1
+        shade = self._shade
+        shade.fill(world=world, depth=depth, words=words, samples=samples, strength=0.0)
+        for name in ("instance", "semantic", "triangle", "normal", "rgb"):
+            setattr(shade, name, results[name].data_ptr() if name in results else None)
+        kept: tuple[torch.Tensor, ...] = ()
+        if "rgb" in results and self.strength > 0:
+            kept = self._occlude(program, world, depth, factor=4 if samples == 4 else 2)
+            surfaces, amounts, _ = kept
+            _, shade.coarse_height, shade.coarse_width, _ = surfaces.shape
+            shade.fill(surfaces=surfaces, occlusion=amounts, strength=self.strength)
+        pixels = depth.numel() // samples
+        program.launch("shade", -(-pixels // _THREADS), _THREADS, shade)
+
+    def _occlude(self, program: Any, world: World, depth: torch.Tensor, *, factor: int) -> tuple[torch.Tensor, ...]:
+        """Surfaces [worlds, h, w, 4] and amounts [worlds, h, w] of the coarse picture (see `occlusion.cu`), and scratch."""
+        import torch
+
+        count, height, width = depth.shape
+        size = (count, -(-height // factor), -(-width // factor))
+        surfaces = torch.empty((*size, 4), dtype=torch.float32, device=self.device)
+        amounts, scratch = torch.empty((2, *size), dtype=torch.float32, device=self.device)
+        occlude = Occlude()
+        occlude.fill(
+            depth=depth, cameras=world.cameras, offsets=self._tables["offsets"], surfaces=surfaces, amounts=amounts,
+            width=width, height=height, factor=factor, coarse_height=size[1], coarse_width=size[2], scale=world.scale,
+            first_view=world.first_view, views=count, radius=RADIUS_M, near_radius=SPREAD, gain=CONTRAST / TAPS,
+        )  # fmt: skip
+        blocks = -(-amounts.numel() // _THREADS)
+        program.launch("occlude", blocks, _THREADS, occlude)
+        for along_y, source, target in ((0, amounts, scratch), (1, scratch, amounts)):
+            occlude.fill(along_y=along_y, source=source, amounts=target)
+            program.launch("blur", blocks, _THREADS, occlude)
+        return surfaces, amounts, scratch
