@@ -47,8 +47,8 @@ HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
 """Mean speed of a hand on its line, and the time that even a short one takes."""
 JOINT_STEP_RAD = 0.18
 """A line is gone more slowly where a joint would turn faster than this per step (310 degrees a second)."""
-EASE_M = 0.25
-"""Over this much of the way the trunk goes over between standing and the reaching posture."""
+EASE_M = 0.08
+"""Over this much of the way the trunk goes from standing to reaching; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
 """A hand takes hold of what is nearer to its palm than this."""
 UPRIGHT_FROM = 0.5

@@ -229,3 +229,14 @@ def test_palms_face_each_other_side() -> None:
         middle = joints[0, JOINT_INDEX[f"{hand}_middle1"], :3, 3]
         offset = hand_points(joints, body, hand)[0] - (wrist[:3, 3] + 0.9 * (middle - wrist[:3, 3]))
         assert offset[2] * sign > 0.01
+
+
+@pytest.mark.slow
+def test_the_table_is_what_the_bake_solves() -> None:
+    from h3data.bodies.reach import reach_body
+    from h3data_pipelines.bake.reach import SOLVED_FOR, solve_table
+
+    solved = solve_table(tuple(reach_body(load_humanoid(name), "right") for name in SOLVED_FOR))
+    shipped = reach_table()
+    assert solved.values.shape == shipped.values.shape
+    assert np.quantile(np.abs(solved.values - shipped.values), 0.99) < 0.02  # rounding differs between machines
