@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import runpy
+import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,3 +177,11 @@ def test_simulations_refuse_nonsense():
         simulate_study(sessions, {"a": 0.5, "b": 0.5}, "binomial", deviations={"scene": -1})
     with pytest.raises(InputError, match="one run or more"):
         simulate_power(sessions, {"a": 0.5, "b": 0.5}, "binomial", deviations={}, runs=0)
+
+
+def test_the_example_runs_as_printed(tmp_path, monkeypatch, capsys):
+    script = Path(__file__).resolve().parents[1] / "examples" / "user_study.py"
+    monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "means.png")])
+    runpy.run_path(str(script))
+    assert "RE learn_single: 134.1 %" in capsys.readouterr().out
+    assert (tmp_path / "means.png").stat().st_size > 2000
