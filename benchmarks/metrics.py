@@ -1,15 +1,20 @@
-"""How fast the metric sweep is, apart from reading files."""
+"""How fast metrics are: the sweep alone, and 10,000 episodes from a Parquet dataset to the table."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 
 from h3data.geometry import ground_pose
 from h3data.metrics.kernels import count
-from h3data.recording.records import STEP_NS
+from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 
 EPISODES, STEPS = 10_000, 1_500
 BLOCK = 500
@@ -17,7 +22,7 @@ BLOCK = 500
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Sweep 10,000 synthetic episodes of 1,500 steps on one core: one block of 500, again and again."""
+    """The sweep alone on one core (one block of 500 episodes, again and again), then a dataset from disk to the table."""
     columns = synthetic_columns(BLOCK, STEPS)
     warm = {k: v[:STEPS] for k, v in columns.items() if k != "offsets"}
     count(**warm, offsets=np.array([0, STEPS]))
@@ -29,6 +34,70 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     emit("metrics.kernel_rows_per_cpu_s", EPISODES * STEPS / seconds, "rows/s")
     emit("metrics.kernel_10000x1500_cpu_s", seconds, "s")
     emit("metrics.kernel_found_fraction", found / EPISODES, "1")
+    root = stored_dataset(emit)
+    for profile in ("paper", "field", "habitat"):
+        _from_disk(emit, root, profile, f"{EPISODES}x{STEPS}")
+
+
+def stored_dataset(emit: Callable[[str, float, str], None]) -> Path:
+    """A dataset of 10,000 social navigation episodes in the folder for temporary files, kept for the next time."""
+    root = Path(tempfile.gettempdir()) / f"h3data-bench-metrics-{EPISODES}x{STEPS}-v1"
+    if not (root / "complete").exists():
+        shutil.rmtree(root, ignore_errors=True)
+        start = time.perf_counter()
+        with DatasetWriter(root / "dataset") as out:
+            for number in range(EPISODES // BLOCK):
+                for recording in synthetic_recordings(number):
+                    out.add(recording)
+        emit("metrics.dataset_write_wall_s", time.perf_counter() - start, "s")
+        (root / "complete").touch()
+    return root / "dataset"
+
+
+def synthetic_recordings(number: int) -> Iterator[Recording]:
+    """A block of episodes with the columns that `h3data generate` records, as far as metrics may read them."""
+    columns = synthetic_columns(BLOCK, STEPS, seed=number)
+    agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
+    for e in range(BLOCK):
+        rows = slice(e * STEPS, (e + 1) * STEPS)
+        name = f"{number * BLOCK + e:06d}"
+        robot, human = columns["robot_pose"][rows], columns["human_pose"][rows]
+        info = {"max_steps": STEPS, "oracle_min_steps": 60 + e}
+        yield Recording(
+            episode=Episode(uid=f"bench-{name}", episode_id=name, task="social_nav", scene="none", info=info),
+            agents=agents,
+            columns={
+                "time_ns": columns["time_ns"][rows],
+                "agent_0.base_pose": robot,
+                "agent_1.base_pose": human,
+                "metrics.dist_agents": np.linalg.norm(robot[:, :3] - human[:, :3], axis=1),
+                "metrics.geodesic_agents": columns["reach_m"][rows],
+                "metrics.collision": columns["collision"][rows],
+            },
+        )
+
+
+def _from_disk(emit: Callable[[str, float, str], None], root: Path, profile: str, name: str) -> None:
+    """Open, read, measure and tabulate in a fresh process, so that its memory is its own; start-up is not counted."""
+    script = f"""
+import resource, time
+import h3data.metrics, h3data.metrics.batch as batch
+h3data.metrics.measure(next(batch.recordings([{str(root)!r}])), {profile!r})
+wall, cpu = time.perf_counter(), time.process_time()
+table = batch.measure_files([{str(root)!r}], {profile!r})
+wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+again = time.perf_counter()
+table.summary()
+print(len(table), wall, cpu, time.perf_counter() - again, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+    said = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout
+    episodes, wall, cpu, intervals, memory = (float(word) for word in said.split())
+    if episodes != EPISODES:
+        raise RuntimeError(f"expected {EPISODES} episodes, the table has {episodes:.0f}: {root}")
+    emit(f"metrics.{profile}.{name}_wall_s", wall, "s")
+    emit(f"metrics.{profile}.{name}_cpu_s", cpu, "s")
+    emit(f"metrics.{profile}.{name}_intervals_s", intervals, "s")
+    emit(f"metrics.{profile}.{name}_peak_bytes", memory, "B")
 
 
 def synthetic_columns(episodes: int, steps: int, *, seed: int = 0) -> dict[str, np.ndarray]:

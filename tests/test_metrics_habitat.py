@@ -198,7 +198,8 @@ def test_an_oracle_of_1500_steps_divides_by_zero():
             geodesic=np.full(1501, 1.5),
         ),
         StatsConfig(),
-        1500,
+        min_steps=1500,
+        avoids=(np.zeros(1501, np.bool_), np.zeros(1501, np.bool_)),
     )
     ratio = stats["follow_human_steps_ratio_after_frist_encounter"]
     assert np.isnan(ratio[1499:]).all()

@@ -1,5 +1,7 @@
 """What an episode was worth: task metrics of recordings, from their columns alone."""
 
+from h3data.metrics.batch import measure_files
+from h3data.metrics.differences import Differences, compare_tables
 from h3data.metrics.explaining import explain, explain_episode, list_metrics
 from h3data.metrics.metric import EpisodeMetrics, Metric, MissingColumnsError, find_agents
 from h3data.metrics.mixed_models import GlmmFit, fit_glmm
@@ -43,11 +45,13 @@ from h3data.metrics.study import (
     write_sessions,
 )
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
+from h3data.metrics.table_files import events_of, write_events, write_series, write_table
 
 __all__ = [
     "PROFILES",
     "Block",
     "Contrast",
+    "Differences",
     "EpisodeMetrics",
     "GlmmFit",
     "MarginalMeans",
@@ -67,8 +71,10 @@ __all__ = [
     "bootstrap_interval",
     "compare_paired",
     "compare_runs",
+    "compare_tables",
     "contrasts",
     "contrasts_text",
+    "events_of",
     "explain",
     "explain_episode",
     "find_agents",
@@ -79,6 +85,7 @@ __all__ = [
     "list_metrics",
     "marginal_means",
     "measure",
+    "measure_files",
     "measure_many",
     "metrics_of",
     "over_seeds",
@@ -92,5 +99,8 @@ __all__ = [
     "t_interval",
     "tabulate",
     "wilson_interval",
+    "write_events",
+    "write_series",
     "write_sessions",
+    "write_table",
 ]

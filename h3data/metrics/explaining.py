@@ -33,6 +33,7 @@ def explain(metric: Metric) -> str:
 def explain_episode(metric: Metric, recording: Recording) -> str:
     """A metric in one episode: its value, what it read, why it is 0 or undefined, and the rows that decided it."""
     profile = find_profile(metric.profile, recording.episode.task)
+    metric = next((m for m in profile.metrics if m.name == metric.name), metric)  # CR has one meaning per task
     measured = profile.measure(recording)
     if metric.name not in measured.values:
         return (

@@ -74,8 +74,9 @@ def habitat_series(recording: Recording, variant: str = MAIN) -> Series:
     config = HabitatConfig.from_info(recording.episode.info)
     track = _track(recording, robot, human)
     dead_zone = 0.0 if TRANSFORM in columns else STILL_M
-    stats = social_nav_stats(track, config.stats, _min_steps(recording, variant), dead_zone_m=dead_zone)
     backs_up, yields = backup_and_yield(track, config.stats, dead_zone_m=dead_zone)
+    shortest = _min_steps(recording, variant)
+    stats = social_nav_stats(track, config.stats, min_steps=shortest, avoids=(backs_up, yields))
     facing = track.facing()
     with np.errstate(invalid="ignore"):
         in_reach = (track.geodesic >= config.stats.min_dis_human) & (track.geodesic <= config.stats.max_dis_human)

@@ -45,12 +45,16 @@ class HabitatTrack:
 
 
 def social_nav_stats(
-    track: HabitatTrack, config: StatsConfig, min_steps: float, *, dead_zone_m: float = 0.0
+    track: HabitatTrack,
+    config: StatsConfig,
+    *,
+    min_steps: float,
+    avoids: tuple[NDArray[np.bool_], NDArray[np.bool_]],
 ) -> dict[str, NDArray[np.float64]]:
     """Every key of ``SocialNavStats``, spelt as there, at every step [T].
 
     ``min_steps`` is the oracle's l, the step at which Habitat finds it; inf = shortest paths are switched off or it never
-    finds one. ``dead_zone_m``: motions of this length per step or less are no backing up (0 = as Habitat).
+    finds one. ``avoids``: the rows of `backup_and_yield`.
     """
     steps = np.arange(1, len(track.geodesic) + 1)
     distance = track.distance()
@@ -61,7 +65,7 @@ def social_nav_stats(
     times = np.cumsum(found)
     after = np.maximum(np.cumsum(has_found), 1)
     found_step = _found_step(has_found, steps)
-    backs_up, yields = backup_and_yield(track, config, dead_zone_m=dead_zone_m)
+    backs_up, yields = avoids
     shortest = np.where(steps >= min_steps, min_steps, np.inf)
     with np.errstate(invalid="ignore", divide="ignore"):
         spl = has_found * shortest / np.maximum(shortest, found_step)
@@ -100,44 +104,48 @@ def backup_and_yield(
     """Rows in which the robot backs up, and in which it yields [T].
 
     A robot that stands or turns on the spot does one or the other by the rounding of float32; with its exact transforms
-    the same rows come out as in Habitat. The sum of both does not depend on that.
+    the same rows come out as in Habitat. The sum of both does not depend on that. ``dead_zone_m``: motions of this length
+    per step or less are no backing up (0 = as Habitat).
     """
-    transform = np.concatenate([track.robot_transform[:1], track.robot_transform[:-1]])
-    moved = _transform_points(_inverse(transform), track.robot_pos)[:, [0, 2]]
+    backs_up, yields = (np.zeros(len(track.geodesic), np.bool_) for _ in range(2))
+    near = np.flatnonzero(track.distance() <= config.dis_threshold_for_backup_yield)
+    moved = _transform_points(_inverse(track.robot_transform[np.maximum(near - 1, 0)]), track.robot_pos[near])[
+        :, [0, 2]
+    ]
     length = np.sqrt(np.sum(moved * moved, axis=1))
     velocity = length / np.float32(1 / _HZ) * np.sign(moved[:, 0])
-    near = track.distance() <= config.dis_threshold_for_backup_yield
-    backs_up = near & (velocity < 0) & (length > dead_zone_m)
-    return backs_up, near & ~backs_up & (np.abs(velocity) < config.min_abs_vel_for_yield)
+    backs_up[near] = (velocity < 0) & (length > dead_zone_m)
+    yields[near] = ~backs_up[near] & (np.abs(velocity) < config.min_abs_vel_for_yield)
+    return backs_up, yields
 
 
 # --- float32 algebra in the order of Magnum's, on which Habitat's rounding rests --------------------------------------
+_OTHERS = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
+
+
 def _inverse(matrices: NDArray[np.float32]) -> NDArray[np.float32]:
     """Inverses [T, 4, 4] by the adjugate, operation by operation in float32."""
-    m = np.swapaxes(matrices, 1, 2)  # columns first, as Magnum stores them
+    m = np.ascontiguousarray(matrices.transpose(2, 1, 0))  # [column, row, T]
     signs = (1 - 2 * (np.indices((4, 4)).sum(0) % 2)).astype(np.float32)
-    determinant = np.zeros(len(m), np.float32)
+    determinant = np.zeros(m.shape[2], np.float32)
     for column in range(4):
-        determinant = determinant + signs[column, 0] * m[:, column, 0] * _determinant3(_minor(m, column, 0))
-    adjugate = np.empty_like(m)
-    for column in range(4):
-        for row in range(4):
-            adjugate[:, column, row] = signs[column, row] * _determinant3(_minor(m, row, column))
+        determinant = determinant + signs[column, 0] * m[column, 0] * _minor(m, column, 0)
+    inverse = np.empty_like(m)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.swapaxes(np.divide(adjugate, determinant[:, None, None], dtype=np.float32), 1, 2)
+        for column in range(4):
+            for row in range(4):
+                inverse[column, row] = signs[column, row] * _minor(m, row, column) / determinant
+    return inverse.transpose(2, 1, 0)
 
 
 def _minor(m: NDArray[np.float32], i: int, j: int) -> NDArray[np.float32]:
-    return np.delete(np.delete(m, i, axis=1), j, axis=2)
-
-
-def _determinant3(m: NDArray[np.float32]) -> NDArray[np.float32]:
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(m, 0, 2)
-    return a * (e * i - h * f) - b * (d * i - g * f) + c * (d * h - g * e)
+    """Determinant of the 3 x 3 without column i and row j."""
+    (a, b, c), (d, e, f), (g, h, k) = [[m[column, row] for row in _OTHERS[j]] for column in _OTHERS[i]]
+    return a * (e * k - h * f) - b * (d * k - g * f) + c * (d * h - g * e)
 
 
 def _transform_points(matrices: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
-    moved = matrices[:, :3, 0] * points[:, :1]
+    moved: NDArray[Any] = matrices[:, :3, 0] * points[:, :1]
     for k in (1, 2):
         moved = moved + matrices[:, :3, k] * points[:, k : k + 1]
     return moved + matrices[:, :3, 3]

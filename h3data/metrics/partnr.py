@@ -150,4 +150,4 @@ def _constraints(recording: Recording) -> NDArray[np.bool_]:
             f"Episode {recording.episode.episode_id!r}: info constraints must be lists of {count} flags, one for each "
             "proposition."
         )
-    return np.array(given, np.bool_).reshape(-1, count)
+    return np.array(given, np.bool_).reshape(len(given), count)

@@ -121,12 +121,12 @@ def metrics_of(profile: str, task: str = "social_nav") -> tuple[Metric, ...]:
     return find_profile(profile, task).metrics
 
 
-def find_metric(name: str) -> Metric:
+def find_metric(name: str, *, profile: str = "paper") -> Metric:
     """The metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
 
-    A short name that several profiles have means the first of them, in the order of `PROFILES`.
+    A short name that several profiles have is that of ``profile``, else of the first that has it.
     """
-    every = all_metrics()
+    every = sorted(all_metrics(), key=lambda m: m.profile != profile)
     tests = (
         lambda m: name in (m.id, m.id.rpartition("@")[0]),
         lambda m: name == m.name,
@@ -136,7 +136,7 @@ def find_metric(name: str) -> Metric:
         for metric in every:
             if test(metric):
                 return metric
-    raise InputError(f"No metric {name!r}. Available: {', '.join(m.id for m in every)}.")
+    raise InputError(f"No metric {name!r}. `h3data metrics list` shows all: {', '.join(m.id for m in every)}.")
 
 
 def all_metrics() -> list[Metric]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -62,7 +63,7 @@ class Column:
     @property
     def width(self) -> int:
         """Values per row."""
-        return int(np.prod(self.shape, dtype=np.int64))
+        return math.prod(self.shape)
 
     def empty(self, rows: int = 0) -> NDArray[Any]:
         """Zeros of this kind, shape [rows, *shape]."""

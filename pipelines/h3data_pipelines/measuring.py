@@ -1,57 +1,141 @@
-"""``h3data metrics``: the paper's tables from recordings and datasets."""
+"""``h3data metrics``: tables from recordings and datasets, by several definitions; what each metric is and why."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from h3data.errors import InputError
-from h3data.recording import Recording, open_recording
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+
+if TYPE_CHECKING:
+    from h3data.metrics import Metric
+
+ProfileName = Literal["paper", "habitat", "habitat@0.3.0", "field", "partnr"]
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Compute task metrics from recordings alone: S, SPS, F, CR, BYR, TD, FD with 95 % intervals.
+    """Compute task metrics from recordings alone, with 95 % intervals; compare two runs; explain a value.
+
+    Profiles: `paper` (S, SPS, F, CR, BYR, TD, FD as published), `habitat` and `habitat@0.3.0` (as habitat-lab computes
+    them, bug for bug), `field` (proxemics, efficiency, smoothness), `partnr` (percent complete and the like).
 
     Examples:
         h3data metrics out/demo/episode.mcap
-        h3data metrics ds/ -o metrics.json --json
+        h3data metrics ds/ --profile field -o metrics.csv
+        h3data metrics ds/ --series rows.parquet --events events.csv
+        h3data metrics run_a/ run_b/ --paired
+        h3data metrics list
+        h3data metrics explain SPS
+        h3data metrics explain SPS ds#3
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files and datasets."""
-    profile: Literal["paper"] = "paper"
-    """Which formulas: those of the Habitat 3.0 paper."""
+    """.mcap files, folders of them, and datasets; or `list`; or `explain NAME [RECORDING]`."""
+    profile: ProfileName = "paper"
+    """Which definitions."""
+    paired: bool = False
+    """Compare two runs over the same episodes, one by one."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Write the JSON result to this file too."""
+    """Write the result to this file too: .json, or one row per episode as .csv or .parquet."""
+    series: Path | None = None
+    """Write what the metrics come from, row by row, to this .parquet or .csv."""
+    events: Path | None = None
+    """Write when the robot found, followed, backed up, ... to this .parquet or .csv."""
+    workers: int | None = None
+    """Threads (default: one per core)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data.metrics import measure_many
-
-        if not self.recordings:
+        words = [str(path) for path in self.recordings]
+        if words == ["list"]:
+            return _list()
+        if words[:1] == ["explain"] and len(words) in (2, 3):
+            return _explain(words[1], Path(words[2]) if len(words) == 3 else None, self.profile)
+        if not words:
             raise InputError("Expected at least one recording (.mcap) or dataset.")
+        for path in (self.out, self.series, self.events):
+            if path is not None:
+                claim_file(path, force=self.force)
+        return self._compare() if self.paired else self._measure()
+
+    def _measure(self) -> Outcome:
+        from h3data.metrics.batch import find_sources, measure_files, recordings
+        from h3data.metrics.table_files import write_events, write_series, write_table
+
+        table = measure_files(self.recordings, self.profile, workers=self.workers)
         if self.out is not None:
-            claim_file(self.out, force=self.force)
-        table = measure_many(iterate(self.recordings), profile=self.profile)
-        if self.out is not None:
-            write_text(self.out, table.to_json() + "\n")
+            write_table(table, self.out)
+        sources = list(find_sources(self.recordings))
+        if self.series is not None:
+            write_series(recordings(sources, self.profile), self.series, profile=self.profile)
+        if self.events is not None:
+            write_events(recordings(sources, self.profile), self.events, profile=self.profile)
         return Outcome(text=table.to_text(), data=table.to_dict())
 
+    def _compare(self) -> Outcome:
+        from h3data.metrics.batch import measure_files
+        from h3data.metrics.differences import compare_tables
+        from h3data_pipelines.command import write_text
 
-def iterate(paths: tuple[Path, ...]) -> Iterator[Recording]:
-    """The recordings of all files, datasets and folders of .mcap files, one after the other."""
-    for path in paths:
-        files = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
-        for file in files or [path]:
-            opened = open_recording(file)
-            if isinstance(opened, Recording):
-                yield opened
-            else:
-                yield from map(opened.recording, range(len(opened)))
+        if len(self.recordings) != 2:
+            raise InputError(
+                f"--paired compares two runs, got {len(self.recordings)}. Example: h3data metrics A B --paired"
+            )
+        if self.out is not None and self.out.suffix != ".json":
+            raise InputError(f"A comparison is written as .json, got {self.out.name!r}.")
+        if self.series is not None or self.events is not None:
+            raise InputError("--series and --events describe one run; leave out --paired.")
+        first, second = (measure_files([path], self.profile, workers=self.workers) for path in self.recordings)
+        a, b = (path.stem or str(path) for path in self.recordings)
+        found = compare_tables(first, second, names=(a, b) if a != b else ("A", "B"))
+        if self.out is not None:
+            write_text(self.out, found.to_json() + "\n")
+        return Outcome(text=found.to_text(), data=found.to_dict())
+
+
+def _list() -> Outcome:
+    from h3data.metrics import all_metrics, list_metrics
+
+    return Outcome(text=list_metrics(), data={"metrics": [_described(m) for m in all_metrics()]})
+
+
+def _explain(name: str, path: Path | None, profile: str) -> Outcome:
+    from h3data.metrics import explain, explain_episode, find_metric, measure
+
+    metric = find_metric(name, profile=profile)
+    data: dict[str, Any] = {"metric": _described(metric)}
+    if path is None:
+        return Outcome(text=explain(metric), data=data)
+    recording = open_episode(path)
+    text = explain_episode(metric, recording)
+    measured = measure(recording, metric.profile).to_dict()
+    data |= {
+        "episode": measured["episode_id"],
+        "value": measured["values"].get(metric.name),
+        "note": measured["notes"].get(metric.name),
+        "explanation": text,
+    }
+    return Outcome(text=text, data=data)
+
+
+def _described(metric: Metric) -> dict[str, Any]:
+    fields = (
+        "id",
+        "name",
+        "title",
+        "formula",
+        "unit",
+        "direction",
+        "source",
+        "columns",
+        "optional",
+        "undefined",
+        "reading",
+    )
+    return {field: getattr(metric, field) for field in fields} | {"range": list(metric.range)}

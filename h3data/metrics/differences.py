@@ -1,0 +1,128 @@
+"""Two runs over the same episodes: what changed, by how much, and in which episodes."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics.paired import PairedComparison, compare_runs
+from h3data.metrics.table import MetricsTable
+
+_SHOWN = 3
+"""Episodes that text names per metric."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Differences:
+    """``first - second`` of each metric, episode by episode."""
+
+    profile: str
+    names: tuple[str, str]
+    """What the two runs are called."""
+    episode_ids: tuple[str, ...]
+    first: dict[str, NDArray[np.float64]]
+    """By metric, in the order of ``episode_ids``; NaN = undefined."""
+    second: dict[str, NDArray[np.float64]]
+    tests: dict[str, PairedComparison]
+    """Means, interval, test and effect size by metric."""
+
+    def changed(self, metric: str) -> list[tuple[str, float, float]]:
+        """Episodes whose value differs: (episode_id, first, second), largest differences first, undefined ones last."""
+        a, b = self.first[metric], self.second[metric]
+        rows = np.flatnonzero(~((a == b) | (np.isnan(a) & np.isnan(b))))
+        size = np.nan_to_num(np.abs(a[rows] - b[rows]), nan=-1.0)
+        order = rows[np.argsort(-size, kind="stable")]
+        return [(self.episode_ids[k], float(a[k]), float(b[k])) for k in order]
+
+    def to_text(self) -> str:
+        """A table of metrics, and below it the episodes that changed most."""
+        heads = ["metric", *self.names, "difference", "95 % interval", "p", "changed"]
+        lines = [heads]
+        for name, test in self.tests.items():
+            interval = "" if np.isnan(test.low) else f"[{test.low:+.3f}, {test.high:+.3f}]"
+            means = [_number(test.first_mean), _number(test.second_mean), _number(test.difference, "+.3f")]
+            changed = f"{len(self.changed(name))} of {len(self.episode_ids)}"
+            lines.append([name, *means, interval, _number(test.p_adjusted, ".3g"), changed])
+        widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
+        table = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
+        return "\n".join([*table, *self._change_lines()])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as JSON types; undefined numbers are None."""
+        return {
+            "profile": self.profile,
+            "runs": list(self.names),
+            "episodes": len(self.episode_ids),
+            "metrics": {
+                name: {k: _plain(v) for k, v in asdict(test).items()}
+                | {"changed": [[e, _plain(a), _plain(b)] for e, a, b in self.changed(name)]}
+                for name, test in self.tests.items()
+            },
+        }
+
+    def to_json(self, *, indent: int | None = 2) -> str:
+        """`to_dict` as JSON text."""
+        return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
+
+    def _change_lines(self) -> list[str]:
+        lines = []
+        for name in self.tests:
+            changed = self.changed(name)
+            if changed:
+                each = [f"{e} {_number(a)} / {_number(b)}" for e, a, b in changed[:_SHOWN]]
+                lines.append(f"  {name}: {', '.join(each)}{', ...' if len(changed) > _SHOWN else ''}")
+        return (
+            [f"Episodes that differ ({self.names[0]} / {self.names[1]})", *lines] if lines else ["No episode differs."]
+        )
+
+
+def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[str, str] = ("A", "B")) -> Differences:
+    """Pairs the episodes of two runs by ``episode_id``; p values are adjusted for all metrics together (Holm).
+
+    Raises:
+        InputError: the runs hold different episodes or profiles, or an id names two episodes; the message names them.
+    """
+    if (first.profile, first.metrics) != (second.profile, second.metrics):
+        raise InputError(f"Runs of different metrics cannot be paired: {first!r} and {second!r}.")
+    for name, table in zip(names, (first, second), strict=True):
+        twice = [i for i, times in Counter(table.episode_ids).items() if times > 1]
+        if twice:
+            raise InputError(f"Episode ids of {name} are not unique, so they cannot be paired: {_some(twice)}.")
+    sets = set(first.episode_ids), set(second.episode_ids)
+    missing = [i for i in first.episode_ids if i not in sets[1]]
+    extra = [i for i in second.episode_ids if i not in sets[0]]
+    if missing or extra:
+        parts = [
+            f"only {name} has {len(ids)}: {_some(ids)}"
+            for name, ids in zip(names, (missing, extra), strict=True)
+            if ids
+        ]
+        raise InputError(f"The runs hold different episodes; {'; '.join(parts)}. Pair runs over the same set.")
+    place = {episode: k for k, episode in enumerate(second.episode_ids)}
+    order = np.array([place[episode] for episode in first.episode_ids], np.int64)
+    return Differences(
+        profile=first.profile,
+        names=names,
+        episode_ids=first.episode_ids,
+        first=dict(first.columns),
+        second={name: column[order] for name, column in second.columns.items()},
+        tests=compare_runs(first, second),
+    )
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
+
+
+def _number(value: float, spec: str = ".3f") -> str:
+    return "undefined" if np.isnan(value) else f"{value:{spec}}"
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

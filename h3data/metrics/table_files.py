@@ -1,0 +1,150 @@
+"""Results as files: a table of episodes as Parquet, CSV or JSON; per-row series and events of many episodes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from h3data.errors import InputError
+from h3data.files import part_file
+from h3data.metrics.explaining import runs
+from h3data.metrics.registry import series_of
+from h3data.metrics.table import MetricsTable
+from h3data.recording.records import Recording
+
+_FACTS = ("episode_id", "uid", "scene", "steps", "robot", "human", "encounter_row", "contact_row")
+
+
+def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
+    """Write a table; the ending of ``path`` decides: ``.parquet``, ``.csv`` (one row per episode), ``.json`` (with means).
+
+    Undefined values are null, empty, and null. The Parquet file names profile and metric ids in its metadata.
+    """
+    target = Path(path)
+    with part_file(target) as part:
+        _by_ending(target, {".json": _table_json, ".csv": _table_csv, ".parquet": _table_parquet})(table, part)
+    return target
+
+
+def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str = "paper") -> int:
+    """Write the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; returns the rows.
+
+    Columns: episode_id, row, time_ns, then the series of the first recording; what a later one lacks is null.
+    """
+    target = Path(path)
+    write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
+    with part_file(target) as part:
+        return write(_series_tables(recordings, profile), part)
+
+
+def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str = "paper") -> int:
+    """Write when each flag of a profile held: episode_id, what, first_row, last_row, seconds; returns their number."""
+    target = Path(path)
+    write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
+    with part_file(target) as part:
+        return write((_events_table(recording, profile) for recording in recordings), part)
+
+
+def events_of(recording: Recording, profile: str = "paper") -> list[dict[str, Any]]:
+    """Every run of rows in which a flag of the profile holds, in the order of their first rows."""
+    times = recording.columns["time_ns"]
+    found = [
+        {"what": name, "first_row": int(a), "last_row": int(b), "seconds": float(times[b] - times[a]) * 1e-9}
+        for name, values in (series_of(recording, profile) if len(recording) else {}).items()
+        if values.dtype == np.bool_
+        for a, b in runs(values)
+    ]
+    return sorted(found, key=lambda event: (event["first_row"], event["what"]))
+
+
+def _table_json(table: MetricsTable, path: Path) -> None:
+    path.write_text(table.to_json() + "\n", encoding="utf-8")
+
+
+def _table_csv(table: MetricsTable, path: Path) -> None:
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([*_FACTS, *table.columns, "notes"])
+        for row in table.episodes:
+            said = row.to_dict()
+            values = ["" if v is None else repr(v) for v in said["values"].values()]
+            notes = "; ".join(f"{name}: {text}" for name, text in row.notes.items())
+            writer.writerow([*(said[fact] for fact in _FACTS), *values, notes])
+
+
+def _table_parquet(table: MetricsTable, path: Path) -> None:
+    rows = [row.to_dict() for row in table.episodes]
+    kinds = [pa.string()] * 3 + [pa.int64()] * 5
+    columns = [pa.array([row[fact] for row in rows], kind) for fact, kind in zip(_FACTS, kinds, strict=True)]
+    columns += [pa.array([row["values"][name] for row in rows], pa.float64()) for name in table.columns]
+    columns.append(pa.array([json.dumps(row["notes"], ensure_ascii=False) for row in rows], pa.string()))
+    said = {"h3data.profile": table.profile, "h3data.metrics": json.dumps({m.name: m.id for m in table.metrics})}
+    stored = pa.table(columns, [*_FACTS, *table.columns, "notes"]).replace_schema_metadata(said)
+    pq.write_table(stored, path, compression="zstd")
+
+
+def _series_tables(recordings: Iterable[Recording], profile: str) -> Iterator[pa.Table]:
+    for recording in recordings:
+        if not len(recording):
+            continue
+        rows = len(recording)
+        columns: dict[str, Any] = {
+            "episode_id": pa.array([recording.episode.episode_id] * rows, pa.string()),
+            "row": np.arange(rows),
+            "time_ns": recording.columns["time_ns"],
+        }
+        yield pa.table(columns | {name: pa.array(v) for name, v in series_of(recording, profile).items()})
+
+
+def _events_table(recording: Recording, profile: str) -> pa.Table:
+    kinds = [("episode_id", pa.string()), ("what", pa.string())]
+    kinds += [("first_row", pa.int64()), ("last_row", pa.int64()), ("seconds", pa.float64())]
+    rows = [{"episode_id": recording.episode.episode_id, **event} for event in events_of(recording, profile)]
+    return pa.Table.from_pylist(rows, schema=pa.schema(kinds))
+
+
+def _write_parquet(tables: Iterable[pa.Table], path: Path) -> int:
+    return _write(tables, lambda schema: pq.ParquetWriter(path, schema, compression="zstd"))
+
+
+def _write_csv(tables: Iterable[pa.Table], path: Path) -> int:
+    from pyarrow.csv import CSVWriter
+
+    return _write(tables, lambda schema: CSVWriter(path, schema))
+
+
+def _write(tables: Iterable[pa.Table], open_writer: Callable[[pa.Schema], Any]) -> int:
+    """Write tables one after the other in the columns of the first; returns the rows."""
+    rows, writer, schema = 0, None, pa.schema([("episode_id", pa.string())])
+    try:
+        for table in tables:
+            if writer is None:
+                schema = table.schema
+                writer = open_writer(schema)
+            writer.write_table(_in_shape(table, schema))
+            rows += len(table)
+    finally:
+        (writer or open_writer(schema)).close()
+    return rows
+
+
+def _in_shape(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The columns of ``schema``: nulls for those that the table lacks, and none that it has besides."""
+    columns = [
+        table[f.name].cast(f.type) if f.name in table.column_names else pa.nulls(len(table), f.type) for f in schema
+    ]
+    return pa.table(columns, schema=schema)
+
+
+def _by_ending(path: Path, writers: dict[str, Callable[..., Any]]) -> Callable[..., Any]:
+    if path.suffix not in writers:
+        raise InputError(f"Expected a file name that ends in {' or '.join(writers)}, got {path.name!r}: {path}")
+    return writers[path.suffix]

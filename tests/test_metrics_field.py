@@ -1,0 +1,184 @@
+"""The field profile: values by hand, laws, and the cases that are undefined."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from h3data.geometry import ground_pose
+from h3data.metrics import measure, metrics_of, series_of
+from h3data.metrics.field import time_to_collision, with_clearance
+from h3data.recording.records import Agent, Episode, Recording
+
+SECOND = 1_000_000_000
+
+
+def floor(robot, human, heading=None, *, step_ns=SECOND, **columns) -> Recording:
+    """Positions (x, z) of both, one row a second unless said."""
+    robot, human = np.asarray(robot, float).reshape(-1, 2), np.asarray(human, float).reshape(-1, 2)
+    steps = len(robot)
+    heading = np.zeros(steps) if heading is None else np.asarray(heading, float)
+    return Recording(
+        episode=Episode(uid="u", episode_id="e", task="social_nav", scene="x", dt_ns=step_ns),
+        agents=(Agent(name="robot", kind="robot"), Agent(name="human", kind="human")),
+        columns={
+            "time_ns": np.arange(steps) * step_ns,
+            "agent_0.base_pose": ground_pose(robot, heading).astype(np.float32),
+            "agent_1.base_pose": ground_pose(human, np.zeros(steps)).astype(np.float32),
+            **columns,
+        },
+    )
+
+
+def test_a_straight_approach_by_hand():
+    # 1 m a second towards a person 5 m ahead, from row 3 on standing 2 m away and facing her.
+    robot = [(0, 0), (1, 0), (2, 0), (3, 0), (3, 0)]
+    values = measure(floor(robot, [(5, 0)] * 5), "field").values
+    expected = {
+        "PSC": 1, "SC": 1, "Z_intimate": 0, "Z_personal": 0, "Z_social": 3 / 5, "Z_public": 2 / 5, "intrusions": 0,
+        "D_min": 2, "TTC_min": 1.5, "PL": 3, "PE": 1, "SPL": 1, "STL": 1.2 / 3, "T_goal": 3, "T_stalled": 1,
+        "V_mean": 0.75, "V_max": 1, "A_mean": 1 / 3, "A_max": 1, "J_mean": 0.5, "J_max": 1, "turning": 0,
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value, abs=1e-5), name
+    assert math.isnan(values["C_min"])
+
+
+def test_intrusions_are_counted_as_events():
+    distances = [3, 1, 0.4, 1.5, 1.1, 1.1, 3, 1.19]
+    values = measure(floor([(0, 0)] * 8, [(d, 0) for d in distances]), "field").values
+    assert values["intrusions"] == 3
+    assert values["Z_intimate"] == 1 / 8
+    assert values["Z_personal"] == 4 / 8
+    assert values["PSC"] == 7 / 8
+    assert values["SC"] == pytest.approx(sum(d - 0.5 > 0.5 for d in distances) / 8)
+    assert values["D_min"] == pytest.approx(0.4)
+
+
+def test_a_detour_and_a_turn():
+    robot = [(0, 0), (0, 1), (1, 1), (1, 0)]
+    values = measure(floor(robot, [(9, 9)] * 4, [0, 1, -1, 3]), "field").values
+    assert values["PL"] == pytest.approx(3)
+    assert values["PE"] == pytest.approx(1 / 3)
+    assert values["turning"] == pytest.approx(1 + 2 + (2 * math.pi - 4), abs=1e-5)
+    assert (values["SPL"], values["STL"]) == (0, 0)
+    assert math.isnan(values["T_goal"])
+
+
+@pytest.mark.parametrize(
+    ("offset", "velocity", "expected"),
+    [
+        ((5, 0), (-1, 0), 4.5),
+        ((5, 0), (1, 0), math.inf),
+        ((5, 0), (0, 0), math.inf),
+        ((5, 0), (0, 1), math.inf),
+        ((5, 0.5), (-1, 0), 5.0),  # just touches
+        ((5, 0.51), (-1, 0), math.inf),
+        ((0.3, 0), (1, 0), 0.0),
+        ((0.5, 0), (1, 0), 0.0),
+    ],
+)
+def test_time_to_collision(offset, velocity, expected):
+    got = time_to_collision(np.array([offset], float), np.array([velocity], float), 0.5)
+    assert got[0] == pytest.approx(expected, abs=1e-6)
+
+
+@given(x=st.floats(-9, 9), z=st.floats(-9, 9), u=st.floats(-3, 3), v=st.floats(-3, 3), radius=st.floats(0.1, 1))
+def test_at_the_time_of_collision_the_circles_touch(x, z, u, v, radius):
+    offset, velocity = np.array([[x, z]]), np.array([[u, v]])
+    time = time_to_collision(offset, velocity, radius)[0]
+    if np.isfinite(time) and time > 0:
+        assert np.linalg.norm(offset + velocity * time) == pytest.approx(radius, abs=1e-5)
+        before = np.linspace(0, time * 0.999, 50)[:, None]
+        assert np.linalg.norm(offset + velocity * before, axis=1).min() >= radius - 1e-6
+    elif time == 0:
+        assert np.linalg.norm(offset) <= radius + 1e-9
+
+
+points = st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4)), min_size=2, max_size=20)
+
+
+@given(points)
+def test_bounds_and_zones(walk):
+    values = measure(floor(walk, [(0, 0)] * len(walk)), "field").values
+    ranges = {m.name: m.range for m in metrics_of("field")}
+    for name, value in values.items():
+        assert math.isnan(value) or ranges[name][0] <= value <= ranges[name][1], name
+    assert sum(values[f"Z_{zone}"] for zone in ("intimate", "personal", "social", "public")) == pytest.approx(1)
+    assert values["V_max"] >= values["V_mean"] - 1e-9
+
+
+@given(points, points)
+def test_lengths_of_joined_episodes_add_up(one, two):
+    def length(walk):
+        return measure(floor(walk, [(9, 9)] * len(walk)), "field").values["PL"]
+
+    gap = math.dist(one[-1], two[0])
+    assert length([*one, *two]) == pytest.approx(length(one) + gap + length(two), abs=1e-4)
+
+
+@given(points, st.floats(-3, 3), st.floats(-5, 5))
+def test_nothing_depends_on_where_the_home_stands(walk, turn, shift):
+    distances = np.linalg.norm(np.array(walk), axis=1)
+    for limit in (0.45, 1.0, 1.2, 3.6, 2.0, 0.5):
+        assume(np.abs(distances - limit).min() > 1e-3)
+    c, s = math.cos(turn), math.sin(turn)
+    moved = [(c * x + s * z + shift, -s * x + c * z) for x, z in walk]
+    heading = np.linspace(0, 1, len(walk))
+    here = measure(floor(walk, [(0, 0)] * len(walk), heading), "field").values
+    there = measure(floor(moved, [(shift, 0)] * len(walk), heading + turn), "field").values
+    for name in set(here) - {"TTC_min", "T_stalled", "SPL", "STL", "T_goal"}:  # these sit on thresholds
+        assert there[name] == pytest.approx(here[name], abs=1e-2, rel=1e-4, nan_ok=True), name
+
+
+def test_a_robot_that_never_moves_has_no_efficiency():
+    result = measure(floor([(0, 0)] * 4, [(3, 0)] * 4), "field")
+    assert result.values["PL"] == 0
+    assert math.isnan(result.values["PE"])
+    assert "did not move" in result.notes["PE"]
+    assert result.values["T_stalled"] == 3
+    already = measure(floor([(0, 0)] * 4, [(1.5, 0)] * 4), "field")
+    assert (already.values["SPL"], already.values["STL"], already.values["T_goal"]) == (1, 1, 0)
+
+
+def test_gaps_short_and_empty_recordings():
+    gone = measure(floor([(0, 0), (np.nan, 0), (1, 0), (2, 0)], [(9, 0)] * 4), "field")
+    assert gone.values["PL"] == pytest.approx(1), "nobody knows the way through the gap"
+    assert gone.values["V_mean"] == pytest.approx(1)
+    assert gone.values["D_min"] == pytest.approx(7)
+    one = measure(floor([(0, 0)], [(9, 0)]), "field")
+    assert one.values["PL"] == 0
+    assert math.isnan(one.values["V_mean"])
+    empty = measure(floor([], []), "field")
+    assert all(math.isnan(v) for v in empty.values.values())
+    assert set(empty.notes) == set(empty.values)
+    nowhere = measure(floor([(np.nan, 0)] * 3, [(9, 0)] * 3), "field")
+    assert all(math.isnan(v) for v in nowhere.values.values())
+
+
+def test_clearance_needs_its_column():
+    class Wall:
+        def signed_distance(self, points):
+            return points[:, 0] - 1.0
+
+    recording = floor([(2, 0), (1.5, 0), (0.5, 0)], [(9, 0)] * 3)
+    assert "needs metrics.robot_clearance" in measure(recording, "field").notes["C_min"]
+    values = measure(with_clearance(recording, Wall()), "field").values
+    assert values["C_min"] == 0
+    assert values["C_mean"] == pytest.approx(0.5)
+
+
+def test_undefined_values_say_why_in_every_metric():
+    result = measure(floor([(0, 0)], [(9, 0)]), "field")
+    assert {n for n, v in result.values.items() if math.isnan(v)} <= set(result.notes)
+
+
+def test_series_have_a_row_each():
+    recording = floor([(0, 0)] * 7, [(3, 0)] * 7)
+    assert {len(v) for v in series_of(recording, "field").values()} == {7}
+    named = {name for m in metrics_of("field") for name in m.series} - {"clearance_m"}
+    assert named <= set(series_of(recording, "field"))
