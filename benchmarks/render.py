@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Callable
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -21,7 +20,6 @@ Emit = Callable[[str, float, str], None]
 Vertices = NDArray[np.float64]
 
 ROOM_M, HEIGHT_M, ROOMS_X, ROOMS_Z = 4.5, 2.7, 3, 2
-SIMPLE_ROOM = Path(__file__).resolve().parents[2] / "shared/real/habitat-sim/data/test_assets/scenes/simple_room.glb"
 
 
 # --- a generated home -----------------------------------------------------------------------------------------------
@@ -235,25 +233,20 @@ SIZES = {
     "640x480": (640, 480, 47),
     "1280x720": (1280, 720, 60),
 }
-HEAD_TO_HEAD = ("224x171", "256x256", "640x480")
 HOMES = {"92k": (92_000, 60), "336k": (336_000, 600), "1070k": (1_070_000, 600)}
 IDS = ("depth", "instance")
 
 
 def run(emit: Emit) -> None:
-    """Emit all `render.cpu.*` and `render.h2h.*` lines. `render.cpu.*` is the home of 1.07 M triangles."""
+    """Emit all `render.cpu.*` lines. `render.cpu.*` is the home of 1.07 M triangles."""
     dense = colored(blob((0, 0, 0), (2, 1, 3), 158, 0.4), (200, 200, 200))
     emit("render.cpu.build_100k_cpu_ms", cpu_ms(lambda: RenderScene([dense], [])), "ms")
     for name, (triangles, objects) in HOMES.items():
         scene = RenderScene(*home(triangles, objects))
         emit(f"render.cpu.{name}_triangles", scene.triangle_count, "1")
         renderer = Renderer(scene)
-        for size in HEAD_TO_HEAD:
-            emit(f"render.h2h.{name}.{size}_cpu_ms", frame_ms(renderer, _views(size), outputs=IDS), "ms")
         if name == "1070k":
             _run_largest(emit, renderer)
-    if SIMPLE_ROOM.exists():
-        _run_simple_room(emit)
 
 
 def _views(size: str) -> list[Camera]:
@@ -289,27 +282,6 @@ def _update_ms() -> float:
         renderer.set_vertices(0, vertices)
 
     return cpu_ms(work)
-
-
-def _run_simple_room(emit: Emit) -> None:
-    """Habitat-sim's own test room (not part of this project), the 7 boxes of walls and furniture."""
-    import trimesh
-
-    loaded = trimesh.load(SIMPLE_ROOM, process=False, force="mesh")
-    z_up = np.asarray(loaded.vertices)  # type: ignore[union-attr]
-    vertices = np.stack([z_up[:, 0], z_up[:, 2], -z_up[:, 1]], 1)
-    mesh = colored((vertices, np.asarray(loaded.faces, np.int32)), (200, 200, 200))  # type: ignore[union-attr]
-    scene = RenderScene([mesh], [RenderInstance(0, np.eye(4))])
-    low, high = mesh.bounds
-    rng = np.random.default_rng(0)
-    views = []
-    for _ in range(8):
-        eye = low + (high - low) * rng.uniform(0.35, 0.65, 3)
-        yaw = rng.uniform(0, 2 * np.pi)
-        views.append(look_at(eye, eye + _direction(yaw, -0.2)))
-    for size in HEAD_TO_HEAD:
-        value = frame_ms(Renderer(scene), cameras_at(*SIZES[size], views), outputs=IDS)
-        emit(f"render.h2h.simple_room.{size}_cpu_ms", value, "ms")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,72 @@
+"""Drawing a recording again: frames of 640x480 with RGB, depth and ids per second of CPU, and where the time goes.
+
+A home with a robot that follows a person, seen by a camera that trails the robot; textures, occlusion, the body as
+detailed as the camera needs. CPU seconds of the process, so per core; files are written to a temporary folder.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.render import cpu_seconds
+from h3data.render import Output, pinhole
+from h3data.replay import CameraTrack, Replay, camera_track
+from h3data.scene import HomeSpec, build_home
+from h3data_pipelines.drawing import draw_files
+from h3data_pipelines.outputs import Format, Target
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+
+Emit = Callable[[str, float, str], None]
+
+STEPS = 240
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "instance")
+
+
+def run(emit: Emit) -> None:
+    """Emit all `render.rerender*` lines."""
+    world = SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=STEPS))
+    replay = Replay(simulate_social_nav(world))
+    trailing = camera_track(replay, "third_person")
+    camera = pinhole(640, 480, hfov_deg=trailing.camera.hfov_deg, name="bench")
+    track = CameraTrack(camera=camera, poses=trailing.poses)
+    stage = replay.stage
+    renderer = stage.renderer()
+
+    def draw(*outputs: Output) -> None:
+        for step in range(len(replay)):
+            stage.draw(renderer, step, [track.at(step)], outputs=outputs)
+
+    def pose() -> None:
+        for step in range(len(replay)):
+            stage.draw(renderer, step, [replace(track.at(step), width=1, height=1)], outputs=("depth",))
+
+    count = len(replay)
+    posed, depth, drawn = (_seconds(work) / count for work in (pose, lambda: draw("depth"), lambda: draw(*OUTPUTS)))
+    emit("render.rerender_update_ms", posed * 1e3, "ms")
+    emit("render.rerender_depth_640x480_fps_per_core", 1 / depth, "1/s")
+    emit("render.rerender_640x480_fps_per_core", 1 / drawn, "1/s")
+    with tempfile.TemporaryDirectory() as folder:
+        for form in ("mp4", "data", "png"):
+            files = _seconds(lambda form=form: _files(replay, track, Path(folder), form)) / count
+            emit(f"render.rerender_{form}_640x480_fps_per_core", 1 / files, "1/s")
+            emit(f"render.rerender_{form}_640x480_encode_share", 1 - drawn / files, "1")
+
+
+def _files(replay: Replay, track: CameraTrack, folder: Path, form: Format) -> None:
+    targets = [Target.named(folder, "bench", "bench", output, form) for output in OUTPUTS]
+    draw_files(replay, [(track, targets)], steps=range(len(replay)), threads=1, description=form)
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """CPU seconds of ``work``: the least of three, after one that does not count."""
+    work()
+    times = []
+    for _ in range(3):
+        start = cpu_seconds()
+        work()
+        times.append(cpu_seconds() - start)
+    return min(times)
