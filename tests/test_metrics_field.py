@@ -39,7 +39,7 @@ def test_a_straight_approach_by_hand():
     robot = [(0, 0), (1, 0), (2, 0), (3, 0), (3, 0)]
     values = measure(floor(robot, [(5, 0)] * 5), "field").values
     expected = {
-        "PSC": 1, "SC": 1, "Z_intimate": 0, "Z_personal": 0, "Z_social": 3 / 5, "Z_public": 2 / 5, "intrusions": 0,
+        "PSC": 1, "Z_intimate": 0, "Z_personal": 0, "Z_social": 3 / 5, "Z_public": 2 / 5, "intrusions": 0,
         "D_min": 2, "TTC_min": 1.5, "PL": 3, "PE": 1, "SPL": 1, "STL": 1.2 / 3, "T_goal": 3, "T_stalled": 1,
         "V_mean": 0.75, "V_max": 1, "A_mean": 1 / 3, "A_max": 1, "J_mean": 0.5, "J_max": 1, "turning": 0,
     }  # fmt: skip
@@ -55,7 +55,6 @@ def test_intrusions_are_counted_as_events():
     assert values["Z_intimate"] == 1 / 8
     assert values["Z_personal"] == 4 / 8
     assert values["PSC"] == 7 / 8
-    assert values["SC"] == pytest.approx(sum(d - 0.5 > 0.5 for d in distances) / 8)
     assert values["D_min"] == pytest.approx(0.4)
 
 

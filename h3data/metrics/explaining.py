@@ -41,9 +41,9 @@ def explain_episode(metric: Metric, recording: Recording) -> str:
             f"{', '.join(measured.values)} there."
         )
     value = measured.values[metric.name]
+    unit = "" if metric.unit == "1" or np.isnan(value) else f" {metric.unit}"
     lines = [
-        f"{metric.name} = {_number(value)} {'' if metric.unit == '1' else metric.unit}".rstrip()
-        + f"  in episode {measured.episode_id!r} ({measured.rows} rows)",
+        f"{metric.name} = {_number(value)}{unit}  in episode {measured.episode_id!r} ({measured.rows} rows)",
         f"  formula    {metric.formula}",
     ]
     missing = missing_columns(metric, recording)

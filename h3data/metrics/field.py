@@ -24,7 +24,6 @@ from h3data.metrics.field_records import (
     PERSONAL_M,
     ROBOT_RADIUS_M,
     SOCIAL_M,
-    SPACE_M,
     STALLED_M_S,
     STALLED_RAD_S,
 )
@@ -150,7 +149,6 @@ def _proxemics(series: Series) -> dict[str, float]:
     ttc = series["ttc_s"][np.isfinite(series["ttc_s"])]
     return {
         "PSC": series["personal_space"].sum() / rows,
-        "SC": (distance[seen] - ROBOT_RADIUS_M - HUMAN_RADIUS_M > SPACE_M).sum() / rows,
         **{f"Z_{zone}": series[zone].sum() / rows for zone in ("intimate", "personal", "social", "public")},
         "intrusions": float(starts.sum()),
         "D_min": float(distance[seen].min()),

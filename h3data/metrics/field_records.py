@@ -8,8 +8,6 @@ ROBOT_RADIUS_M = HUMAN_RADIUS_M = 0.25
 """Radii for times to collision: those of Habitat's navmesh agent."""
 COMPLIANT_M = 1.0
 """Personal space of PSC, centre to centre (Falcon, ICRA 2025; the iGibson challenge takes 0.5 m)."""
-SPACE_M = 0.5
-"""Space compliance, between the agents' outlines (Francis et al. 2025)."""
 INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
 """Outer limits of Hall's zones (E. T. Hall, The Hidden Dimension, 1966)."""
 STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
@@ -48,9 +46,8 @@ _TWO, _THREE = "Fewer than two rows with a pose.", "Fewer than three rows in a r
 FIELD_METRICS: tuple[Metric, ...] = (
     _metric("PSC", "proxemics", "Personal space compliance", "rows with d >= 1.0 m / rows", "1", 1.0, "higher",
             "Falcon (ICRA 2025), PSC", _PAIR, _NO_PAIR, series=("dist_m", "personal_space"),
-            reading="d is the L2 distance centre to centre; Falcon can also take the geodesic one."),
-    _metric("SC", "proxemics", "Space compliance", "rows with d - r_robot - r_human > 0.5 m / rows", "1", 1.0, "higher",
-            _FRANCIS, _PAIR, _NO_PAIR, series=("dist_m",), reading="Both radii are 0.25 m."),
+            reading="d is the L2 distance centre to centre; Falcon can also take the geodesic one. Between outlines of 0.25 m "
+            "radius it is the 0.5 m of Francis et al.'s space compliance."),
     _metric("Z_intimate", "proxemics", "In the intimate zone", "rows with d < 0.45 m / rows", "1", 1.0, "lower",
             _HALL, _PAIR, _NO_PAIR, series=("intimate",),
             reading="d centre to centre (HuNavSim measures between outlines). The four shares add up to 1."),
