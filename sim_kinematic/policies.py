@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.randomness import generator
 from sim_kinematic.spec import STEP_S, BaseSpec
 
 ROBOT_SKILLS = ("find", "follow", "back_up", "wait")
@@ -27,6 +28,9 @@ class View(NamedTuple):
     """Length of the shortest path from robot to human [m]; infinite when there is none."""
     met: bool
     """The robot has found the person before."""
+    seed: int = 0
+    """Of the episode: with ``step`` it decides everything that a policy draws."""
+    step: int = 0
 
 
 class Command(NamedTuple):
@@ -83,7 +87,18 @@ def stand_still(view: View, spec: BaseSpec) -> Command:
     return Command(0.0, 0.0, "wait")
 
 
-POLICIES: dict[str, Policy] = {"heuristic_expert": heuristic_expert, "stand_still": stand_still}
+def random(view: View, spec: BaseSpec) -> Command:
+    """A uniformly random base velocity at every step, the same for the same seed: what chance achieves."""
+    del spec
+    forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
+    return Command(float(forward), float(turn), "follow" if view.met else "find")
+
+
+POLICIES: dict[str, Policy] = {
+    "heuristic_expert": heuristic_expert,
+    "random": random,
+    "stand_still": stand_still,
+}
 
 
 def policy_by_name(name: str) -> Policy:

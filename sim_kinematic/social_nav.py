@@ -153,7 +153,8 @@ def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable
     geodesic = float(free.geodesic(robot_xz, human_xz))
     for step in range(spec.max_steps):
         heading = float(state.robot_heading[0])
-        command = act(View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met), spec.robot)
+        view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step)
+        command = act(view, spec.robot)
         goal, walked = human.goal, float(state.human_distance[0])
         walk_humans(state, human.target(human_xz)[None], spec.human)
         drive_robots(state, free, np.array([[command.forward, command.turn]]), spec.robot)

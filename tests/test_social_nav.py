@@ -265,6 +265,18 @@ def test_the_expert_approaches_waits_and_backs_away(free: FreeSpace, lane: tuple
     assert abs(away.turn) == pytest.approx(1.0)
 
 
+def test_random_actions_are_the_same_for_the_same_seed(home: Scene, free: FreeSpace) -> None:
+    first, again = (
+        simulate_social_nav(world(home, free, max_steps=40, end_on_collision=False), policy="random") for _ in range(2)
+    )
+    other = simulate_social_nav(world(home, free, seed=6, max_steps=40, end_on_collision=False), policy="random")
+    actions = first.columns["agent_0.action"]
+    assert recordings_equal(first, again)
+    assert not np.array_equal(actions, other.columns["agent_0.action"])
+    assert actions.min() < -0.5 < 0.5 < actions.max()
+    assert len(np.unique(actions, axis=0)) == len(actions) == 40
+
+
 def test_unknown_policies_are_listed() -> None:
     with pytest.raises(InputError, match="heuristic_expert"):
         policy_by_name("magic")

@@ -16,7 +16,16 @@ from tqdm import tqdm
 
 from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, remove_dataset, uninterrupted
+from h3data_pipelines.command import (
+    AssetsOption,
+    ForceFlag,
+    JsonFlag,
+    MissingFlag,
+    Outcome,
+    claim_folder,
+    remove_dataset,
+    uninterrupted,
+)
 from h3data_pipelines.episode_jobs import Changes, Job, file_jobs, seeded_jobs, set_jobs, simulate_jobs
 
 if TYPE_CHECKING:
@@ -52,10 +61,12 @@ class Generate:
     of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb)."""
     episodes_file: Path | None = None
     """Habitat episode file (.json.gz) with starts and way points of ours, instead of --scenes."""
+    assets: AssetsOption = ()
+    allow_missing: MissingFlag = False
     homes: int = 4
     """Number of different homes of a preset that the episodes go round."""
     policy: str = "heuristic_expert"
-    """Robot policy: heuristic_expert or stand_still."""
+    """Robot policy: heuristic_expert, random or stand_still."""
     human: str | None = None
     """Built-in body of the person, or any: each episode draws one (default: the episode's, else female_0)."""
     human_speed: float | None = None
@@ -138,8 +149,8 @@ class Generate:
             return set_jobs(scenes, episodes=self.episodes, seed=self.seed, changes=changes)
         spec = SocialNavSpec() if self.spawn_distance is None else SocialNavSpec(spawn_distance_m=self.spawn_distance)
         return seeded_jobs(
-            named_scenes(self.scenes, homes=self.homes), episodes=10 if self.episodes is None else self.episodes,
-            seed=self.seed, spec=spec, changes=changes,
+            named_scenes(self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing),
+            episodes=10 if self.episodes is None else self.episodes, seed=self.seed, spec=spec, changes=changes,
         )  # fmt: skip
 
     def _check_numbers(self) -> None:
