@@ -3,10 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 STEP_S = 1 / 30
 """Seconds per step. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is 2.5 m/s
 (spec/habitat.md 0)."""
+
+
+Slide = Literal["strict", "habitat"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HabitatSlideSpec:
+    """The settings of Habitat's base action; the defaults are those that reproduce the paper (spec/habitat.md 1.1, 1.3)."""
+
+    root_height_m: float = 0.48
+    """Height of Spot's root over the floor: from there its discs are put onto the navmesh."""
+    slides: bool = True
+    """``allow_dyn_slide``: a base that touches moves on along the wall; else it stays where it was."""
+    slides_while_turning: bool = True
+    """False is ``enable_rotation_check_for_dyn_slide``: then it slides only while it does not turn."""
+    navmesh_slides: bool = True
+    """``sim_cfg.allow_sliding``: a disc's own step on the navmesh slides too, else it ends at the first wall."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,6 +33,15 @@ class BaseSpec:
 
     max_speed_mps: float = 2.5
     max_turn_rad_s: float = 2.5
+    max_lateral_mps: float = 0.0
+    """Above 0, an action has a third number: sideways, positive to the left."""
+    allow_back: bool = True
+    """Whether it drives backwards."""
+    slide: Slide = "strict"
+    """What happens at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
+    step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
+    habitat: HabitatSlideSpec = HabitatSlideSpec()
+    """For ``slide="habitat"`` only."""
     disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
     """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation). Nothing looks
     behind them: when it turns in a narrow place, its rear may swing through furniture."""
@@ -58,3 +85,13 @@ class SocialNavSpec:
     """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
     robot: BaseSpec = BaseSpec()
     human: WalkerSpec = WalkerSpec()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmSpec:
+    """How a robot's arm moves and takes things (paper appendix, low-level skills; spec/habitat.md 2.8)."""
+
+    joint_step: float = 0.05
+    """Most that a joint moves per step [rad or m]."""
+    grasp_m: float = 0.15
+    """The hand takes the nearest object, if its origin is nearer to the hand than this."""

@@ -1,4 +1,5 @@
-"""The state of W worlds with one robot and one humanoid each: a struct of arrays, worlds first. One world is W = 1."""
+"""The state of W worlds with one robot, one humanoid and O objects each: a struct of arrays, worlds first. One world is
+W = 1."""
 
 from __future__ import annotations
 
@@ -6,6 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from h3data.geometry import IDENTITY_POSE
+
+ROBOT, HUMAN, NOBODY = 0, 1, -1
+"""Who holds an object: numbers of agents, as in recordings."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,10 +35,19 @@ class WorldState:
     """What `human_distance` was when she last set off from standing [m]: there the cycle began anew; shape [W]."""
     human_blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
+    robot_joints: NDArray[np.float64]
+    """Joint positions of the robot [rad or m], shape [W, J]; J = 0 where no arm moves."""
+    object_pose: NDArray[np.float64]
+    """pose7 of what can be taken, shape [W, O, 7]."""
+    held_by: NDArray[np.int64]
+    """Agent that holds each object (`ROBOT`, `HUMAN`), `NOBODY` where none does, shape [W, O]."""
+    grip_pose: NDArray[np.float64]
+    """pose7 of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
 
     @classmethod
-    def zeros(cls, worlds: int) -> WorldState:
-        """W worlds with everything at the origin."""
+    def zeros(cls, worlds: int, *, joints: int = 0, objects: int = 0) -> WorldState:
+        """W worlds with everything at the origin, nothing held."""
+        nowhere = np.tile(IDENTITY_POSE, (worlds, objects, 1))
         return cls(
             robot_xz=np.zeros((worlds, 2)),
             robot_heading=np.zeros(worlds),
@@ -42,6 +57,10 @@ class WorldState:
             human_distance=np.zeros(worlds),
             human_set_off=np.zeros(worlds),
             human_blend=np.zeros(worlds),
+            robot_joints=np.zeros((worlds, joints)),
+            object_pose=nowhere,
+            held_by=np.full((worlds, objects), NOBODY),
+            grip_pose=nowhere.copy(),
         )
 
     def copy(self) -> WorldState:

@@ -75,6 +75,11 @@ class PathFinder:
             raise InputError("The navmesh has no polygon that can be walked on.")
         self._surface = build_surface(self.navmesh)
 
+    @property
+    def surface(self) -> Surface:
+        """The polygons as flat arrays, for kernels (`h3data.scene._surface`)."""
+        return self._surface
+
     @cached_property
     def _graph(self) -> Surface:
         return with_graph(self._surface)
