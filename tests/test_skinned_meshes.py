@@ -13,7 +13,8 @@ from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix, quat_from_heading
 from h3data.interop import AssetLibrary, load_mesh
 from h3data.interop.skinned_meshes import load_skinned_mesh
-from h3data.recording import AssetRef, Body, Episode, Recording
+from h3data.recording import AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, open_recording
+from h3data.recording.mcap_log import write_mcap
 from h3data.replay import Replay, camera_track
 
 JOINTS = np.array([[0, 1, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]], np.uint8)
@@ -145,3 +146,17 @@ def test_damaged_skins_are_refused(tmp_path: Path, skin: dict[str, Any], word: s
 def test_a_vertex_without_weight_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="WEIGHTS_0 leaves a vertex without weight"):
         load_skinned_mesh(skinned_square(tmp_path, weights=0 * WEIGHTS))
+
+
+def test_rigs_survive_both_stores(tmp_path: Path) -> None:
+    path = skinned_square(tmp_path)
+    rec = recorded(path, poses(5).astype(np.float32), ["low", "high"])
+    write_mcap(rec, tmp_path / "r.mcap")
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(rec)
+    expected = Replay(rec, assets=[tmp_path]).vertices(0, np.arange(5))
+    dataset = open_recording(tmp_path / "ds")
+    assert isinstance(dataset, Dataset)
+    for stored in (open_recording(tmp_path / "r.mcap"), dataset.recording(0)):
+        assert isinstance(stored, Recording)
+        np.testing.assert_array_equal(Replay(stored, assets=[tmp_path]).vertices(0, np.arange(5)), expected)

@@ -11,6 +11,7 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
+from h3data.render.files import stored_ids
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:
@@ -38,6 +39,40 @@ def test_a_video_reads_back(tmp_path: Path, size):
     assert len(decoded) == 12
     for k, picture in enumerate(decoded):
         assert np.abs(picture[:height, :width].astype(int) - frame(k, width, height)).mean() < 6
+
+
+@pytest.mark.parametrize("codec", ["h264", "av1", "ffv1"])
+def test_the_same_frames_make_the_same_file(tmp_path: Path, codec):
+    rng = np.random.default_rng(1)
+    suffix = "mkv" if codec == "ffv1" else "mp4"
+    frames = [
+        rng.integers(0, 65536, (48, 64)).astype(np.uint16) if codec == "ffv1" else frame(k, 64, 48) for k in range(9)
+    ]
+    for name in ("a", "b"):
+        with VideoWriter(tmp_path / f"{name}.{suffix}", 64, 48, codec=codec) as video:
+            for image in frames:
+                video.write(image)
+    assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+    with av.open(str(tmp_path / f"a.{suffix}")) as container:
+        form = "gray16le" if codec == "ffv1" else "rgb24"
+        decoded = [f.to_ndarray(format=form) for f in container.decode(video=0)]
+    assert len(decoded) == len(frames)
+    for image, expected in zip(decoded, frames, strict=True):
+        if codec == "ffv1":
+            np.testing.assert_array_equal(image, expected)
+        else:
+            assert np.abs(image.astype(int) - expected).mean() < 6
+
+
+def test_colours_become_yuv_as_ffmpeg_has_it(tmp_path: Path):
+    """Within the rounding of FFmpeg's own conversion: luma of any picture, chroma of plain ones."""
+    writer, rng = VideoWriter(tmp_path / "a.mp4", 64, 48), np.random.default_rng(0)
+    pictures = [rng.integers(0, 256, (48, 64, 3)), *(np.full((48, 64, 3), c) for c in rng.integers(0, 256, (20, 3)))]
+    for k, picture in enumerate(pictures):
+        rgb = picture.astype(np.uint8)
+        theirs = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format="yuv420p").to_ndarray().astype(int)
+        rows = slice(48 if k == 0 else None)
+        assert np.abs(writer.planes(rgb)[rows] - theirs[rows]).max() <= 1
 
 
 def test_the_index_comes_first(tmp_path: Path):
@@ -90,6 +125,16 @@ def test_png_round_trips(tmp_path: Path):
     assert stored.dtype == np.uint16
     np.testing.assert_array_equal(stored, [[0, 1, 1234], [65535, 0, 3001]])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["depth.png", "rgb.png"]
+
+
+def test_ids_are_stored_one_up(tmp_path: Path):
+    np.testing.assert_array_equal(stored_ids(np.array([[-1, 0, 65533]])), [[0, 1, 65534]])
+    assert stored_ids(np.zeros((2, 3), np.int32)).dtype == np.uint16
+    for bad in (np.array([[65535]]), np.zeros((2, 2)), np.zeros(3, np.int32)):
+        with pytest.raises(InputError, match=r"65534|integers"):
+            stored_ids(bad)
+    with pytest.raises(InputError, match="Unknown codec"):
+        VideoWriter(tmp_path / "a.mp4", 64, 48, codec="vp9")  # type: ignore[arg-type]
 
 
 def test_bad_pictures_are_refused(tmp_path: Path):
