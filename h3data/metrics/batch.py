@@ -1,7 +1,7 @@
-"""Metrics of many recordings at once: datasets and logs, on all cores, one episode in memory per worker.
+"""Metrics of many recordings at once: datasets and logs, on all cores, a few episodes in memory per worker.
 
-A dataset gives one row group per episode, and only the columns that the profile reads are decoded. Decoding and kernels
-run without the interpreter's lock, so threads are enough.
+Of a dataset only the columns that the profile reads are decoded. Decoding and kernels run without the interpreter's lock,
+so threads are enough.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from h3data.metrics.registry import PROFILES, find_profile, measure
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 
-_CHUNK = 32
-"""Episodes of one job."""
+_CHUNK = 16
+"""Episodes that are read together."""
 
 Work = Callable[[Recording], EpisodeMetrics]
 
@@ -66,8 +66,8 @@ def recordings(sources: Sequence[Path], profile: str | None = None) -> Iterator[
         if isinstance(opened, Recording):
             yield opened
         else:
-            read = _reader(opened, profile) if profile is not None else opened.recording
-            yield from map(read, range(len(opened)))
+            for chunk in _chunks(opened):
+                yield from _read(opened, chunk, profile)
 
 
 def _jobs(sources: Sequence[Path], profile: str) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
@@ -78,9 +78,8 @@ def _jobs(sources: Sequence[Path], profile: str) -> Iterator[Callable[[], list[E
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
         own = _PerThread(source)
-        for start in range(0, len(dataset), _CHUNK):
-            chunk = range(start, min(start + _CHUNK, len(dataset)))
-            yield lambda own=own, chunk=chunk: [measure(r, profile) for r in map(_reader(own.dataset, profile), chunk)]
+        for chunk in _chunks(dataset):
+            yield lambda own=own, chunk=chunk: [measure(r, profile) for r in _read(own.dataset, chunk, profile)]
 
 
 def only(source: Path) -> Recording:
@@ -91,16 +90,21 @@ def only(source: Path) -> Recording:
     return opened
 
 
-def _reader(dataset: Dataset, profile: str) -> Callable[[int], Recording]:
-    """Reads an episode with what the profile needs of it."""
+def _chunks(dataset: Dataset) -> Iterator[range]:
+    return (range(start, min(start + _CHUNK, len(dataset))) for start in range(0, len(dataset), _CHUNK))
+
+
+def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
+    """Episodes of a dataset, with what the profile needs of them."""
+    if profile is None:
+        return map(dataset.recording, chunk)
     declared = [c.name for c in dataset.schema.columns]
     agents = sum(name.endswith(".base_pose") for name in declared)
     metrics = [m for p in PROFILES[profile] for m in p.metrics]
     wanted = set(stored_columns(metrics, agents))
     columns = [name for name in declared if name in wanted]
     events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
-    records = ("agents", "events") if events else ("agents",)
-    return lambda index: dataset.recording(index, columns=columns, records=records)
+    return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
 
 
 class _PerThread:
