@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from h3data.geometry import pose_to_matrix
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render.cpu import CpuEngine
 from h3data.render.occlusion import EDGE, EDGE_ROWS, Occlusion, light_left, occlude
-from h3data.render.renderer import _view
+from h3data.render.raster import Target, View
 from h3data.scene.records import Mesh
 
 GREY = (170, 170, 170)
@@ -64,9 +65,15 @@ def light_of(corners: list, view: Camera, samples: Literal[1, 4] = 1) -> NDArray
     return ((on + 0.5) / (off + 0.5)).mean(-1)
 
 
+def drawn_target(drawn: Renderer, view: Camera) -> tuple[View, Target]:
+    """The view as kernels read it, and its buffers."""
+    engine = drawn._engine
+    assert isinstance(engine, CpuEngine)
+    return engine._draw(view, engine.worlds[0], {})
+
+
 def amounts(drawn: Renderer, view: Camera) -> Occlusion:
-    kernel_view = _view(view)
-    return occlude(kernel_view, drawn._draw(view, kernel_view), 1)
+    return occlude(*drawn_target(drawn, view), 1)
 
 
 # --- what must not change -------------------------------------------------------------------------------------------
@@ -212,7 +219,7 @@ def test_an_empty_picture_is_left_alone():
 def test_the_fast_rows_agree_with_the_single_pixel():
     view = camera(EYE_LEVEL, 61, 47)
     drawn = renderer(ROOM)
-    occlusion, near = amounts(drawn, view), drawn._draw(view, _view(view)).inv_z
+    occlusion, near = amounts(drawn, view), drawn_target(drawn, view)[1].inv_z
     slow = np.array([[light_left(occlusion, 1.0, x, y, near[y, x]) for x in range(61)] for y in range(47)])
     assert slow.min() < 0.8
     np.testing.assert_allclose(light_of(ROOM, view), slow, atol=0.15)  # sRGB is not linear ...

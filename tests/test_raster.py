@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.raster import _hidden
-from h3data.render.renderer import _view
+from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render.camera import Projection
+from h3data.render.cpu import CpuEngine
+from h3data.render.raster_draw import hidden
 from h3data.scene.records import Mesh
 
 EDGE = 2e-4
@@ -25,26 +28,31 @@ def mesh_of(triangles: NDArray, color=(200, 200, 200), normals: NDArray | None =
 
 def rays(camera: Camera) -> NDArray[np.float64]:
     """Directions [H*W, 3] in camera space with z = 1."""
-    v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
+    return camera.rays()[1].reshape(-1, 3)
 
 
 def cast(triangles: NDArray, camera: Camera) -> tuple[NDArray, NDArray, NDArray]:
-    """Nearest depth, triangle and "this is clear" [H, W] by testing every triangle, in float64."""
+    """Nearest depth, triangle and "this is clear" [H, W] by testing every triangle, in float64 (Pluecker coordinates)."""
     p = (np.asarray(triangles, np.float32).astype(np.float64) - camera.pose[:3, 3]) @ camera.pose[:3, :3]
     a, b, c = p[:, 0], p[:, 1], p[:, 2]
-    d = rays(camera)
+    o, d = (r.reshape(-1, 3) for r in camera.rays())
+    moments = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 1)  # [T, 3, 3]
+    sides = np.stack([b - c, c - a, a - b], 1)
+
+    def edge_values(o: NDArray, d: NDArray) -> NDArray:
+        return np.einsum("nk,tek->nte", d, moments) + np.einsum("nk,tek->nte", np.cross(d, o), sides)
+
     with np.errstate(all="ignore"):
-        edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 1)  # [T, 3, 3]
-        numerators = np.einsum("nk,tek->nte", d, edges)
-        total = d @ np.cross(b - a, c - a).T
+        numerators, normal = edge_values(o, d), np.cross(b - a, c - a)
+        total = d @ normal.T
         bary = numerators / total[..., None]
-        depth = np.einsum("tk,tk->t", a, np.cross(b - a, c - a)) / total
+        depth = (np.einsum("tk,tk->t", a, normal) - o @ normal.T) / total
     lowest = bary.min(-1)
-    ahead = np.isfinite(depth) & (depth > 0)
+    ahead = np.isfinite(depth) & (depth > camera.near) & (depth < camera.far)
+    shape = (camera.height, camera.width)
     # in pixels, too: a sliver is narrow in pixels while its barycentrics are not
-    steps = np.abs(edges[:, :, :2] / np.array([camera.fx, camera.fy])).sum(-1)
+    corner = edge_values(*(r.reshape(-1, 3) for r in dataclasses.replace(camera, width=2, height=2).rays()))
+    steps = np.abs(corner[1] - corner[0]) + np.abs(corner[2] - corner[0])
     with np.errstate(all="ignore"):
         pixel_distance = (np.abs(numerators) / steps).min(-1)
     hit = ahead & (lowest >= 0)
@@ -53,8 +61,9 @@ def cast(triangles: NDArray, camera: Camera) -> tuple[NDArray, NDArray, NDArray]
     nearest = z[np.arange(len(z)), best]
     unsure = ahead & (lowest > -EDGE) & ((np.abs(lowest) < EDGE) | (pixel_distance < EDGE))
     unsure &= depth < nearest[:, None] + 1e-3
+    for plane in (camera.near, camera.far):  # where a triangle passes through a clip plane
+        unsure |= (lowest > -EDGE) & (np.abs(depth - plane) < 1e-4 * max(1.0, min(plane, 99.0))) & (plane > 0)
     ties = (z < (nearest + 1e-3 * np.maximum(1, nearest))[:, None]).sum(1) > 1  # coplanar: either id is right
-    shape = (camera.height, camera.width)
     ids = np.where(np.isfinite(nearest), np.where(ties, -2, best), -1)
     return (
         np.where(np.isfinite(nearest), nearest, 0).reshape(shape),
@@ -96,7 +105,8 @@ def draw(triangles: NDArray, camera: Camera) -> dict[str, NDArray]:
 def assert_same(picture: dict[str, NDArray], triangles: NDArray, camera: Camera) -> int:
     depth, ids, clear = cast(triangles, camera)
     error = np.abs(picture["depth"] - depth)[clear]
-    assert (error <= np.maximum(1e-4, 1e-4 * depth[clear])).all(), f"worst {error.max()} m of {camera}"
+    relative = 1e-4 if camera.projection == "perspective" else 0
+    assert (error <= np.maximum(1e-4, relative * depth[clear])).all(), f"worst {error.max()} m of {camera}"
     known = clear & (ids != -2)
     np.testing.assert_array_equal(picture["triangle"][known], ids[known])
     np.testing.assert_array_equal(picture["instance"] >= 0, picture["depth"] > 0)
@@ -111,6 +121,27 @@ def test_random_soups_equal_the_ray_caster():
         checked += assert_same(draw(triangles, camera), triangles, camera)
         total += camera.width * camera.height
     assert checked > 0.9 * total, "too few pixels were clear of edges to mean anything"
+
+
+def random_view(rng: np.random.Generator, projection: Projection) -> Camera:
+    """As `random_camera`, orthographic or not, with clip planes more often than not."""
+    camera = random_camera(rng)
+    near, far = float(rng.choice([0, 0.005, 0.3, 2])), float(rng.choice([3, 6, np.inf]))
+    if projection == "orthographic":
+        fx, fy = camera.width / rng.uniform(0.5, 12, 2)
+        camera = dataclasses.replace(camera, projection=projection, fx=fx, fy=fy)
+    return dataclasses.replace(camera, near=near, far=far)
+
+
+@pytest.mark.parametrize("projection", ["orthographic", "perspective"])
+def test_orthographic_and_clipped_soups_equal_the_ray_caster(projection):
+    rng = np.random.default_rng(3)
+    checked = total = 0
+    for _ in range(40):
+        triangles, camera = soup(rng), random_view(rng, projection)
+        checked += assert_same(draw(triangles, camera), triangles, camera)
+        total += camera.width * camera.height
+    assert checked > 0.9 * total
 
 
 def grid(n: int, size: float = 4.0, y: float = 0.0) -> NDArray[np.float64]:
@@ -235,14 +266,14 @@ def test_padding_never_looks_empty_to_the_occlusion_test(size):
     scene = RenderScene(
         [mesh_of(np.float64([[[-99, -99, 3], [99, -99, 3], [0, 140, 3]]]))], [RenderInstance(0, np.eye(4))]
     )
-    renderer, camera = Renderer(scene), pinhole(*size, hfov_deg=60)
-    target = renderer._draw(camera, _view(camera))
+    engine, camera = CpuEngine(scene, light=Light()), pinhole(*size, hfov_deg=60)
+    _, target = engine._draw(camera, engine.worlds[0], {})
     rows, columns = target.tile_inv_z.shape
     address, row_bytes = np.uintp(target.inv_z.ctypes.data), np.uintp(target.inv_z.shape[1] * 4)
-    for depth, hidden in ((3.1, True), (2.9, False)):
+    for depth, covered in ((3.1, True), (2.9, False)):
         bounds, stale = target.tile_inv_z, target.tile_stale
         inv_z = np.float32(1 / depth)
-        assert _hidden(0, columns - 1, 0, rows - 1, inv_z, bounds, stale, address, row_bytes) == hidden
+        assert hidden(0, columns - 1, 0, rows - 1, inv_z, bounds, stale, address, row_bytes) == covered
 
 
 def test_degenerate_triangles_and_cluster_padding_are_never_drawn():

@@ -1,4 +1,4 @@
-"""Cameras, the CPU rasteriser with its shading, colour maps, overlays, pictures and videos.
+"""Cameras, renderers (`Renderer`: one interface to all back ends), colour maps, overlays, pictures and videos.
 
 `Camera` and its helpers are cheap; everything else is imported at its first use (numba, OpenCV, PyAV).
 """
@@ -8,30 +8,47 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from h3data.render.camera import OPENGL_TO_OPENCV, Camera, look_at, pinhole
+from h3data.render.camera import (
+    CONVENTIONS,
+    OPENGL_TO_OPENCV,
+    Camera,
+    camera_from_matrix,
+    equirectangular,
+    fisheye,
+    look_at,
+    orthographic,
+    pinhole,
+)
 
 if TYPE_CHECKING:
     from h3data.render import overlay
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
     from h3data.render.files import write_depth_png, write_png
-    from h3data.render.renderer import Output, Renderer
+    from h3data.render.pictures import Output, Poses
+    from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
     from h3data.render.shading import Light
     from h3data.render.video import VideoWriter
 
 __all__ = [
+    "CONVENTIONS",
     "OPENGL_TO_OPENCV",
     "Camera",
     "Light",
     "Output",
+    "Poses",
     "RenderInstance",
     "RenderScene",
     "Renderer",
     "VideoWriter",
+    "camera_from_matrix",
     "depth_to_rgb",
+    "equirectangular",
+    "fisheye",
     "instance_to_rgb",
     "look_at",
     "normalize_depth",
+    "orthographic",
     "overlay",
     "pinhole",
     "write_depth_png",
@@ -40,7 +57,8 @@ __all__ = [
 
 _HOMES = {
     "Light": "shading",
-    "Output": "renderer",
+    "Output": "pictures",
+    "Poses": "pictures",
     "RenderInstance": "scene",
     "RenderScene": "scene",
     "Renderer": "renderer",

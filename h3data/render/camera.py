@@ -1,13 +1,21 @@
-"""Pinhole cameras. Inside h3data: OpenCV frame (x right, y down, z forward), pixel centres at +0.5, depth along z [m]."""
+"""Cameras: perspective, orthographic, fisheye and equirectangular.
+
+Inside h3data: OpenCV frame (x right, y down, z forward), pixel centres at +0.5; `CONVENTIONS` turns other frames into it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.errors import InputError
 from h3data.geometry import normalized
+
+Projection = Literal["perspective", "orthographic", "fisheye", "equirectangular"]
+Convention = Literal["opencv", "opengl", "habitat"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -18,6 +26,7 @@ class Camera:
     width: int
     height: int
     fx: float
+    """Pixels per unit at z = 1 (perspective), per metre (orthographic) or per radian (fisheye, equirectangular)."""
     fy: float
     cx: float
     cy: float
@@ -25,39 +34,122 @@ class Camera:
     """4x4, camera (OpenCV) to world."""
     hidden_layers: tuple[str, ...] = ()
     """Instances in these layers are left out, e.g. ``("ceiling",)`` in views from above."""
+    projection: Projection = "perspective"
+    near: float = 0.0
+    """What is nearer than this depth is cut away [m]; 0: all that lies in front of the camera's plane is seen."""
+    far: float = float("inf")
+    """What is farther than this depth counts as nothing [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
         """The same camera at another pose [4, 4]."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def __repr__(self) -> str:
-        return f"Camera({self.name!r}, {self.width}x{self.height}, hFOV {self.hfov_deg:.1f} deg)"
+        view = f"hFOV {self.hfov_deg:.1f} deg"
+        if self.projection == "orthographic":
+            view = f"orthographic, {self.width / self.fx:.2f} m wide"
+        elif self.projection != "perspective":
+            view = f"{self.projection}, {view}"
+        return f"Camera({self.name!r}, {self.width}x{self.height}, {view})"
 
     @property
     def hfov_deg(self) -> float:
-        """Horizontal field of view [deg]."""
-        return float(np.degrees(2 * np.arctan(self.width / 2 / self.fx)))
+        """Horizontal field of view [deg]; 0 if orthographic."""
+        if self.projection == "orthographic":
+            return 0.0
+        half = self.width / 2 / self.fx
+        return float(np.degrees(2 * (np.arctan(half) if self.projection == "perspective" else half)))
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
         """3x3 camera matrix K."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
+    def checked(self) -> Camera:
+        """Itself.
+
+        Raises:
+            InputError: no picture can be taken with it; the message lists why.
+        """
+        faults = []
+        if self.width < 1 or self.height < 1:
+            faults.append(f"size {self.width}x{self.height}")
+        k = np.array([self.fx, self.fy, self.cx, self.cy], np.float64)
+        if not (np.isfinite(k).all() and k[0] > 0 and k[1] > 0):
+            faults.append(f"fx fy cx cy {k.tolist()}")
+        pose = np.asarray(self.pose, np.float64)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            faults.append("a pose that is not a finite 4x4 matrix")
+        elif np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > 1e-4:
+            faults.append("a pose whose axes are not orthogonal and of unit length")
+        if not 0 <= self.near < self.far:
+            faults.append(f"near {self.near} and far {self.far} (expected 0 <= near < far)")
+        if self.projection not in get_args(Projection):
+            faults.append(f"projection {self.projection!r} (there are: {', '.join(get_args(Projection))})")
+        if faults:
+            raise InputError(f"Camera {self.name!r} cannot be used, it has: {'; '.join(faults)}.")
+        return self
+
+    # --- points and rays ----------------------------------------------------------------------------------------------
     def to_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """World points [N, 3] in the camera's frame, shape [N, 3] [m]."""
         p = np.asarray(points, np.float64).reshape(-1, 3)
         return (p - self.pose[:3, 3]) @ self.pose[:3, :3]
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where world points [N, 3] appear: pixel coordinates [N, 2] and z-depth [N] [m].
+        """Where world points [N, 3] appear: pixel coordinates [N, 2] and depth [N] [m].
 
-        The first pixel's centre is (0.5, 0.5). Points at or behind the camera's plane (z <= 0) get NaN pixels.
+        The first pixel's centre is (0.5, 0.5). Depth is along z; for fisheye and equirectangular cameras it is the distance.
+        Points at or behind the plane of a perspective camera (z <= 0) get NaN pixels.
         """
         p = self.to_camera(points)
-        z = np.where(p[:, 2] > 0, p[:, 2], np.nan)[:, None]
-        return p[:, :2] / z * (self.fx, self.fy) + (self.cx, self.cy), p[:, 2]
+        return self.to_pixels(p), p[:, 2] if self.is_planar else np.linalg.norm(p, axis=1)
+
+    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As `project`, of points [N, 3] in the camera's frame: pixel coordinates [N, 2]."""
+        x, y, z = points.T
+        if self.projection == "perspective":
+            ahead = np.where(z > 0, z, np.nan)
+            u, v = x / ahead, y / ahead
+        elif self.projection == "orthographic":
+            u, v = x, y
+        elif self.projection == "fisheye":
+            across = np.hypot(x, y)
+            angle = np.arctan2(across, z) / np.where(across > 0, across, 1)
+            u, v = x * angle, y * angle
+        else:
+            u, v = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
+        return np.stack([u * self.fx + self.cx, v * self.fy + self.cy], axis=-1)
+
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the ray through each pixel's centre starts and its direction, in the camera's frame, each [H, W, 3].
+
+        A point at depth d lies at ``start + d * direction``. NaN where a fisheye's picture shows nothing (beyond 180 degrees
+        off its axis).
+        """
+        v, u = np.mgrid[0 : self.height, 0 : self.width] + 0.5
+        u, v = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        zero, one = np.zeros_like(u), np.ones_like(u)
+        if self.projection == "perspective":
+            return np.zeros((*u.shape, 3)), np.stack([u, v, one], -1)
+        if self.projection == "orthographic":
+            return np.stack([u, v, zero], -1), np.stack([zero, zero, one], -1)
+        if self.projection == "fisheye":
+            angle = np.hypot(u, v)
+            sine = np.sinc(angle / np.pi)  # sin(angle) / angle
+            directions = np.stack([u * sine, v * sine, np.cos(angle)], -1)
+            directions[angle > np.pi] = np.nan
+        else:
+            directions = np.stack([np.sin(u) * np.cos(v), np.sin(v), np.cos(u) * np.cos(v)], -1)
+        return np.zeros((*u.shape, 3)), directions
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether straight lines stay straight and depth is along z: perspective and orthographic cameras."""
+        return self.projection in ("perspective", "orthographic")
 
 
+# --- making cameras -----------------------------------------------------------------------------------------------------
 def pinhole(
     width: int,
     height: int,
@@ -66,26 +158,101 @@ def pinhole(
     name: str = "camera",
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
+    near: float = 0.0,
+    far: float = float("inf"),
 ) -> Camera:
     """A camera with square pixels and centred principal point, as Habitat's sensors (spec/habitat.md 1.5).
 
     ``width`` x ``height`` in pixels; ``hfov_deg`` spans the width.
     """
+    if not 0 < hfov_deg < 180:
+        raise InputError(f"The field of view of a perspective camera is between 0 and 180 degrees, got {hfov_deg}.")
     f = width / 2 / float(np.tan(np.radians(hfov_deg) / 2))
+    return _centred(width, height, f, f, "perspective", name, pose, hidden_layers, near, far)
+
+
+def orthographic(
+    width: int,
+    height: int,
+    *,
+    width_m: float,
+    name: str = "camera",
+    pose: ArrayLike | None = None,
+    hidden_layers: tuple[str, ...] = (),
+    near: float = 0.0,
+    far: float = float("inf"),
+) -> Camera:
+    """A camera whose rays are parallel: ``width_m`` [m] across the width, everywhere the same scale."""
+    if not 0 < width_m < np.inf:
+        raise InputError(f"The width of an orthographic view must be a positive number of metres, got {width_m}.")
+    f = width / width_m
+    return _centred(width, height, f, f, "orthographic", name, pose, hidden_layers, near, far)
+
+
+def fisheye(
+    width: int,
+    height: int,
+    *,
+    hfov_deg: float = 180.0,
+    name: str = "camera",
+    pose: ArrayLike | None = None,
+    hidden_layers: tuple[str, ...] = (),
+) -> Camera:
+    """An equidistant fisheye (distance from the centre proportional to the angle); ``hfov_deg`` spans the width."""
+    if not 0 < hfov_deg <= 360:
+        raise InputError(f"The field of view of a fisheye is between 0 and 360 degrees, got {hfov_deg}.")
+    f = width / float(np.radians(hfov_deg))
+    return _centred(width, height, f, f, "fisheye", name, pose, hidden_layers)
+
+
+def equirectangular(
+    width: int,
+    height: int = 0,
+    *,
+    name: str = "camera",
+    pose: ArrayLike | None = None,
+    hidden_layers: tuple[str, ...] = (),
+) -> Camera:
+    """All around: longitude across 360 degrees, latitude down 180; ``height`` is half the width unless given."""
+    height = height or width // 2
+    fx, fy = width / (2 * np.pi), height / np.pi
+    return _centred(width, height, fx, fy, "equirectangular", name, pose, hidden_layers)
+
+
+def _centred(
+    width: int, height: int, fx: float, fy: float, projection: Projection, name: str, pose: ArrayLike | None,
+    hidden_layers: tuple[str, ...], near: float = 0.0, far: float = float("inf"),
+) -> Camera:  # fmt: skip
     matrix = np.eye(4) if pose is None else np.asarray(pose, np.float64)
     return Camera(
-        name=name,
-        width=width,
-        height=height,
-        fx=f,
-        fy=f,
-        cx=width / 2,
-        cy=height / 2,
-        pose=matrix,
-        hidden_layers=hidden_layers,
-    )
+        name=name, width=width, height=height, fx=fx, fy=fy, cx=width / 2, cy=height / 2, pose=matrix,
+        hidden_layers=hidden_layers, projection=projection, near=near, far=far,
+    )  # fmt: skip
 
 
+def camera_from_matrix(
+    matrix: ArrayLike, width: int, height: int, *, name: str = "camera", pose: ArrayLike | None = None
+) -> Camera:
+    """A perspective camera of a calibrated 3x3 matrix K [[fx 0 cx] [0 fy cy] [0 0 1]] [px].
+
+    Raises:
+        InputError: it is no such matrix: singular, skewed, not finite, or with focal lengths that are not positive.
+    """
+    k = np.asarray(matrix, np.float64)
+    if k.shape != (3, 3) or not np.isfinite(k).all():
+        raise InputError(f"Expected a finite 3x3 camera matrix K, got shape {list(k.shape)}: {k.tolist()}.")
+    fx, fy = float(k[0, 0]), float(k[1, 1])
+    if not (fx > 0 and fy > 0):
+        raise InputError(f"This camera matrix is singular or mirrored: fx {fx:g}, fy {fy:g} must be positive.")
+    if abs(k[0, 1]) > 1e-9 * fx or np.any(k[1:, 0]) or np.any(k[2] != (0, 0, 1)):
+        raise InputError(f"Expected K = [[fx 0 cx] [0 fy cy] [0 0 1]] without skew, got {k.tolist()}.")
+    eye = np.eye(4) if pose is None else np.asarray(pose, np.float64)
+    return Camera(
+        name=name, width=width, height=height, fx=fx, fy=fy, cx=float(k[0, 2]), cy=float(k[1, 2]), pose=eye
+    ).checked()
+
+
+# --- poses --------------------------------------------------------------------------------------------------------------
 def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
     """4x4 camera (OpenCV) to world, at ``eye`` and looking at ``target``; ``up`` is the world direction shown upwards.
 
@@ -104,3 +271,9 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """Right-multiply an OpenGL / Habitat camera pose (x right, y up, looks along -z) by this to get ours, and back."""
+CONVENTIONS: dict[Convention, NDArray[np.float64]] = {
+    "opencv": np.eye(4),
+    "opengl": OPENGL_TO_OPENCV,
+    "habitat": OPENGL_TO_OPENCV,
+}
+"""Right-multiply a camera pose in one of these conventions by its matrix to get ours."""

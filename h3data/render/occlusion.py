@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel
 from h3data.render.occlusion_simd import (
+    BIAS_PER_Z,
     CENTER_X,
     CENTER_Y,
     FOCAL_X,
@@ -41,6 +42,10 @@ SPREAD = 0.18
 """Of what is very near, the radius is at most this share of its distance: the disc stays small in the picture."""
 CONTRAST = 11.0
 """Scales the mean m over the taps; the amount is then m / (1 + m): about a half in a right-angled corner."""
+BIAS_PER_M = 0.001
+"""A point counts as occluding if it rises above the surface by more than `BIAS_M` and this share of its distance."""
+RECEDED_M = 100.0
+"""Where an orthographic picture is taken to be seen from, by an eye this far behind the camera."""
 DENSITY = 1.5
 """Exponent of the taps' distances from the middle; 0.5 would spread them evenly over the disc."""
 EDGE, EDGE_ROWS = 8, 2
@@ -75,8 +80,10 @@ class Occlusion(NamedTuple):
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
     """What all blocks share (words of `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
     fx, fy, cx, cy = view.intrinsics
+    afar = RECEDED_M if view.parallel else 1.0
     table = np.zeros(TABLE_WORDS, np.float32)
-    table[FOCAL_X], table[FOCAL_Y] = fx / factor, fy / factor
+    table[FOCAL_X], table[FOCAL_Y] = fx * afar / factor, fy * afar / factor
+    table[BIAS_PER_Z] = BIAS_PER_M / afar
     table[CENTER_X], table[CENTER_Y] = (cx - 0.5) / factor, (cy - 0.5) / factor
     table[LAST_X], table[LAST_Y] = last_x, last_y
     table[RADIUS], table[NEAR_RADIUS], table[GAIN] = RADIUS_M, SPREAD, CONTRAST / TAPS
@@ -84,8 +91,18 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
     return table
 
 
+def receded(view: View, target: Target) -> NDArray[np.float32]:
+    """1/z of an orthographic picture as an eye far behind the camera would see it, shape of ``target.inv_z``."""
+    z = view.reach - target.inv_z
+    seen = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
+    return np.where(seen, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
+
+
 def occlude(view: View, target: Target, samples: int) -> Occlusion:
-    """The occlusion of a drawn target; with ``samples=4``, target and view have twice the picture's size."""
+    """The occlusion of a drawn target; with ``samples=4``, target and view have twice the picture's size.
+
+    For an orthographic view ``target`` holds what `receded` made.
+    """
     factor = 4 if samples == 4 else 2
     height, width = -(-view.height // factor), -(-view.width // factor)
     rows, columns = height + 2 * EDGE_ROWS, -(-width // 8) * 8 + 2 * EDGE

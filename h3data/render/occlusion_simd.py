@@ -26,14 +26,14 @@ from h3data.render.vectors import (
 
 TAPS = 12
 # Float32 words of the table that all blocks of a picture share.
-FOCAL_X, FOCAL_Y, CENTER_X, CENTER_Y, LAST_X, LAST_Y, RADIUS, NEAR_RADIUS, GAIN = range(9)
+FOCAL_X, FOCAL_Y, CENTER_X, CENTER_Y, LAST_X, LAST_Y, RADIUS, NEAR_RADIUS, GAIN, BIAS_PER_Z = range(10)
 OFFSETS = 16
 """From here on: where the taps lie on the unit disc, x and y, for 8 lanes, for each tap, for four rows."""
 ROW_OFFSETS = TAPS * 2 * LANES
 TABLE_WORDS = OFFSETS + 4 * ROW_OFFSETS
 
-BIAS_M, BIAS_PER_M = 0.004, 0.001
-"""A point counts as occluding if it rises above the surface by more than this and this share of its distance from the eye."""
+BIAS_M = 0.004
+"""A point counts as occluding if it rises above the surface by more than this and a share of its distance from the eye."""
 SAME_SURFACE_M = 0.05
 """Amounts are blurred and interpolated between pixels this near to one another's planes."""
 BLUR = {-2: 0.5, -1: 1.0, 0: 1.0, 1: 1.0, 2: 0.5}
@@ -91,7 +91,7 @@ def _emit_occlusion(
     radius = radius.minimum(_word(b, table_at, NEAR_RADIUS) * z)
     reach_x, reach_y = radius * fx * near, radius * fy * near
     per_radius2 = (radius * radius).reciprocal()
-    bias = z * BIAS_PER_M + BIAS_M
+    bias = z * _word(b, table_at, BIAS_PER_Z) + BIAS_M
     offsets_at = b.add(table_at, b.mul(b.and_(y, ir.Constant(x.type, 3)), ir.Constant(x.type, 4 * ROW_OFFSETS)))
     last_x, last_y = _word(b, table_at, LAST_X), _word(b, table_at, LAST_Y)
     row_words = splat(b, b.trunc(row, INT), INT8)

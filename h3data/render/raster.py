@@ -1,10 +1,14 @@
-"""The rasteriser: clusters of triangles to a buffer of 1/z and a visibility buffer. One thread per picture, no GIL.
+"""The rasteriser: clusters of triangles to a buffer of nearness and a visibility buffer. One thread per picture, no GIL.
 
 One picture: (1) instances, then their clusters, against the view frustum; (2) the survivors sorted front to back by a
 counting sort; (3) each against the coarse depth of 8x8-pixel tiles, kept lazily; (4) eight triangles at a time set up
 in SIMD (`raster_simd.setup_triangles`); (5) three fillers: small boxes (one block of 8 pixels a row), medium ones (float32
 spans), and everything large, thin or near (homogeneous edge functions in double, which need no clipping: there is no
-near plane), all in `raster_fill`. A pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
+near plane unless the camera asks for one), all in `raster_fill`. A pixel's word is ``draw * 128 + triangle within the
+cluster``, -1 where nothing is.
+
+Nearness is what is linear on the screen and grows towards the camera: 1/z, or ``reach - z`` for an orthographic camera,
+whose rays are parallel.
 """
 
 from __future__ import annotations
@@ -16,31 +20,25 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
-from h3data.render.raster_fill import camera_corners, fill_large, fill_medium, fill_small
-from h3data.render.raster_simd import (
-    INV_Z_MAX,
-    NEAR_M,
-    SETUP_ROWS,
-    X0,
-    X1,
-    Y0,
-    Y1,
-    count_trailing_zeros,
-    setup_triangles,
-    tile_minimum,
+from h3data.render.raster_draw import (
+    CLUSTER,
+    INSTANCE,
+    TILE,
+    TILE_X0,
+    TILE_X1,
+    TILE_Y0,
+    TILE_Y1,
+    draw_clusters,
+    draw_cut,
+    has_near_plane,
+    nearness_of,
 )
+from h3data.render.raster_simd import NEAR_M
 
-TILE = 8
-PACKET_BYTES = 9 * 8 * 4
 SORT_BINS = 1024
 FAR_PADDING = 1e30
-"""1/z of the padding around the picture: nearer than everything, so it never counts as seen through."""
-OCCLUSION_MARGIN = np.float32(1.00001)
-"""Only what is hidden by more than rounding is skipped."""
+"""Nearness of the padding around the picture: nearer than everything, so it never counts as seen through."""
 SPAN_MARGIN_PX = 0.01
-
-# Columns of `Target.draws`.
-INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
 
 
 class Geometry(NamedTuple):
@@ -83,20 +81,28 @@ class View(NamedTuple):
     eye: NDArray[np.float64]
     """Shape [3] [m]."""
     intrinsics: NDArray[np.float64]
-    """``fx fy cx cy`` [px], shape [4]."""
+    """``fx fy cx cy`` [px; orthographic: fx and fy px/m], shape [4]."""
     width: int
     height: int
+    parallel: bool = False
+    """Orthographic."""
+    near: float = 0.0
+    """What is nearer than this z is cut away [m]."""
+    far: float = float("inf")
+    """What is farther counts as nothing [m]."""
+    reach: float = 0.0
+    """Orthographic: nothing is as far as this [m] (`reach_of`)."""
 
 
 class Target(NamedTuple):
     """Buffers of one picture size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
 
     inv_z: NDArray[np.float32]
-    """1/z, 0 = nothing, shape [rows, stride] [1/m]."""
+    """Nearness, 0 = nothing, shape [rows, stride] [1/m, orthographic: m]."""
     words: NDArray[np.int32]
     """Visibility buffer, shape [rows, stride]."""
     tile_inv_z: NDArray[np.float32]
-    """Lower bound of 1/z in each tile, shape [rows / 8, ceil(width / 8)]."""
+    """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
     tile_stale: NDArray[np.uint8]
     """1 where something was drawn since that bound was taken."""
     draws: NDArray[np.int32]
@@ -106,7 +112,7 @@ class Target(NamedTuple):
     camera_from_mesh: NDArray[np.float64]
     """Mesh to camera, per instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
-    """The same, its first two rows times the focal lengths, shape [I, 3, 4]."""
+    """The same, its first two rows times the focal lengths; orthographic: the last one leads to nearness, [I, 3, 4]."""
 
 
 def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:
@@ -125,13 +131,28 @@ def new_target(width: int, height: int, *, draws: int, instances: int) -> Target
     )
 
 
+def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
+    """A z [m] that nothing shown reaches, at most a little more than ``view.far``."""
+    forward = view.axes[:, 2]
+    rows = np.einsum("r,irc->ic", forward, placement.matrix)
+    with np.errstate(all="ignore"):
+        center, half = geometry.mesh_center[placement.mesh], geometry.mesh_half[placement.mesh]
+        z = (rows[:, :3] * center + np.abs(rows[:, :3]) * half).sum(1) + rows[:, 3] - forward @ view.eye
+    farthest = z[placement.shown & np.isfinite(z)].max(initial=0.0)
+    return float(min(farthest, view.far)) * 1.00001 + 0.001
+
+
 @kernel(error_model="numpy", boundscheck=False)
 def rasterise(geometry, placement, view, target):
     """Draw one picture into ``target``; returns the number of clusters in the frustum."""
     _clear(target, view.width, view.height)
     count = _collect(geometry, placement, view, target)
     order = _front_to_back(target.near, count)
-    _draw(geometry, view, target, order)
+    draw_clusters(geometry, view, target, order)
+    if has_near_plane(view):
+        draw_cut(geometry, view, target, order)
+    if view.far < np.inf:
+        _cut_far(view, target)
     return count
 
 
@@ -143,6 +164,16 @@ def _clear(target, width, height):
     target.words[:] = -1
     target.tile_inv_z[:] = 0
     target.tile_stale[:] = 0
+
+
+@njit(nogil=True)
+def _cut_far(view, target):
+    limit = nearness_of(view.far, view)
+    for y in range(view.height):
+        for x in range(view.width):
+            if target.inv_z[y, x] < limit:
+                target.inv_z[y, x] = 0
+                target.words[y, x] = -1
 
 
 # --- frustum --------------------------------------------------------------------------------------------------------
@@ -169,7 +200,7 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
 
 @njit(nogil=True)
 def _place(i, matrix, view, target, planes):
-    """Write the instance's matrices to camera space and the frustum's planes in its mesh's frame."""
+    """Write the instance's matrices to camera space and to pixels, and the frustum's planes in its mesh's frame."""
     fx, fy, cx, cy = view.intrinsics
     to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
     for c in range(4):
@@ -185,6 +216,19 @@ def _place(i, matrix, view, target, planes):
         planes[2, c] = (view.width - cx) * z - fx * x
         planes[3, c] = fy * y + cy * z
         planes[4, c] = (view.height - cy) * z - fy * y
+    planes[0, 3] -= view.near
+
+
+@njit(nogil=True)
+def _place_parallel(i, view, target, planes):
+    """Change what `_place` wrote: pixels are x and y, not over z. (Apart from it, which stays four columns in one.)"""
+    fx, fy, cx, cy = view.intrinsics
+    to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
+    for c in range(4):
+        x, y, one = fx * to_camera[0, c], fy * to_camera[1, c], 1.0 if c == 3 else 0.0
+        to_pixel[2, c] = view.reach * one - to_camera[2, c]
+        planes[1, c], planes[2, c] = x + cx * one, (view.width - cx) * one - x
+        planes[3, c], planes[4, c] = y + cy * one, (view.height - cy) * one - y
 
 
 @njit(nogil=True)
@@ -201,6 +245,8 @@ def _collect(geometry, placement, view, target):
             continue
         mesh = placement.mesh[i]
         _place(i, placement.matrix[i], view, target, planes)
+        if view.parallel:
+            _place_parallel(i, view, target, planes)
         if _outside(planes, geometry.mesh_center, geometry.mesh_half, mesh):
             continue
         to_camera = target.camera_from_mesh[i]
@@ -212,13 +258,14 @@ def _collect(geometry, placement, view, target):
                 for a in range(3):
                     box[r, 0] += to_camera[r, a] * center[cluster, a]
                     box[r, 1] += abs(to_camera[r, a]) * half[cluster, a]
-            z0, z1 = box[2, 0] - box[2, 1], box[2, 0] + box[2, 1]
+            z0, z1 = max(box[2, 0] - box[2, 1], view.near), box[2, 0] + box[2, 1]
             left, right, top, bottom = 0.0, width - 0.5, 0.0, height - 0.5
-            if z0 < NEAR_M:
+            if z0 < NEAR_M and not view.parallel:
                 z0 = 0.0  # at the eye: it may cover anything and is never skipped
             else:
-                left, right = _pixel_span(box[0, 0], box[0, 1], z0, z1, fx, cx, width)
-                top, bottom = _pixel_span(box[1, 0], box[1, 1], z0, z1, fy, cy, height)
+                w0, w1 = (1.0, 1.0) if view.parallel else (z0, z1)
+                left, right = _pixel_span(box[0, 0], box[0, 1], w0, w1, fx, cx, width)
+                top, bottom = _pixel_span(box[1, 0], box[1, 1], w0, w1, fy, cy, height)
                 if not (left <= right and top <= bottom):
                     continue
             draws[count, INSTANCE], draws[count, CLUSTER] = i, cluster
@@ -247,89 +294,3 @@ def _front_to_back(near, count):
         order[begin[b]] = k
         begin[b] += 1
     return order
-
-
-# --- drawing --------------------------------------------------------------------------------------------------------
-@njit(nogil=True)
-def _hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
-    """Whether everything in these tiles is nearer than ``inv_z``; refreshes stale tiles on the way."""
-    for ty in range(tile_y0, tile_y1 + 1):
-        for tx in range(tile_x0, tile_x1 + 1):
-            if bounds[ty, tx] >= inv_z:
-                continue
-            if not stale[ty, tx]:
-                return False
-            bounds[ty, tx] = tile_minimum(inv_z_at + np.uintp(ty * TILE * row_bytes + tx * TILE * 4), row_bytes)
-            stale[ty, tx] = 0
-            if bounds[ty, tx] < inv_z:
-                return False
-    return True
-
-
-@njit(nogil=True)
-def _draw(geometry, view, target, order):
-    """Draw the clusters in this order."""
-    stride = target.inv_z.shape[1]
-    row_bytes = np.uintp(stride * 4)
-    inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
-    shared_at = np.uintp(geometry.shared_packets.ctypes.data)
-    own_at = np.uintp(geometry.own_packets.ctypes.data)
-    shared_count = len(geometry.shared_packets)
-    matrices_at = np.uintp(target.pixel_from_mesh.ctypes.data)
-    screen = np.array(
-        [view.intrinsics[2], view.intrinsics[3], float(view.width), float(view.height)],
-    ).astype(np.float32)
-    table = np.empty((SETUP_ROWS, 8), np.float32)
-    boxes = table.view(np.int32)
-    screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
-    corners = np.empty(9)
-    bounds, stale = target.tile_inv_z, target.tile_stale
-    for draw in order:
-        instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
-        tile_x0, tile_x1 = target.draws[draw, TILE_X0], target.draws[draw, TILE_X1]
-        tile_y0, tile_y1 = target.draws[draw, TILE_Y0], target.draws[draw, TILE_Y1]
-        near = target.near[draw]
-        if near > 0:
-            nearest = OCCLUSION_MARGIN / near
-            if _hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, bounds, stale, inv_z_at, row_bytes):
-                continue
-        first, end = geometry.cluster_packets[cluster]
-        packet_at = shared_at + np.uintp(first * PACKET_BYTES)
-        if first >= shared_count:
-            packet_at = own_at + np.uintp((first - shared_count) * PACKET_BYTES)
-        matrix_at = matrices_at + np.uintp(instance * 48)
-        word = np.int32(draw * 128)
-        for packet in range(end - first):
-            masks = setup_triangles(packet_at, matrix_at, screen_at, table_at)
-            small, large, medium = masks & 255, (masks >> 8) & 255, masks >> 16
-            while small:
-                lane = count_trailing_zeros(small)
-                small &= small - 1
-                fill_small(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
-            while medium:
-                lane = count_trailing_zeros(medium)
-                medium &= medium - 1
-                if not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-                    fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
-            while large:
-                lane = count_trailing_zeros(large)
-                large &= large - 1
-                soup = geometry.shared_packets
-                p = first + packet
-                if first >= shared_count:
-                    soup, p = geometry.own_packets, p - shared_count
-                is_near = camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
-                if is_near or not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-                    fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
-            packet_at += np.uintp(PACKET_BYTES)
-            word += np.int32(8)
-        for ty in range(tile_y0, tile_y1 + 1):
-            for tx in range(tile_x0, tile_x1 + 1):
-                stale[ty, tx] = 1
-
-
-@njit(nogil=True, forceinline=True)
-def _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-    nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
-    x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
-    return _hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

@@ -18,7 +18,6 @@ from h3data.render.raster_simd import (
     INV_Z,
     INV_Z_DX,
     INV_Z_DY,
-    NEAR_M,
     X0,
     X1,
     Y0,
@@ -99,8 +98,8 @@ def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @njit(nogil=True, forceinline=True)
 def camera_corners(soup, to_camera, corners):
-    """Write the triangle's corners in camera space [9]; returns whether it comes near the eye's plane."""
-    near = False
+    """Write the triangle's corners in camera space [9]; returns the smallest z."""
+    nearest = np.inf
     for v in range(3):
         for r in range(3):
             corners[3 * v + r] = (
@@ -109,8 +108,28 @@ def camera_corners(soup, to_camera, corners):
                 + to_camera[r, 2] * soup[3 * v + 2]
                 + to_camera[r, 3]
             )
-        near |= corners[3 * v + 2] < NEAR_M * 1.001
-    return near
+        nearest = min(nearest, corners[3 * v + 2])
+    return nearest
+
+
+@njit(nogil=True, error_model="numpy")
+def clip_near(pieces, near):
+    """Cut the triangle pieces[0] in camera space at z = near into 0 to 2 triangles [2, 9]; returns how many."""
+    polygon, count, corners = np.empty((4, 3)), 0, pieces[0]
+    for v in range(3):
+        a, b = corners[3 * v : 3 * v + 3], corners[3 * ((v + 1) % 3) : 3 * ((v + 1) % 3) + 3]
+        if a[2] >= near:
+            polygon[count] = a
+            count += 1
+        if (a[2] >= near) != (b[2] >= near):
+            s = (near - a[2]) / (b[2] - a[2])
+            polygon[count] = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), near
+            count += 1
+    for k in range(count - 2):
+        for v, corner in enumerate((0, k + 1, k + 2)):
+            for axis in range(3):
+                pieces[k, 3 * v + axis] = polygon[corner, axis]
+    return max(count - 2, 0)
 
 
 @njit(nogil=True)
@@ -155,8 +174,12 @@ def _cut_exact(low, high, edge, step, minus_inverse):
 def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
     """Any triangle [9] in camera space: homogeneous edge functions in double (Olano & Greer 1997), without clipping.
 
-    The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1).
+    The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1). For an
+    orthographic camera 1 stands in the place of z there, and nearness follows from the corners'. Changes ``p``.
     """
+    start, to_second, to_third = view.reach - p[2], p[2] - p[5], p[2] - p[8]
+    if view.parallel:
+        p[2] = p[5] = p[8] = 1.0
     fx, fy, cx, cy = view.intrinsics
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
     if is_near:
@@ -174,6 +197,10 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
     sx, sy, sz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
     tx, ty, tz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
     nx, ny, nz = (sy * tz - sz * ty) * k, (sz * tx - sx * tz) * k, (sx * ty - sy * tx) * k
+    if view.parallel:
+        to_second, to_third = to_second * k, to_third * k
+        nx, ny = bx * to_second + gx * to_third, by * to_second + gy * to_third
+        nz = start + bz * to_second + gz * to_third
     per_x, per_y = 1 / fx, 1 / fy
     u, v = (x0 + 0.5 - cx) * per_x, (y0 + 0.5 - cy) * per_y
     d0, d1, d2, dw = ax * k * per_x, bx * k * per_x, gx * k * per_x, nx * per_x

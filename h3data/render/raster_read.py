@@ -18,6 +18,15 @@ def read_depth(inv_z, depth):
 
 
 @kernel(boundscheck=False)
+def read_parallel_depth(nearness, reach, depth):
+    """As `read_depth`, of an orthographic camera."""
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            w = nearness[y, x]
+            depth[y, x] = np.float32(reach - w) if w > 0 else np.float32(0)
+
+
+@kernel(boundscheck=False)
 def read_ids(words, draws, ids_of_instances, ids):
     """Write an id per pixel [H, W] from a table per instance [I]; -1 where nothing is."""
     for y in range(ids.shape[0]):

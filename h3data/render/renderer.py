@@ -1,65 +1,81 @@
-"""One thread's renderer: the poses of the moment, the buffers, and `render`."""
+"""`Renderer`: one interface to all back ends, for one camera or for batches of cameras over many worlds."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, MissingExtraError
 from h3data.render.camera import Camera
-from h3data.render.clusters import enclosing_box, fill_packets, smooth_normals
-from h3data.render.raster import Placement, Target, View, new_target, rasterise
-from h3data.render.raster_read import read_depth, read_ids, read_triangles
+from h3data.render.pictures import Output, Poses, check_outputs
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light, shade
+from h3data.render.shading import Light
 
-Output = Literal["depth", "instance", "semantic", "triangle", "rgb", "normal"]
+Backend = Literal["auto", "cpu", "gpu", "rays"]
 
-_FORMS: Mapping[str, tuple[tuple[int, ...], type]] = {
-    "depth": ((), np.float32),
-    "instance": ((), np.int32),
-    "semantic": ((), np.int32),
-    "triangle": ((), np.int32),
-    "rgb": ((3,), np.uint8),
-    "normal": ((3,), np.float32),
-}
-"""Trailing shape after [H, W], and dtype, of each output."""
 
-_KEPT_TARGETS = 4
-"""Buffers are kept for this many picture sizes."""
+class Engine(Protocol):
+    """A back end. It holds what moves, per world, and draws; its arguments have been checked by `Renderer`."""
+
+    def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        """Place instances [n] by matrices [n, 3, 4]."""
+        ...
+
+    def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        """Show or hide instances [n]."""
+        ...
+
+    def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        """Replace the vertices [V, 3] of a deformable mesh; the array may be kept."""
+        ...
+
+    def poses(self, world: int) -> Poses:
+        """A copy of where everything is."""
+        ...
+
+    def render(
+        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[str], samples: int,
+        out: Mapping[str, Any] | None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Pictures [N, H, W, ...] of N cameras of one size, each of its world."""
+        ...
 
 
 class Renderer:
-    """Draws a `RenderScene`. Holds poses, deformed vertices and buffers: use one per thread (the kernels free the GIL).
+    """Draws a `RenderScene`. Holds the poses of its worlds and its buffers.
 
-    A fresh renderer shows the scene as it was built.
+    Use one renderer per thread, or one with ``threads`` that draws batches in parallel. A fresh renderer shows the scene
+    as it was built, in every world.
     """
 
-    def __init__(self, scene: RenderScene, *, light: Light | None = None) -> None:
+    def __init__(
+        self,
+        scene: RenderScene,
+        *,
+        light: Light | None = None,
+        backend: Backend = "cpu",
+        worlds: int = 1,
+        threads: int = 1,
+    ) -> None:
+        """``backend``: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
+        (Embree, NumPy arrays) or ``auto``, which is ``gpu`` where there is one and else ``cpu``.
+
+        Raises:
+            InputError: there is no such back end.
+            MissingExtraError: the back end cannot run here; the message says what is missing.
+        """
+        if worlds < 1 or threads < 1:
+            raise InputError(f"A renderer needs at least one world and one thread, got {worlds} and {threads}.")
         self.scene = scene
         self.light = light or Light()
-        self._matrix = scene.instance_matrix.copy()
-        self._visible = np.ones(len(scene.instances), np.bool_)
-        self._geometry = scene.geometry
-        self._surface = scene.surface
-        self._stale_normals: dict[int, NDArray[np.float32]] = {}
-        if scene.deformable:
-            shared = scene.geometry
-            self._geometry = shared._replace(
-                own_packets=shared.own_packets.copy(),
-                center=shared.center.copy(),
-                half=shared.half.copy(),
-                mesh_center=shared.mesh_center.copy(),
-                mesh_half=shared.mesh_half.copy(),
-            )
-            self._surface = scene.surface._replace(normals=scene.surface.normals.copy())
-        self._targets: dict[tuple[int, int], Target] = {}
+        self.world_count = worlds
+        self.backend, self._engine = _engine(scene, self.light, backend, worlds, threads)
 
     # --- what moves -----------------------------------------------------------------------------------------------
-    def set_transforms(self, indices: ArrayLike, matrices: ArrayLike) -> None:
+    def set_transforms(self, indices: ArrayLike, matrices: ArrayLike, *, world: int = 0) -> None:
         """Place instances [n] by matrices [n, 4, 4] (or [n, 3, 4]), mesh to world; NaN hides one until it is set again."""
         index = self._checked(indices)
         m = np.asarray(matrices, np.float64)
@@ -67,13 +83,14 @@ class Renderer:
             m = m[None]
         if m.shape not in ((len(index), 4, 4), (len(index), 3, 4)):
             raise InputError(f"Expected {len(index)} matrices [n, 4, 4], got shape {list(m.shape)}.")
-        self._matrix[index] = m[:, :3]
+        self._engine.set_transforms(self._world(world), index, m[:, :3])
 
-    def set_visible(self, indices: ArrayLike, visible: ArrayLike) -> None:
+    def set_visible(self, indices: ArrayLike, visible: ArrayLike, *, world: int = 0) -> None:
         """Show or hide instances [n]; ``visible`` is one bool or [n]."""
-        self._visible[self._checked(indices)] = np.asarray(visible, np.bool_)
+        index = self._checked(indices)
+        self._engine.set_visible(self._world(world), index, np.broadcast_to(np.asarray(visible, np.bool_), index.shape))
 
-    def set_vertices(self, mesh: int, vertices: NDArray[np.float32]) -> None:
+    def set_vertices(self, mesh: int, vertices: ArrayLike, *, world: int = 0) -> None:
         """Replace the vertices [V, 3] [m] of a deformable mesh; its smooth normals follow."""
         scene = self.scene
         if mesh not in scene.deformable:
@@ -81,23 +98,25 @@ class Renderer:
                 f"Mesh {mesh} is not deformable (these are: {list(scene.deformable)}). "
                 "Hint: name it in RenderScene(..., deformable=...)."
             )
-        v = np.ascontiguousarray(vertices, np.float32)
+        v = np.array(vertices, np.float32, order="C")
         expected = scene.meshes[mesh].vertices.shape
         if v.shape != expected or not np.isfinite(v).all():
             what = "values that are not finite" if v.shape == expected else f"shape {list(v.shape)}"
             raise InputError(
                 f"Mesh {mesh} needs {list(expected)} finite vertices, got {what}. Hint: hide it with set_visible."
             )
-        if not len(scene.meshes[mesh].faces):
-            return
-        geometry, part = self._geometry, scene.parts[mesh]
-        clusters = scene.cluster_range(mesh)
-        packets = geometry.own_packets[scene.own_packet_range(mesh)]
-        center, half = geometry.center[clusters], geometry.half[clusters]
-        fill_packets(v, scene.meshes[mesh].faces, part.triangles, part.first, packets, center, half)
-        geometry.mesh_center[mesh], geometry.mesh_half[mesh] = enclosing_box(center, half)
-        if mesh in scene.groups:
-            self._stale_normals[mesh] = v.copy()
+        self._engine.set_vertices(self._world(world), mesh, v)
+
+    def poses(self, world: int = 0) -> Poses:
+        """A copy of where everything is in a world, as `h3data.render.optical_flow` needs it."""
+        return self._engine.poses(self._world(world))
+
+    def _world(self, world: int) -> int:
+        if not 0 <= world < self.world_count:
+            raise InputError(
+                f"There is no world {world}: this renderer has {self.world_count}, 0 to {self.world_count - 1}."
+            )
+        return int(world)
 
     def _checked(self, indices: ArrayLike) -> NDArray[np.intp]:
         index = np.atleast_1d(np.asarray(indices))
@@ -108,14 +127,6 @@ class Renderer:
             raise InputError(f"Expected instance numbers from 0 to {count - 1}, got {indices!r}.")
         return index.astype(np.intp)
 
-    def _refresh_normals(self) -> None:
-        for mesh, vertices in self._stale_normals.items():
-            first, end = self.scene.first_vertex[mesh : mesh + 2]
-            groups = self.scene.groups[mesh]
-            sums = np.empty((int(groups.max(initial=-1)) + 1, 3), np.float32)
-            smooth_normals(vertices, self.scene.meshes[mesh].faces, groups, sums, self._surface.normals[first:end])
-        self._stale_normals.clear()
-
     # --- pictures -------------------------------------------------------------------------------------------------
     def render(
         self,
@@ -123,108 +134,73 @@ class Renderer:
         *,
         outputs: Sequence[Output] = ("depth", "instance", "rgb"),
         samples: Literal[1, 4] = 1,
-        out: Mapping[str, NDArray] | None = None,
-    ) -> dict[str, NDArray]:
+        out: Mapping[str, Any] | None = None,
+        world: int = 0,
+    ) -> dict[str, Any]:
         """What the camera sees, by name, each [H, W, ...], top row first.
 
-        - ``depth`` float32: z-depth [m], 0 = nothing hit
+        - ``depth`` float32: z-depth [m] (distance for fisheye and equirectangular cameras), 0 = nothing hit
         - ``instance``, ``semantic``, ``triangle`` (of the mesh) int32, -1 = nothing hit
         - ``rgb`` uint8 [H, W, 3] sRGB; ``samples=4`` smooths its edges (the other outputs always take the pixel centre)
         - ``normal`` float32 [H, W, 3]: unit world normal that faces the camera, 0 = nothing hit
 
         The arrays are new and yours, except those given in ``out``, which are written and returned.
         """
-        results = self._outputs(camera, outputs, out)
+        given = None if out is None else {name: array[None] for name, array in out.items() if array is not None}
+        pictures = self.render_batch([camera], worlds=[world], outputs=outputs, samples=samples, out=given)
+        return {name: out[name] if out and name in out else batch[0] for name, batch in pictures.items()}
+
+    def render_batch(
+        self,
+        cameras: Sequence[Camera],
+        *,
+        worlds: Sequence[int] | None = None,
+        outputs: Sequence[Output] = ("depth", "instance", "rgb"),
+        samples: Literal[1, 4] = 1,
+        out: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
+        """What N cameras of one size see, each of its world (of world 0 by default): as `render`, each [N, H, W, ...]."""
+        check_outputs(outputs)
         if samples not in (1, 4):
             raise InputError(f"samples must be 1 or 4, got {samples!r}.")
-        at_centres = [name for name in outputs if name != "rgb"]
-        if at_centres or (samples == 1 and "rgb" in results):
-            view = _view(camera)
-            target = self._draw(camera, view)
-            self._read(target, view, results, rgb=samples == 1)
-        if samples == 4 and "rgb" in results:
-            view = _view(camera, fine=2)
-            self._shade(self._draw(camera, view), view, rgb=results["rgb"], samples=4)
-        return results
-
-    def _outputs(self, camera: Camera, outputs: Sequence[str], out: Mapping[str, NDArray] | None) -> dict[str, NDArray]:
-        unknown = [name for name in outputs if name not in _FORMS]
-        if unknown or isinstance(outputs, str):
-            raise InputError(f"Unknown outputs {unknown or outputs!r}. There are: {', '.join(get_args(Output))}.")
-        results: dict[str, NDArray] = {}
-        for name in outputs:
-            trailing, dtype = _FORMS[name]
-            shape = (camera.height, camera.width, *trailing)
-            array = None if out is None else out.get(name)
-            if array is None:
-                array = np.zeros(shape, dtype)
-            elif array.shape != shape or array.dtype != dtype or not array.flags.c_contiguous:
-                raise InputError(
-                    f"out[{name!r}] must be contiguous {np.dtype(dtype)} {list(shape)}, "
-                    f"got {array.dtype} {list(array.shape)}."
-                )
-            results[name] = array
-        return results
-
-    def _draw(self, camera: Camera, view: View) -> Target:
-        size = (view.width, view.height)
-        target = self._targets.pop(size, None)
-        if target is None:
-            target = new_target(*size, draws=self.scene.draw_limit, instances=len(self.scene.instances))
-        self._targets[size] = target  # the most recent one last
-        while len(self._targets) > _KEPT_TARGETS:
-            del self._targets[next(iter(self._targets))]
-        shown = self._visible
-        if camera.hidden_layers:
-            shown = shown & ~np.isin(self.scene.layers, camera.hidden_layers)
-        rasterise(self._geometry, Placement(self.scene.instance_mesh, self._matrix, shown), view, target)
-        return target
-
-    def _read(self, target: Target, view: View, results: Mapping[str, NDArray], *, rgb: bool) -> None:
-        if "depth" in results:
-            read_depth(target.inv_z, results["depth"])
-        if "instance" in results:
-            read_ids(target.words, target.draws, self.scene.ids, results["instance"])
-        if "semantic" in results:
-            read_ids(target.words, target.draws, self.scene.semantic_ids, results["semantic"])
-        if "triangle" in results:
-            triangles, packets = self.scene.packet_triangles, self._geometry.cluster_packets
-            read_triangles(target.words, target.draws, packets, triangles, results["triangle"])
-        picture, normal = results.get("rgb") if rgb else None, results.get("normal")
-        if picture is not None or normal is not None:
-            self._shade(target, view, rgb=picture, normal=normal)
-
-    def _shade(
-        self,
-        target: Target,
-        view: View,
-        *,
-        rgb: NDArray[np.uint8] | None = None,
-        normal: NDArray[np.float32] | None = None,
-        samples: int = 1,
-    ) -> None:
-        self._refresh_normals()
-        placement = Placement(self.scene.instance_mesh, self._matrix, self._visible)
-        shade(self._geometry, self._surface, placement, view, target, self.light, rgb, normal, samples)
+        if not cameras:
+            raise InputError("A batch needs at least one camera.")
+        for camera in cameras:
+            camera.checked()
+        sizes = sorted({(camera.width, camera.height) for camera in cameras})
+        if len(sizes) > 1:
+            raise InputError(f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.")
+        seen = [0] * len(cameras) if worlds is None else [self._world(world) for world in worlds]
+        if len(seen) != len(cameras):
+            raise InputError(f"Expected one world for each of {len(cameras)} cameras, got {len(seen)}.")
+        return self._engine.render(cameras, seen, outputs, samples, out)
 
     def __repr__(self) -> str:
-        return f"Renderer({self.scene!r})"
+        return f"Renderer({self.scene!r}, backend={self.backend!r}, worlds={self.world_count})"
 
 
-def _view(camera: Camera, *, fine: int = 1) -> View:
-    """The camera as the kernels read it, with ``fine`` x ``fine`` as many pixels."""
-    pose = np.asarray(camera.pose, np.float64)
-    k = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
-    faults = []
-    if camera.width < 1 or camera.height < 1:
-        faults.append(f"size {camera.width}x{camera.height}")
-    if not (np.isfinite(k).all() and k[0] > 0 and k[1] > 0):
-        faults.append(f"fx fy cx cy {k.tolist()}")
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        faults.append("a pose that is not a finite 4x4 matrix")
-    elif np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > 1e-4:
-        faults.append("a pose whose axes are not orthogonal and of unit length")
-    if faults:
-        raise InputError(f"Camera {camera.name!r} cannot be used, it has: {'; '.join(faults)}.")
-    axes = np.ascontiguousarray(pose[:3, :3])
-    return View(axes, np.ascontiguousarray(pose[:3, 3]), k * fine, camera.width * fine, camera.height * fine)
+def _gpu_engine() -> tuple[Any, str]:
+    """The class of the GPU back end, or why there is none here."""
+    try:
+        from h3data.render.gpu import GpuEngine  # pyright: ignore[reportAttributeAccessIssue]
+    except ImportError as error:
+        return None, f"it cannot be imported ({error})"
+    import torch
+
+    return GpuEngine, "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
+
+
+def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
+    if backend not in get_args(Backend):
+        raise InputError(f"Unknown back end {backend!r}. There are: {', '.join(get_args(Backend))}.")
+    if backend in ("auto", "gpu"):
+        gpu_engine, fault = _gpu_engine()
+        if not fault:
+            return "gpu", gpu_engine(scene, light=light, worlds=worlds)
+        if backend == "gpu":
+            raise MissingExtraError(f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.")
+    from h3data.render.hybrid import HybridEngine
+
+    only_rays = backend == "rays"
+    engine = HybridEngine(scene, light=light, worlds=worlds, threads=threads, only_rays=only_rays)
+    return "rays" if only_rays else "cpu", engine

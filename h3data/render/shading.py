@@ -1,7 +1,8 @@
 """RGB and normals from the visibility buffer, once per pixel (or once per quarter pixel at edges).
 
 Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun, a weak fill light and one at the camera;
-there are no cast shadows, but corners and contacts get darker (`occlusion`). Surfaces are lit on both sides.
+corners and contacts get darker (`occlusion`); cast shadows are an option (`Light.shadow_rays`). Surfaces are lit on both
+sides.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import normalized
 from h3data.kernels import kernel
-from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude
+from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.raster import FAR_PADDING, Geometry, Placement, Target, View
 from h3data.render.scene import Surface
 from h3data.render.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
@@ -58,6 +59,10 @@ class Light:
     """Background straight up."""
     occlusion: float = 0.7
     """How much darker corners and contacts get, 0..1; 0 switches it off (and costs nothing)."""
+    shadow_rays: int = 0
+    """Rays towards the sun per pixel, for cast shadows with soft edges; 0 = no cast shadows. Needs the extra ``rays``."""
+    sun_size_deg: float = 2.0
+    """How wide the sun is: wider makes softer edges; seen from Earth it is half a degree."""
 
 
 _SHOULDER = 0.75
@@ -107,6 +112,8 @@ def shade(
     """
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
+    if view.parallel and strength > 0:
+        target = target._replace(inv_z=receded(view, target))
     occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
     _shade_image(
         geometry,
@@ -138,7 +145,9 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
     coordinates = np.zeros((3, width + 8), np.float32)
     row = np.zeros(width, np.int32)
     near = np.zeros(width + 8, np.float32)
-    words, axes = target.words, view.axes
+    words, axes = target.words, view.axes.copy()
+    if view.parallel:  # every ray is the same
+        axes[:, :2] = 0
     linear, byte_of_level = tables
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
     pixel = (factor / fx, factor / fy)
@@ -158,7 +167,7 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
                     if word >= 0:
                         slot = slot_of(word)
                         if triangles[slot] != word:
-                            set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear, pixel)
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                         _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 1, axes, light, block, coordinates, sample)
                     else:
                         _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
@@ -174,7 +183,7 @@ def _shade_image(geometry, surface, matrices, view, target, light, tables, occlu
                 if word >= 0:
                     slot = slot_of(word)
                     if triangles[slot] != word:
-                        set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear, pixel)
+                        set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
                     _light_run(slot, cache, texture_at, u, v, step, x, end, axes, light, block, coordinates, strip)
                 else:
                     _sky_run(u, v, step, x, end, axes, light, block, strip)

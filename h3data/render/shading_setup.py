@@ -65,7 +65,7 @@ def slot_of(word):
 
 
 @njit(nogil=True, forceinline=True)
-def set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear, pixel):
+def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel):
     """Keep the triangle behind a pixel's word; ``pixel`` is the size of one at z = 1, along x and y."""
     instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
     packet = geometry.cluster_packets[cluster, 0] + ((word & 127) >> 3)
@@ -77,7 +77,7 @@ def set_up(word, slot, cache, geometry, surface, cofactors, axes, target, linear
         soup, packet = geometry.own_packets, packet - shared
     cache.words[slot] = word
     planes, attributes = cache.planes[slot], cache.attributes[slot]
-    _set_up_planes(soup, packet, lane, target.camera_from_mesh[instance], axes, planes, attributes)
+    _set_up_planes(soup, packet, lane, target.camera_from_mesh[instance], view, planes, attributes)
     _set_up_attributes(surface, face, cofactors[instance], linear, attributes)
     texture = surface.face_textures[face]
     cache.levels[slot] = NO_TEXTURE
@@ -102,23 +102,28 @@ def _cross(a, b):
 
 
 @njit(nogil=True, forceinline=True)
-def _set_up_planes(soup, packet, lane, to_camera, axes, planes, attributes):
+def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
     """Write the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
 
     All three share an arbitrary factor, which cancels. Also writes the geometric world normal, turned to the eye.
+    For an orthographic camera 1 stands in the place of z.
     """
     p = _camera_point(soup, packet, lane, 0, to_camera)
     q = _camera_point(soup, packet, lane, 1, to_camera)
     r = _camera_point(soup, packet, lane, 2, to_camera)
     n = _cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (r[0] - p[0], r[1] - p[1], r[2] - p[2]))
+    away = n[2] if view.parallel else n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
+    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    scale = (-1.0 if away > 0 else 1.0) / length if length > 0 else 0.0
+    axes = view.axes
+    for a in range(3):
+        attributes[NORMAL + a] = (axes[a, 0] * n[0] + axes[a, 1] * n[1] + axes[a, 2] * n[2]) * scale
+    if view.parallel:
+        p, q, r = (p[0], p[1], 1.0), (q[0], q[1], 1.0), (r[0], r[1], 1.0)
+        n = (0.0, 0.0, n[2])
     s, t = _cross(r, p), _cross(p, q)
     for a in range(3):
         planes[0, a], planes[1, a], planes[2, a] = n[a], s[a], t[a]
-    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    sign = -1.0 if n[0] * p[0] + n[1] * p[1] + n[2] * p[2] > 0 else 1.0
-    scale = sign / length if length > 0 else 0.0
-    for a in range(3):
-        attributes[NORMAL + a] = (axes[a, 0] * n[0] + axes[a, 1] * n[1] + axes[a, 2] * n[2]) * scale
 
 
 @njit(nogil=True, forceinline=True)
