@@ -47,7 +47,7 @@ def open(path: str | os.PathLike[str]) -> Any:
     except FormatError as fault:
         from h3data.interop import sniff
 
-        instead = _INSTEAD.get(sniff(path)) if os.path.isfile(path) else None
+        instead = _INSTEAD.get(sniff(Path(path))) if os.path.isfile(path) else None
         if instead is None:
             raise
         raise FormatError(f"This is {instead}: {os.fspath(path)}") from fault

@@ -270,6 +270,12 @@ def test_missing_assets_are_a_fault(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert code == 1
     assert [p["kind"] for p in data["scenes"][0]["problems"]] == ["missing_asset"]
     assert data["scenes"][0]["free_m2"] > 10  # the rest is looked at all the same
+    plan = ("show", config, "-o", tmp_path / "x.png")
+    assert main(["scenes", *map(str, plan)]) == 2
+    assert "--allow-missing" in capsys.readouterr().err
+    assert run(capsys, *plan, "--allow-missing")[0] == 0
+    assert main(["scenes", *map(str, plan), "--force", "--allow-missing", "--strict"]) == 2
+    assert "Choose one" in capsys.readouterr().err
 
 
 def test_what_stands_in_a_doorway_is_named() -> None:

@@ -333,9 +333,16 @@ def test_cut_off_mesh_is_refused(tmp_path: Path) -> None:
     path = _write(tmp_path, body)
     for cut in (0, 10, 100, len(whole) // 2, len(whole) - 4):
         (tmp_path / "a.glb").write_bytes(whole[:cut])
-        load_robot.cache_clear()
-        with pytest.raises(H3DataError):
+        with pytest.raises(H3DataError):  # failures are not kept
             load_robot(path)
+
+
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    path = _write(tmp_path, '<link name="a"/>')
+    before = load_robot(path)
+    assert load_robot(path) is before
+    _write(tmp_path, '<link name="other"/>')
+    assert [link.name for link in load_robot(path).links] == ["other"]
 
 
 WORDS = (

@@ -28,15 +28,29 @@ def robot_names() -> tuple[str, ...]:
     return tuple(sorted(p.parent.name for p in builtin_path("robots").glob("*/robot.urdf")))
 
 
-@lru_cache(maxsize=32)
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z") -> Robot:
-    """A built-in robot by name (`robot_names`), or any URDF by its path. Loaded once, then shared.
+    """A built-in robot by name (`robot_names`), or any URDF by its path. Loaded once, then shared until its files change.
 
     ``up`` is the axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
     """
     path = _find(name_or_path)
+    return _loaded(path, up, _version(path), _version(path.with_name("robot.toml")))
+
+
+@lru_cache(maxsize=32)
+def _loaded(path: Path, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
+    del versions  # only part of the key: changed files are read again
     urdf = read_urdf(path)
     return _robot(urdf, read_settings(path.with_name("robot.toml"), urdf), up)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """Time stamp [ns] and size of a file; zeros if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
 
 
 def _find(name_or_path: str | Path) -> Path:

@@ -165,7 +165,8 @@ class SceneBuilder:
         if missing and not self.allow_missing:
             raise MissingAssetError(
                 f"{len(missing)} assets of scene {name!r} do not exist. Hint: download the dataset completely, give its "
-                f"folders as --assets DIR or in H3DATA_ASSETS, or use allow_missing=True. The first: {missing[0]}"
+                "folders as --assets DIR or in H3DATA_ASSETS, or leave them out (--allow-missing, allow_missing=True). "
+                f"The first: {missing[0]}"
             )
         if missing:
             self.warn(f"{len(missing)} assets do not exist, their instances are left out: {missing[0]}")

@@ -142,7 +142,7 @@ def _from_instance(builder: SceneBuilder, dataset: SceneDataset, template: Templ
     if absent:
         fault = f"{len(absent)} objects have no template in the dataset, the first is {absent[0]!r}"
         if not builder.allow_missing:
-            raise SceneError(f"{fault}. Hint: allow_missing=True leaves them out. {where}")
+            raise SceneError(f"{fault}. Hint: --allow-missing (allow_missing=True) leaves them out. {where}")
         builder.warn(fault)
     _add_lights(builder, dataset, content, where)
     _add_navmesh(builder, dataset, content, where)

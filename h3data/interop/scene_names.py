@@ -33,9 +33,14 @@ class NamedScene:
 
 
 def named_scenes(
-    text: str, *, homes: int = 4, assets: Sequence[str | Path] = (), strict: bool = False
+    text: str,
+    *,
+    homes: int = 4,
+    assets: Sequence[str | Path] = (),
+    strict: bool = False,
+    allow_missing: bool = False,
 ) -> tuple[NamedScene, ...]:
-    """The scenes that ``text`` means; ``assets`` and ``strict`` are for scenes of Habitat (`load_habitat_scene`).
+    """The scenes that ``text`` means; the other options are for scenes of Habitat (`load_habitat_scene`).
 
     ``small`` (a preset: its first ``homes`` homes), ``small:3``, ``h3-homes/test`` or ``my.toml`` (all of a set),
     ``h3-homes/test#3`` or ``h3-homes/test#test_03`` (one of a set), or the path of a scene: GLB or one of Habitat's.
@@ -47,9 +52,9 @@ def named_scenes(
     """
     found = _named(text, homes)
     folders = tuple(str(folder) for folder in assets)
+    options = {"assets": folders, "strict": strict, "allow_missing": allow_missing}
     return tuple(
-        replace(n, source=replace(n.source, assets=folders, strict=strict)) if isinstance(n.source, SceneFile) else n
-        for n in found
+        replace(n, source=replace(n.source, **options)) if isinstance(n.source, SceneFile) else n for n in found
     )
 
 
@@ -76,7 +81,7 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
         raise InputError(
             f"Unknown scenes {text!r}. Expected {', '.join(HOME_PRESETS)}, one home as small:3, a set ({', '.join(splits)} "
             "or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, .scene_instance.json, "
-            ".stage_config.json, .scene_dataset_config.json)."
+            ".stage_config.json, .object_config.json, .ao_config.json, .urdf, .scene_dataset_config.json)."
         )
     every = [NamedScene(name=f"{label}#{k}", source=entry.source, id=entry.id) for k, entry in enumerate(found.scenes)]
     return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)
@@ -100,7 +105,13 @@ def read_scene_file(source: SceneFile) -> Scene:
     """The scene in a file as it is now; fails as `open_scene` does."""
     if _is_ours(Path(source.path)) and not source.scene:
         return load_scene(source.path)
-    return load_habitat_scene(source.path, source.scene or None, strict=source.strict, assets=source.assets)
+    return load_habitat_scene(
+        source.path,
+        source.scene or None,
+        allow_missing=source.allow_missing,
+        strict=source.strict,
+        assets=source.assets,
+    )
 
 
 @lru_cache(maxsize=64)

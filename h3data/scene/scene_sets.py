@@ -35,6 +35,8 @@ class SceneFile:
     """Folders below which its files are looked for as well; none: those of H3DATA_ASSETS."""
     strict: bool = False
     """Whether warnings are errors."""
+    allow_missing: bool = False
+    """Whether what has no file is left out, with a warning."""
 
 
 SceneSource = HomeSpec | SceneFile

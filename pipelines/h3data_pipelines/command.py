@@ -20,6 +20,12 @@ from h3data.recording import Recording
 
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
 ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
+AssetsOption = Annotated[
+    tuple[Path, ...],
+    tyro.conf.arg(help="Folders below which a Habitat scene's files are looked for as well (default: H3DATA_ASSETS)."),
+]
+StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene with anything left out or guessed.")]
+MissingFlag = Annotated[bool, tyro.conf.arg(help="Leave out what a Habitat scene has no files for, with a warning.")]
 
 
 @dataclass(frozen=True, kw_only=True)

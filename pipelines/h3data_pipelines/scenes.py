@@ -18,7 +18,7 @@ from h3data.interop.habitat_episode_records import EpisodeSet
 from h3data.interop.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, StrictFlag, claim_file
 from h3data_pipelines.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -35,13 +35,6 @@ _SCENE_HELP = (
     "small:3 (built-in home), h3-homes/test (a set) or the path of a scene (.scene_instance.json, .stage_config.json, "
     ".glb)."
 )
-
-
-AssetsOption = Annotated[
-    tuple[Path, ...],
-    tyro.conf.arg(help="Folders below which a Habitat scene's files are looked for as well (default: H3DATA_ASSETS)."),
-]
-StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene with anything left out or guessed.")]
 
 
 @dataclass(frozen=True)
@@ -63,6 +56,7 @@ class ScenesList:
     """How many homes of a preset."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
+    allow_missing: MissingFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -71,9 +65,14 @@ class ScenesList:
         if not self.scenes:
             return presets_and_sets()
         if all(text.endswith(DATASET_ENDING) for text in self.scenes):  # names only: a dataset may have hundreds
-            names = [named.name for named in _all_named(self.scenes, self.homes, self.assets, self.strict)]
+            names = [
+                named.name
+                for named in _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
+            ]
             return Outcome(text="\n".join(names), data={"scenes": [{"scene": name} for name in names]})
-        rows = [_row(named) for named in _all_named(self.scenes, self.homes, self.assets, self.strict)]
+        rows = [
+            _row(named) for named in _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
+        ]
         columns = {
             "scene": "scene", "id": "id", "rooms": "rooms", "floor_m2": "floor m2", "free_m2": "free m2",
             "assets": "assets", "instances": "things", "movable": "movable", "receptacles": "receptacles",
@@ -109,6 +108,7 @@ class ScenesShow:
     """Size of the plan."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
+    allow_missing: MissingFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -116,7 +116,7 @@ class ScenesShow:
         from h3data.render import write_png
         from h3data.render.scene_map import eye_level_picture, plan_picture, scene_map
 
-        named = _one(self.scene, self.assets, self.strict)
+        named = _one(self.scene, self.assets, self.strict, self.allow_missing)
         scene = _renamed(named)
         target = _png(self.out, force=self.force)
         if not 4 <= self.pixels_per_m <= 1000:
@@ -160,6 +160,7 @@ class ScenesExport:
     """How many episodes of a set to write, for habitat (default: all; 0: none)."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
+    allow_missing: MissingFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -172,7 +173,7 @@ class ScenesExport:
         whole = [text for text in self.scenes if text in HOME_PRESETS]
         if whole:
             raise InputError(f"Which home? {whole[0]!r} is a preset: give a seed as well, e.g. {whole[0]}:0.")
-        scenes = [_renamed(named) for named in _all_named(self.scenes, 1, self.assets, self.strict)]
+        scenes = [_renamed(named) for named in _all_named(self.scenes, 1, self.assets, self.strict, self.allow_missing)]
         if self.to == "habitat":
             files, first = self._to_habitat(scenes, sets)
         else:
@@ -324,10 +325,18 @@ class Scenes:
 
 
 # --- scenes by name ---------------------------------------------------------------------------------------------------
-def _one(text: str, assets: Sequence[Path], strict: bool) -> NamedScene:
+def _named(
+    text: str, homes: int, assets: Sequence[Path], strict: bool, allow_missing: bool = False
+) -> tuple[NamedScene, ...]:
+    if allow_missing and strict:
+        raise InputError("Choose one: --strict refuses what is missing, --allow-missing leaves it out.")
+    return named_scenes(text, homes=homes, assets=assets, strict=strict, allow_missing=allow_missing)
+
+
+def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
     if text in HOME_PRESETS:
         raise InputError(f"Which home? {text!r} is a preset: give a seed as well, e.g. {text}:0.")
-    found = named_scenes(text, assets=assets, strict=strict)
+    found = _named(text, 1, assets, strict, allow_missing)
     if len(found) != 1 and text.endswith(DATASET_ENDING):
         names = ", ".join(f"#{n.source.scene}" for n in found[:8] if isinstance(n.source, SceneFile))
         raise InputError(f"Which scene? The dataset has {len(found)}, add one to its path ({names or 'none'}): {text}")
@@ -336,8 +345,8 @@ def _one(text: str, assets: Sequence[Path], strict: bool) -> NamedScene:
     return found[0]
 
 
-def _all_named(texts: Sequence[str], homes: int, assets: Sequence[Path], strict: bool) -> list[NamedScene]:
-    return [named for text in texts for named in named_scenes(text, homes=homes, assets=assets, strict=strict)]
+def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:
+    return [named for text in texts for named in _named(text, *options)]
 
 
 def _renamed(named: NamedScene) -> Scene:

@@ -90,10 +90,8 @@ def write(design: Design, folder: Path) -> None:
         write_plain_glb(folder / "meshes" / f"{part.name}.glb", joined(part.mesh))
     (folder / "robot.urdf").write_text(urdf_text(design.name, design.links))
     (folder / "robot.toml").write_text(settings_text(design, 0.5))
-    load_robot.cache_clear()
     height = standing_height(load_robot(folder / "robot.urdf"))
     (folder / "robot.toml").write_text(settings_text(design, height))
-    load_robot.cache_clear()
     size = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
     log.info("%s: %d kB, base at %.4f m", folder, size // 1000, height)
 
