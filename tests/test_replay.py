@@ -161,3 +161,9 @@ def test_an_agent_without_a_model_needs_none() -> None:
         columns={**b.columns, "agent_0.base_pose": base},
     )  # fmt: skip
     assert camera_track(Replay(rec), "third_person").poses.shape == (20, 4, 4)
+
+
+def test_things_of_one_mesh_share_it() -> None:
+    stage = Replay(boxes()).stage
+    meshes = [instance.mesh for instance in stage.scene.instances]
+    assert meshes[0] == meshes[1] != meshes[2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -160,3 +161,14 @@ def test_rigs_survive_both_stores(tmp_path: Path) -> None:
     for stored in (open_recording(tmp_path / "r.mcap"), dataset.recording(0)):
         assert isinstance(stored, Recording)
         np.testing.assert_array_equal(Replay(stored, assets=[tmp_path]).vertices(0, np.arange(5)), expected)
+
+
+def test_a_rigid_body_of_the_same_file_keeps_its_shape(tmp_path: Path) -> None:
+    path = skinned_square(tmp_path)
+    rec = recorded(path, poses(3).astype(np.float32), ["low", "high"])
+    stands = Body(name="stands", asset="bent", pose=np.array([5, 0, 0, 0, 0, 0, 1], np.float32))
+    replay = Replay(replace(rec, bodies=(*rec.bodies, stands)), assets=[tmp_path])
+    assert [d.deformable for d in replay.drawables] == [True, False]
+    scene = replay.stage.scene
+    assert scene.instances[0].mesh in scene.deformable
+    assert scene.instances[1].mesh not in scene.deformable

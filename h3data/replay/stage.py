@@ -32,21 +32,20 @@ Pictures = list[dict[str, NDArray[Any]]]
 
 @dataclass(frozen=True)
 class _Skin:
-    """A deformable mesh in the scene and its instance, which shows one drawable."""
+    """A deformable mesh in the scene and its instance."""
 
-    drawable: int
     instance: int
     mesh: int
 
 
 @dataclass(frozen=True)
 class _Person:
-    """A person whose mesh each camera chooses."""
+    """A person with the meshes that a camera may choose."""
 
     body: Humanoid
     agent: int
-    full: _Skin
-    light: _Skin
+    full: _Skin | None
+    light: _Skin | None
 
 
 class Stage:
@@ -57,24 +56,32 @@ class Stage:
         self._meshes: list[Mesh] = []
         self._slots: dict[int, int] = {}
         self._instances: list[RenderInstance] = []
-        skins = []
+        self._people: list[_Person] = []
+        self._rigged: list[tuple[int, _Skin]] = []
+        soft = []
         for index, drawable in enumerate(replay.drawables):
-            mesh = self._add(index, drawable.mesh, shared=not drawable.deformable)
+            skin = _Skin(index, self._add(index, drawable.mesh, shared=not drawable.deformable))
             if drawable.deformable:
-                skins.append(_Skin(index, index, mesh))
-        self._people = [self._person(skin) for skin in skins if self._chosen_by_cameras(skin.drawable)]
-        self._skins = [skin for skin in skins if not self._chosen_by_cameras(skin.drawable)]
-        light = [person.light for person in self._people]
-        self.scene = RenderScene(self._meshes, self._instances, deformable=[s.mesh for s in skins + light])
+                soft.append((index, skin))
+        for index, skin in soft:
+            track = replay.tracks[index]
+            if isinstance(track, PersonTrack):
+                self._people.append(self._person(index, track.agent, skin))
+            else:
+                self._rigged.append((index, skin))
+        meshes = [skin.mesh for _, skin in soft] + [p.light.mesh for p in self._people if p.light]
+        self.scene = RenderScene(self._meshes, self._instances, deformable=meshes)
         self._find_movers()
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
         """An instance of drawable ``index``; returns the number of its mesh."""
-        if not shared or id(mesh) not in self._slots:
-            self._slots[id(mesh)] = len(self._meshes)
+        slot = self._slots.get(id(mesh), len(self._meshes)) if shared else len(self._meshes)
+        if slot == len(self._meshes):
             self._meshes.append(mesh)
-        slot, drawable = self._slots[id(mesh)], self.replay.drawables[index]
+        if shared:
+            self._slots[id(mesh)] = slot
+        drawable = self.replay.drawables[index]
         matrix = np.eye(4) if drawable.deformable else drawable.matrix.astype(np.float64)
         self._instances.append(
             RenderInstance(
@@ -84,17 +91,13 @@ class Stage:
         )  # fmt: skip
         return slot
 
-    def _chosen_by_cameras(self, index: int) -> bool:
-        return self.replay.detail is None and isinstance(self.replay.tracks[index], PersonTrack)
-
-    def _person(self, full: _Skin) -> _Person:
-        track = self.replay.tracks[full.drawable]
-        assert isinstance(track, PersonTrack)
-        body = self.replay.model(track.agent)
+    def _person(self, index: int, agent: int, skin: _Skin) -> _Person:
+        body = self.replay.model(agent)
         assert isinstance(body, Humanoid)
+        if self.replay.detail is not None:
+            return _Person(body, agent, *((skin, None) if self.replay.detail else (None, skin)))
         instance = len(self._instances)
-        mesh = self._add(full.drawable, body.lod_mesh, shared=False)
-        return _Person(body, track.agent, full, _Skin(full.drawable, instance, mesh))
+        return _Person(body, agent, skin, _Skin(instance, self._add(index, body.lod_mesh, shared=False)))
 
     def _find_movers(self) -> None:
         """Tables of what moves, so that a step is posed by a few array operations."""
@@ -132,8 +135,12 @@ class Stage:
         for agent, instances, links in self._robots:
             renderer.set_transforms(instances, self.replay.link_matrices(agent)[step, links])
         rows = np.array([step])
-        for skin in self._skins:
-            _deform(renderer, skin, self.replay.vertices(skin.drawable, rows)[0])
+        for index, skin in self._rigged:
+            vertices = self.replay.vertices(index, rows)[0]
+            there = bool(np.isfinite(vertices).all())
+            renderer.set_visible([skin.instance], there)
+            if there:
+                renderer.set_vertices(skin.mesh, vertices)
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
@@ -179,17 +186,14 @@ class Stage:
 def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin]) -> None:
     """Show the mesh that ``camera`` needs of a person with joint frames [1, 55, 4, 4]; ``posed`` ones have their shape."""
     there = bool(np.isfinite(joints).all())
-    distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min() if there else 0.0
-    light = person.body.light_enough(camera.fx, distance)
-    renderer.set_visible([person.full.instance, person.light.instance], [there and not light, there and light])
-    skin = person.light if light else person.full
-    if there and skin not in posed:
-        posed.add(skin)
-        renderer.set_vertices(skin.mesh, person.body.skin(joints, lod=light)[0])
-
-
-def _deform(renderer: Renderer, skin: _Skin, vertices: NDArray[np.float32]) -> None:
-    there = bool(np.isfinite(vertices).all())
-    renderer.set_visible([skin.instance], there)
-    if there:
-        renderer.set_vertices(skin.mesh, vertices)
+    light = person.full is None
+    if person.full and person.light and there:
+        distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min()
+        light = person.body.light_enough(camera.fx, distance)
+    shown = person.light if light else person.full
+    for skin in (person.full, person.light):
+        if skin:
+            renderer.set_visible([skin.instance], there and skin is shown)
+    if there and shown and shown not in posed:
+        posed.add(shown)
+        renderer.set_vertices(shown.mesh, person.body.skin(joints, lod=light)[0])
