@@ -308,7 +308,12 @@ def fault(measures):
     if abs(measures[MISS]) > 1e-6:
         return TOO_FAR
     bad = measures[KNEE] > KNEE_MAX or measures[SHANK] > SHANK_MAX or measures[BALANCE] > 0.0
-    bad = bad or measures[CLEARANCE] < CLEARANCE_MIN_M or measures[STRETCH] > STRETCH_MAX_M or measures[SPREAD] < SPREAD_MIN
+    bad = (
+        bad
+        or measures[CLEARANCE] < CLEARANCE_MIN_M
+        or measures[STRETCH] > STRETCH_MAX_M
+        or measures[SPREAD] < SPREAD_MIN
+    )
     return INVALID_POSTURE if bad else REACHED
 
 
