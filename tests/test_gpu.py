@@ -70,7 +70,7 @@ def assert_alike(got: dict[str, Any], want: dict[str, NDArray], *, odd: float = 
     for name, differs in shares.items():
         share, all_over = differs[calm].mean(), differs.mean()
         assert share <= limits.get(name, odd), f"{name}: {share:.6f} of the pixels off silhouettes differ"
-        assert all_over <= 0.03, f"{name}: {all_over:.4f} of the pixels differ"
+        assert all_over <= 0.05, f"{name}: {all_over:.4f} of the pixels differ"
 
 
 def compare(make: Any, scene: GpuScene, cameras: list[Camera], pose: Any = None, **options: Any) -> dict[str, NDArray]:

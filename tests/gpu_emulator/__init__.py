@@ -19,6 +19,7 @@ KERNELS = {
     "place": "World",
     "deform": "Deform",
     "raster": "Raster",
+    "identify": "Shade",
     "shade": "Shade",
     "occlude": "Occlude",
     "blur": "Occlude",

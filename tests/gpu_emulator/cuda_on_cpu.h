@@ -18,9 +18,11 @@ struct float3 { float x, y, z; };
 struct alignas(16) float4 { float x, y, z, w; };
 struct int3 { int x, y, z; };
 struct int4 { int x, y, z, w; };
+struct alignas(8) uint2 { unsigned x, y; };
 struct uchar4 { unsigned char x, y, z, w; };
 struct Index { unsigned x; };
 static inline float2 make_float2(float x, float y) { return {x, y}; }
+static inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
 static inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }
 static inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
 static inline int4 make_int4(int x, int y, int z, int w) { return {x, y, z, w}; }
@@ -123,6 +125,13 @@ static void __syncwarp() { emulator::exchange(0); }
 template <class T> static T __shfl_sync(unsigned, T x, int lane) {
     return emulator::value<T>(emulator::exchange(emulator::word(x))[lane & 31]);
 }
+static double __shfl_sync(unsigned mask, double x, int lane) {
+    uint32_t half[2];
+    memcpy(half, &x, 8);
+    for (auto& h : half) h = __shfl_sync(mask, h, lane);
+    memcpy(&x, half, 8);
+    return x;
+}
 template <class T> static T __shfl_up_sync(unsigned, T x, int step) {
     int lane = emulator::current % 32;
     return emulator::value<T>(emulator::exchange(emulator::word(x))[lane >= step ? lane - step : lane]);
@@ -138,13 +147,15 @@ static unsigned __ballot_sync(unsigned, int x) {
     return bits;
 }
 static bool __any_sync(unsigned mask, int x) { return __ballot_sync(mask, x); }
-static unsigned __reduce_min_sync(unsigned, unsigned x) {
-    const uint32_t* values = emulator::exchange(x);
-    return *std::min_element(values, values + 32);
+template <class T> static T __reduce_min_sync(unsigned, T x) {
+    const uint32_t* values = emulator::exchange(emulator::word(x));
+    for (int k = 0; k < 32; k++) x = std::min(x, emulator::value<T>(values[k]));
+    return x;
 }
-static unsigned __reduce_max_sync(unsigned, unsigned x) {
-    const uint32_t* values = emulator::exchange(x);
-    return *std::max_element(values, values + 32);
+template <class T> static T __reduce_max_sync(unsigned, T x) {
+    const uint32_t* values = emulator::exchange(emulator::word(x));
+    for (int k = 0; k < 32; k++) x = std::max(x, emulator::value<T>(values[k]));
+    return x;
 }
 template <class T> static T atomicMin(T* at, T x) { T old = *at; *at = std::min(old, x); return old; }
 template <class T> static T atomicMax(T* at, T x) { T old = *at; *at = std::max(old, x); return old; }

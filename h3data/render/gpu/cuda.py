@@ -134,7 +134,7 @@ def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -
     number = 10 * capability[0] + capability[1]
     newest = max(_supported(nvrtc))
     arch = f"sm_{number}" if number <= newest else f"compute_{newest}"
-    options = (f"--gpu-architecture={arch}", "--std=c++17", "-default-device", *options)
+    options = (f"--gpu-architecture={arch}", "--std=c++17", "--use_fast_math", *options)
     key = repr((source, options, version[0].value, version[1].value))
     folder = _cache_folder()
     path = None if folder is None else folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.cubin"

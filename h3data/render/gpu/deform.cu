@@ -47,7 +47,7 @@ __device__ __forceinline__ Box box_of(const float* low, const float* high, int f
 
 // One block per (world, group). Joints that are NaN make empty boxes, which nothing ever sees.
 extern "C" __global__ void deform(Deform d) {
-    extern __shared__ float palette[];  // [joint_count, 12]
+    extern __shared__ float4 palette[];  // [joint_count, 3]: rows
     __shared__ int group_low[3], group_high[3];
     const World& s = d.world;
     int world = blockIdx.x / s.deformed_group_count, g = blockIdx.x % s.deformed_group_count;
@@ -66,7 +66,7 @@ extern "C" __global__ void deform(Deform d) {
             + ((size_t)s.scene_of_world[world] * d.bodies + group.body) * d.joint_count * 16;
         for (int i = threadIdx.x; i < d.joint_count * 12; i += blockDim.x) {
             const float *row = joints + i / 4 * 4, *column = bind + i / 12 * 16 + i % 4;
-            palette[i] = row[0] * column[0] + row[1] * column[4] + row[2] * column[8] + row[3] * column[12];
+            ((float*)palette)[i] = row[0] * column[0] + row[1] * column[4] + row[2] * column[8] + row[3] * column[12];
         }
     }
     __syncthreads();
@@ -86,9 +86,9 @@ extern "C" __global__ void deform(Deform d) {
                 float w[4] = {weight.x, weight.y, weight.z, weight.w};
                 for (int k = 0; k < 4; k++) {
                     if (w[k] == 0.f) continue;
-                    const float* m = palette + 12 * joint[k];
+                    const float4* m = palette + 3 * joint[k];
                     for (int a = 0; a < 3; a++)
-                        p[a] += w[k] * (m[4 * a] * x[0] + m[4 * a + 1] * x[1] + m[4 * a + 2] * x[2] + m[4 * a + 3]);
+                        p[a] += w[k] * (m[a].x * x[0] + m[a].y * x[1] + m[a].z * x[2] + m[a].w);
                 }
             } else {
                 const float* x = source + 3 * (size_t)d.source_vertex[v];
@@ -100,11 +100,10 @@ extern "C" __global__ void deform(Deform d) {
                 high[a] = fmaxf(high[a], p[a]);
             }
         }
-        for (int a = 0; a < 3; a++)
-            for (int step = 16; step; step >>= 1) {
-                low[a] = fminf(low[a], __shfl_xor_sync(FULL, low[a], step));
-                high[a] = fmaxf(high[a], __shfl_xor_sync(FULL, high[a], step));
-            }
+        for (int a = 0; a < 3; a++) {
+            low[a] = unordered(__reduce_min_sync(FULL, ordered(low[a])));
+            high[a] = unordered(__reduce_max_sync(FULL, ordered(high[a])));
+        }
         if (lane == 0) {
             size_t at = (size_t)world * s.deformed_cluster_count + c - scene.first_cluster;
             s.deformed_clusters[at] = box_of(low, high, bits(rest.center.w), first);

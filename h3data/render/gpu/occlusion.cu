@@ -21,23 +21,24 @@ struct Occlude {
     float radius, near_radius, gain;
 };
 
-struct Coarse { size_t first; int x, y; bool inside; };
+struct Coarse { u32 at; int picture, x, y; bool inside; };
 
 __device__ __forceinline__ Coarse coarse_pixel(const Occlude& f) {
-    size_t k = (size_t)blockIdx.x * blockDim.x + threadIdx.x, size = (size_t)f.coarse_width * f.coarse_height;
+    u32 k = blockIdx.x * blockDim.x + threadIdx.x, row = k / f.coarse_width;
     Coarse c;
-    c.inside = k < size * f.views;
-    c.first = k / size * size;
-    c.x = (int)(k % f.coarse_width);
-    c.y = (int)(k / f.coarse_width % f.coarse_height);
+    c.picture = row / f.coarse_height;
+    c.inside = c.picture < f.views;
+    c.x = k - row * f.coarse_width;
+    c.y = row - c.picture * f.coarse_height;
+    c.at = k;
     return c;
 }
 
-__device__ __forceinline__ float z_at(const Occlude& f, size_t picture, int x, int y) {
-    return f.depth[(picture * f.height + y * f.factor) * f.width + x * f.factor];
+__device__ __forceinline__ float z_at(const Occlude& f, int picture, int x, int y) {
+    return f.depth[((u32)picture * f.height + y * f.factor) * f.width + x * f.factor];
 }
 
-__device__ __forceinline__ float nearness(const Occlude& f, size_t picture, int x, int y) {
+__device__ __forceinline__ float nearness(const Occlude& f, int picture, int x, int y) {
     if (x < 0 || y < 0 || x >= f.coarse_width || y >= f.coarse_height) return FAR_PADDING;
     float z = z_at(f, picture, x, y);
     return z > 0.f ? 1.f / z : 0.f;
@@ -52,7 +53,7 @@ __device__ __forceinline__ float slope(float before2, float before, float middle
 extern "C" __global__ void __launch_bounds__(256) occlude(Occlude f) {
     Coarse c = coarse_pixel(f);
     if (!c.inside) return;
-    size_t picture = c.first / ((size_t)f.coarse_width * f.coarse_height);
+    int picture = c.picture;
     const float* camera = f.cameras + CAMERA_WORDS * (f.first_view + picture);
     float near[2][5];
     for (int k = -2; k <= 2; k++) {
@@ -86,9 +87,8 @@ extern "C" __global__ void __launch_bounds__(256) occlude(Occlude f) {
         total += fmaxf(rise - bias, 0.f) * fmaxf(1.f - apart2 * per_radius2, 0.f) / sqrtf(apart2 + 1e-6f);
     }
     float amount = fmaxf(total * f.gain, 0.f);
-    size_t at = c.first + (size_t)c.y * f.coarse_width + c.x;
-    f.surfaces[at] = make_float4(slope_x, slope_y, distance * z / SAME_SURFACE_M, here);
-    f.amounts[at] = here > 0.f ? amount / (amount + 1.f) : 0.f;
+    f.surfaces[c.at] = make_float4(slope_x, slope_y, distance * z / SAME_SURFACE_M, here);
+    f.amounts[c.at] = here > 0.f ? amount / (amount + 1.f) : 0.f;
 }
 
 // Along one axis, over what lies on the same surface.
@@ -98,16 +98,15 @@ extern "C" __global__ void __launch_bounds__(256) blur(Occlude f) {
     const float weights[5] = {0.5f, 1.f, 1.f, 1.f, 0.5f};
     int place = f.along_y ? c.y : c.x, count = f.along_y ? f.coarse_height : f.coarse_width;
     int step = f.along_y ? f.coarse_width : 1;
-    size_t at = c.first + (size_t)c.y * f.coarse_width + c.x;
-    float4 surface = f.surfaces[at];
+    float4 surface = f.surfaces[c.at];
     float slope = f.along_y ? surface.y : surface.x, amounts = 0.f, sum = 0.f;
     for (int k = -2; k <= 2; k++) {
         if (place + k < 0 || place + k >= count) continue;
-        size_t other = at + (long long)k * step;
+        u32 other = c.at + k * step;
         float weight = weights[k + 2];
         if (k) weight *= fmaxf(1.f - fabsf(f.surfaces[other].w - (surface.w + slope * k)) * surface.z, 0.f);
         amounts += weight * f.source[other];
         sum += weight;
     }
-    f.amounts[at] = amounts / sum;
+    f.amounts[c.at] = amounts / sum;
 }

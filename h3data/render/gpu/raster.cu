@@ -14,13 +14,13 @@
 #endif
 #define THREADS (WARPS * 32)
 #define COARSE (TILE / 8)
+#define COARSE_WORDS ((COARSE * COARSE + 3) / 4 * 4)
 #define BUCKETS 128
 #define BUCKETS_PER_M 8.f
 #define NEAR_M 0.02f             // nearer vertices are left to the double path
 #define SMALLEST_M 1e-4f         // as on the CPU: a plane through the eye itself is not seen
-#define SMALL_PX 64.f            // so are longer triangles,
-#define PERSPECTIVE 4.f          // those whose depths differ by more than this factor,
-#define SLENDER 1024.f           // and those whose squared length exceeds so many times their doubled area
+#define LARGE_PX 512             // so are triangles whose box in the tile has so many pixels,
+#define SLENDER_M 150.f          // and those whose squared length times their depth exceeds this times their doubled area
 #define EXACT_TEST_PX 96         // rectangles up to so many pixels are tested pixel by pixel
 #define BEHIND -2.f              // in place of 1/z: at or behind the eye's plane
 #define TOO_NEAR -1.f
@@ -33,8 +33,7 @@ struct Raster {
 };
 
 struct Tile {
-    float x0, y0, x1, y1;        // pixels
-    float cx, cy;
+    float cx, cy;                // principal point, from the tile's corner [px]; so are all pixels below
     int width, height;
 };
 
@@ -47,6 +46,13 @@ struct Buffers {
     float* coarse;               // an upper bound of z in every 8x8 block
     float near;                  // what is nearer is cut away [m]
 };
+
+struct Scratch {                 // of a warp
+    float4 corners[CLUSTER_VERTICES];    // x, y [px] from the first pixel's centre, 1/z
+    uint2 triangles[CLUSTER_TRIANGLES];  // three vertices; box: x, y, width, height
+};
+
+__device__ __forceinline__ float fast_inverse(float x) { return __fdividef(1.f, x); }
 
 __device__ __forceinline__ void load_placement(const float* from, float* m) {
     const float4* rows = (const float4*)from;
@@ -72,25 +78,25 @@ __device__ __forceinline__ bool visible(const float* m, float4 c, float4 h, cons
             + fabsf(m[row + 2] - b * m[10]) * h.z;                                                                    \
         if (!(sign (value - b * z) + reach >= -slack)) return false;                                                  \
     }
-    BEYOND(0, t.x0 - t.cx, x, +)
-    BEYOND(0, t.x1 - t.cx, x, -)
-    BEYOND(4, t.y0 - t.cy, y, +)
-    BEYOND(4, t.y1 - t.cy, y, -)
+    BEYOND(0, -t.cx, x, +)
+    BEYOND(0, t.width - t.cx, x, -)
+    BEYOND(4, -t.cy, y, +)
+    BEYOND(4, t.height - t.cy, y, -)
 #undef BEYOND
     out.near = (z - extent_z) * 0.99999f;
     if (out.near < NEAR_M) {     // at the eye: it may cover anything
-        out = {0.f, t.x0, t.y0, t.x1, t.y1};
+        out = {0.f, 0.f, 0.f, (float)t.width, (float)t.height};
         return true;
     }
     float extent_x = fabsf(m[0]) * h.x + fabsf(m[1]) * h.y + fabsf(m[2]) * h.z;
     float extent_y = fabsf(m[4]) * h.x + fabsf(m[5]) * h.y + fabsf(m[6]) * h.z;
-    float per_near = 1.f / out.near, per_far = 1.f / (z + extent_z);
+    float per_near = fast_inverse(out.near), per_far = fast_inverse(z + extent_z);
     float left = x - extent_x, right = x + extent_x, top = y - extent_y, bottom = y + extent_y;
     const float margin = 0.05f;
-    out.x0 = fmaxf(t.cx + left * (left > 0 ? per_far : per_near) - margin, t.x0);
-    out.x1 = fminf(t.cx + right * (right > 0 ? per_near : per_far) + margin, t.x1);
-    out.y0 = fmaxf(t.cy + top * (top > 0 ? per_far : per_near) - margin, t.y0);
-    out.y1 = fminf(t.cy + bottom * (bottom > 0 ? per_near : per_far) + margin, t.y1);
+    out.x0 = fmaxf(t.cx + left * (left > 0 ? per_far : per_near) - margin, 0.f);
+    out.x1 = fminf(t.cx + right * (right > 0 ? per_near : per_far) + margin, (float)t.width);
+    out.y0 = fmaxf(t.cy + top * (top > 0 ? per_far : per_near) - margin, 0.f);
+    out.y1 = fminf(t.cy + bottom * (bottom > 0 ? per_near : per_far) + margin, (float)t.height);
     return out.x0 <= out.x1 && out.y0 <= out.y1;
 }
 
@@ -98,15 +104,15 @@ __device__ __forceinline__ int row_of(int k, float per_width) { return (int)(((f
 
 // Whether no pixel centre of the rectangle is further than its nearest z. All lanes give the same arguments.
 __device__ __forceinline__ bool hidden(const Buffers& b, const Tile& t, const Rect& r, int lane) {
-    int x0 = max(0, (int)ceilf(r.x0 - t.x0 - 0.5f)), x1 = (int)floorf(fminf(r.x1, t.x1 - 0.25f) - t.x0 - 0.5f);
-    int y0 = max(0, (int)ceilf(r.y0 - t.y0 - 0.5f)), y1 = (int)floorf(fminf(r.y1, t.y1 - 0.25f) - t.y0 - 0.5f);
+    int x0 = max(0, (int)ceilf(r.x0 - 0.5f)), x1 = min(t.width - 1, (int)floorf(r.x1 - 0.5f));
+    int y0 = max(0, (int)ceilf(r.y0 - 0.5f)), y1 = min(t.height - 1, (int)floorf(r.y1 - 0.5f));
     int w = x1 - x0 + 1, h = y1 - y0 + 1;
     if (w <= 0 || h <= 0) return true;
     bool seen = false;
     if (w * h <= EXACT_TEST_PX) {
         const volatile u32* halves = (const volatile u32*)b.pixels;
         u32 near = __float_as_uint(r.near);
-        float per_width = __frcp_rn((float)w);
+        float per_width = fast_inverse((float)w);
         for (int k = lane; k < w * h; k += 32) {
             int y = row_of(k, per_width), x = k - y * w;
             seen |= halves[2 * ((y0 + y) * TILE + x0 + x) + 1] >= near;
@@ -115,7 +121,7 @@ __device__ __forceinline__ bool hidden(const Buffers& b, const Tile& t, const Re
         const volatile float* coarse = b.coarse;
         x0 >>= 3, y0 >>= 3;
         w = (x1 >> 3) - x0 + 1, h = (y1 >> 3) - y0 + 1;
-        float per_width = __frcp_rn((float)w);
+        float per_width = fast_inverse((float)w);
         for (int k = lane; k < w * h; k += 32) {
             int y = row_of(k, per_width), x = k - y * w;
             seen |= coarse[(y0 + y) * COARSE + x0 + x] >= r.near;
@@ -124,143 +130,167 @@ __device__ __forceinline__ bool hidden(const Buffers& b, const Tile& t, const Re
     return !__any_sync(FULL, seen);
 }
 
+// The same for a lane's own rectangle, if it is small: only the coarse blocks, and false if in doubt.
+__device__ __forceinline__ bool hidden_coarsely(const Buffers& b, const Tile& t, const Rect& r) {
+    int x0 = (int)(r.x0 * 0.125f), x1 = min((t.width - 1) >> 3, (int)(r.x1 * 0.125f));
+    int y0 = (int)(r.y0 * 0.125f), y1 = min((t.height - 1) >> 3, (int)(r.y1 * 0.125f));
+    if (x1 - x0 > 2 || y1 - y0 > 2) return false;
+    const volatile float* coarse = b.coarse;
+    for (int y = y0; y <= y1; y++)
+        for (int x = x0; x <= x1; x++)
+            if (coarse[y * COARSE + x] >= r.near) return false;
+    return true;
+}
+
 __device__ __forceinline__ void blend(const Buffers& b, int x, int y, float z, u32 word) {
     u64* pixel = b.pixels + y * TILE + x;
     u32 depth = __float_as_uint(z);
     if (depth <= ((volatile u32*)pixel)[1] && z >= b.near) atomicMin(pixel, (u64)depth << 32 | word);
 }
 
-// One triangle by the whole warp: homogeneous edge functions (Olano & Greer 1997), set up in double.
-// Not inlined, and given the matrix where it lies in memory, so that it costs the others no registers.
+// Triangles by homogeneous edge functions (Olano & Greer 1997): every lane sets up its own, if `exact`, in double; then the
+// whole warp draws one after another. Not inlined, and given the matrix where it lies in memory: so it costs the caller no
+// registers.
 __device__ __noinline__ void draw_exactly(
-    Buffers b, float tile_x, float tile_y, const float* m, const float* vertices, u32 triangle, u32 place, u32 word,
-    int lane
+    Buffers b, float center_x, float center_y, const float* m, const float* vertices, const uint2* triangles, bool exact,
+    int number, u32 first_word, int lane
 ) {
-    int4 box = make_int4(place & 255, (place >> 8) & 255, (place >> 16) & 255, place >> 24);
-    double p[3][3];
-    for (int j = 0; j < 3; j++) {
-        const float* v = vertices + 3 * ((triangle >> (8 * j)) & 255);
-        for (int r = 0; r < 3; r++)
-            p[j][r] = (double)m[4 * r] * v[0] + (double)m[4 * r + 1] * v[1] + (double)m[4 * r + 2] * v[2] + m[4 * r + 3];
-    }
-    // the rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray
-    double e[3][3], s[3], u[3];
-    for (int j = 0; j < 3; j++) {
-        const double *q = p[(j + 1) % 3], *r = p[(j + 2) % 3];
-        e[j][0] = q[1] * r[2] - q[2] * r[1];
-        e[j][1] = q[2] * r[0] - q[0] * r[2];
-        e[j][2] = q[0] * r[1] - q[1] * r[0];
-        s[j] = p[1][j] - p[0][j];
-        u[j] = p[2][j] - p[0][j];
-    }
-    double determinant = p[0][0] * e[0][0] + p[0][1] * e[0][1] + p[0][2] * e[0][2];
-    if (determinant == 0.) return;
-    double k = 1. / determinant;
-    double ray_x = (double)tile_x + box.x + 0.5, ray_y = (double)tile_y + box.y + 0.5;
-    double w_x = (s[1] * u[2] - s[2] * u[1]) * k, w_y = (s[2] * u[0] - s[0] * u[2]) * k;
-    double w = w_x * ray_x + w_y * ray_y + (s[0] * u[1] - s[1] * u[0]) * k;
     float edge[3], edge_x[3], edge_y[3];
-    float far_x = (float)(box.z - 1), far_y = (float)(box.w - 1);
-    bool outside = false;
-    for (int j = 0; j < 3; j++) {
-        double dx = e[j][0] * k, dy = e[j][1] * k;
-        edge_x[j] = (float)dx;
-        edge_y[j] = (float)dy;
-        edge[j] = (float)(dx * ray_x + dy * ray_y + e[j][2] * k + GENEROUS_PX * (fabs(dx) + fabs(dy)));
-        outside |= edge[j] + fmaxf(edge_x[j], 0.f) * far_x + fmaxf(edge_y[j], 0.f) * far_y < 0.f;
+    double w = 0., w_x = 0., w_y = 0.;
+    if (exact) {
+        u32 triangle = triangles[number].x, place = triangles[number].y;
+        double p[3][3], e[3][3], s[3], u[3];
+        for (int j = 0; j < 3; j++) {
+            const float* v = vertices + 3 * ((triangle >> (8 * j)) & 255);
+            for (int r = 0; r < 3; r++)
+                p[j][r] = (double)m[4 * r] * v[0] + (double)m[4 * r + 1] * v[1] + (double)m[4 * r + 2] * v[2] + m[4 * r + 3];
+        }
+        // the rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray
+        for (int j = 0; j < 3; j++) {
+            const double *q = p[(j + 1) % 3], *r = p[(j + 2) % 3];
+            e[j][0] = q[1] * r[2] - q[2] * r[1];
+            e[j][1] = q[2] * r[0] - q[0] * r[2];
+            e[j][2] = q[0] * r[1] - q[1] * r[0];
+            s[j] = p[1][j] - p[0][j];
+            u[j] = p[2][j] - p[0][j];
+        }
+        double determinant = p[0][0] * e[0][0] + p[0][1] * e[0][1] + p[0][2] * e[0][2];
+        exact = determinant != 0.;
+        double k = 1. / determinant;
+        double ray_x = (place & 255) + 0.5 - center_x, ray_y = ((place >> 8) & 255) + 0.5 - center_y;
+        w_x = (s[1] * u[2] - s[2] * u[1]) * k;
+        w_y = (s[2] * u[0] - s[0] * u[2]) * k;
+        w = w_x * ray_x + w_y * ray_y + (s[0] * u[1] - s[1] * u[0]) * k;
+        float far_x = (float)((place >> 16) & 255) - 1.f, far_y = (float)(place >> 24) - 1.f;
+        for (int j = 0; j < 3; j++) {
+            double dx = e[j][0] * k, dy = e[j][1] * k;
+            edge_x[j] = (float)dx;
+            edge_y[j] = (float)dy;
+            edge[j] = (float)(dx * ray_x + dy * ray_y + e[j][2] * k + GENEROUS_PX * (fabs(dx) + fabs(dy)));
+            if (edge[j] + fmaxf(edge_x[j], 0.f) * far_x + fmaxf(edge_y[j], 0.f) * far_y < 0.f) exact = false;
+        }
     }
-    if (outside) return;
-    float per_width = __frcp_rn((float)box.z);
-    for (int i = lane; i < box.z * box.w; i += 32) {
-        int y = row_of(i, per_width), x = i - y * box.z;
-        float fx = (float)x, fy = (float)y;
-        float e0 = fmaf(edge_x[0], fx, fmaf(edge_y[0], fy, edge[0]));
-        float e1 = fmaf(edge_x[1], fx, fmaf(edge_y[1], fy, edge[1]));
-        float e2 = fmaf(edge_x[2], fx, fmaf(edge_y[2], fy, edge[2]));
-        if (!(fminf(fminf(e0, e1), e2) >= 0.f)) continue;
-        float inverse = (float)(w + w_x * fx + w_y * fy);
-        if (inverse > 0.f) blend(b, box.x + x, box.y + y, __frcp_rn(inverse), word);
+    for (u32 waiting = __ballot_sync(FULL, exact); waiting; waiting &= waiting - 1) {
+        int owner = __ffs(waiting) - 1, one = __shfl_sync(FULL, number, owner);
+        u32 place = triangles[one].y;
+        float e[3], e_x[3], e_y[3];
+        for (int j = 0; j < 3; j++) {
+            e[j] = __shfl_sync(FULL, edge[j], owner);
+            e_x[j] = __shfl_sync(FULL, edge_x[j], owner);
+            e_y[j] = __shfl_sync(FULL, edge_y[j], owner);
+        }
+        double z = __shfl_sync(FULL, w, owner), z_x = __shfl_sync(FULL, w_x, owner), z_y = __shfl_sync(FULL, w_y, owner);
+        int x0 = place & 255, y0 = (place >> 8) & 255, width = (place >> 16) & 255, height = place >> 24;
+        float per_width = fast_inverse((float)width);
+        for (int i = lane; i < width * height; i += 32) {
+            int y = row_of(i, per_width), x = i - y * width;
+            float fx = (float)x, fy = (float)y;
+            float e0 = fmaf(e_x[0], fx, fmaf(e_y[0], fy, e[0]));
+            float e1 = fmaf(e_x[1], fx, fmaf(e_y[1], fy, e[1]));
+            float e2 = fmaf(e_x[2], fx, fmaf(e_y[2], fy, e[2]));
+            if (!(fminf(fminf(e0, e1), e2) >= 0.f)) continue;
+            float inverse = (float)(z + z_x * fx + z_y * fy);
+            if (inverse > 0.f) blend(b, x0 + x, y0 + y, __frcp_rn(inverse), first_word + one);
+        }
     }
 }
 
 // Setting up a triangle: its pixel box (x, y, width, height; tile-relative; no area = nothing to draw) and its path.
-__device__ __forceinline__ int4 set_up(const float* corners, u32 triangle, const Tile& t, bool& exactly) {
-    const float *a = corners + 3 * (triangle & 255), *b = corners + 3 * ((triangle >> 8) & 255),
-                *c = corners + 3 * ((triangle >> 16) & 255);
-    float smallest = fminf(fminf(a[2], b[2]), c[2]), largest = fmaxf(fmaxf(a[2], b[2]), c[2]);
+__device__ __forceinline__ int4 set_up(const float4* corners, u32 triangle, const Tile& t, bool& exactly) {
+    float4 a = corners[triangle & 255], b = corners[(triangle >> 8) & 255], c = corners[(triangle >> 16) & 255];
+    float smallest = fminf(fminf(a.z, b.z), c.z), largest = fmaxf(fmaxf(a.z, b.z), c.z);
     exactly = false;
     if (smallest <= 0.f) {
         exactly = largest > BEHIND;  // something of it is in front of the eye
         return exactly ? make_int4(0, 0, t.width, t.height) : make_int4(0, 0, 0, 0);
     }
-    float left = fminf(fminf(a[0], b[0]), c[0]), right = fmaxf(fmaxf(a[0], b[0]), c[0]);
-    float top = fminf(fminf(a[1], b[1]), c[1]), bottom = fmaxf(fmaxf(a[1], b[1]), c[1]);
+    float left = fminf(fminf(a.x, b.x), c.x), right = fmaxf(fmaxf(a.x, b.x), c.x);
+    float top = fminf(fminf(a.y, b.y), c.y), bottom = fmaxf(fmaxf(a.y, b.y), c.y);
     const float margin = 2e-3f;
     int x0 = max(0, (int)ceilf(fmaxf(left - margin, -1.f)));
     int x1 = min(t.width - 1, (int)floorf(fminf(right + margin, TILE)));
     int y0 = max(0, (int)ceilf(fmaxf(top - margin, -1.f)));
     int y1 = min(t.height - 1, (int)floorf(fminf(bottom + margin, TILE)));
     if (x1 < x0 || y1 < y0) return make_int4(0, 0, 0, 0);
-    float abx = b[0] - a[0], aby = b[1] - a[1], acx = c[0] - a[0], acy = c[1] - a[1];
-    float area = fabsf(abx * acy - acx * aby), across = right - left, down = bottom - top;
-    exactly = fmaxf(across, down) > SMALL_PX || largest > PERSPECTIVE * smallest
-        || across * across + down * down > SLENDER * area;
-    return make_int4(x0, y0, x1 - x0 + 1, y1 - y0 + 1);
+    float area = fabsf((b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y)), across = right - left, down = bottom - top;
+    int width = x1 - x0 + 1, height = y1 - y0 + 1;
+    // what rounding may do to a depth is about 1e-7 times squared length over area, times the triangle's depth
+    exactly = width * height >= LARGE_PX
+        || (across * across + down * down) * (largest - smallest) > SLENDER_M * area * smallest * largest;
+    return make_int4(x0, y0, width, height);
 }
 
 // One pixel of a small triangle. The products are rounded alike for both triangles at an edge: no cracks.
 __device__ __forceinline__ void draw_pixel(
-    const Buffers& buffers, const float* corners, u32 triangle, int x, int y, u32 word
+    const Buffers& buffers, const float4* corners, u32 triangle, int x, int y, u32 word
 ) {
-    const float *a = corners + 3 * (triangle & 255), *b = corners + 3 * ((triangle >> 8) & 255),
-                *c = corners + 3 * ((triangle >> 16) & 255);
+    float4 a = corners[triangle & 255], b = corners[(triangle >> 8) & 255], c = corners[(triangle >> 16) & 255];
     float px = (float)x, py = (float)y;
-    float ax = a[0] - px, ay = a[1] - py, bx = b[0] - px, by = b[1] - py, cx = c[0] - px, cy = c[1] - py;
+    float ax = a.x - px, ay = a.y - py, bx = b.x - px, by = b.y - py, cx = c.x - px, cy = c.y - py;
     float ea = __fsub_rn(__fmul_rn(bx, cy), __fmul_rn(by, cx));
     float eb = __fsub_rn(__fmul_rn(cx, ay), __fmul_rn(cy, ax));
     float ec = __fsub_rn(__fmul_rn(ax, by), __fmul_rn(ay, bx));
     bool inside = (fminf(fminf(ea, eb), ec) >= 0.f) | (fmaxf(fmaxf(ea, eb), ec) <= 0.f);
     float sum = ea + eb + ec;
-    if (inside && sum != 0.f) blend(buffers, x, y, __fdividef(sum, ea * a[2] + eb * b[2] + ec * c[2]), word);
+    if (inside && sum != 0.f) blend(buffers, x, y, __fdividef(sum, ea * a.z + eb * b.z + ec * c.z), word);
 }
 
 // A cluster by one warp.
 __device__ __forceinline__ void draw_cluster(
-    const Buffers& buffers, const Tile& t, const float* m, const float* placement, const float* vertices, int vertex_count,
-    const u32* triangles, int triangle_count, float* corners, u32 first_word, int lane
+    const Buffers& buffers, const Tile& t, const float* placement, const float* vertices, int vertex_count,
+    const u32* triangles, int triangle_count, Scratch& scratch, u32 first_word, int lane
 ) {
-    const float center_x = t.cx - t.x0 - 0.5f, center_y = t.cy - t.y0 - 0.5f;  // pixel centres become whole numbers
     __syncwarp();
-    for (int i = lane; i < vertex_count; i += 32) {
-        float vx = vertices[3 * i], vy = vertices[3 * i + 1], vz = vertices[3 * i + 2];
-        float x = m[0] * vx + m[1] * vy + m[2] * vz + m[3];
-        float y = m[4] * vx + m[5] * vy + m[6] * vz + m[7];
-        float z = m[8] * vx + m[9] * vy + m[10] * vz + m[11];
-        float inverse = z > 0.f ? TOO_NEAR : BEHIND;
-        if (z >= NEAR_M) {
-            inverse = __frcp_rn(z);
-            corners[3 * i] = x * inverse + center_x;
-            corners[3 * i + 1] = y * inverse + center_y;
+    {
+        float m[12];
+        load_placement(placement, m);
+        for (int i = lane; i < vertex_count; i += 32) {
+            float vx = vertices[3 * i], vy = vertices[3 * i + 1], vz = vertices[3 * i + 2];
+            float x = m[0] * vx + m[1] * vy + m[2] * vz + m[3];
+            float y = m[4] * vx + m[5] * vy + m[6] * vz + m[7];
+            float z = m[8] * vx + m[9] * vy + m[10] * vz + m[11];
+            float inverse = fast_inverse(z);
+            // pixel centres become whole numbers
+            scratch.corners[i] = make_float4(x * inverse + (t.cx - 0.5f), y * inverse + (t.cy - 0.5f),
+                                             z >= NEAR_M ? inverse : z > 0.f ? TOO_NEAR : BEHIND, 0.f);
         }
-        corners[3 * i + 2] = inverse;
     }
     __syncwarp();
-    u32 triangle[2], box[2];
     int pairs[2];
     bool exact[2];
 #pragma unroll
     for (int r = 0; r < 2; r++) {
         int i = r * 32 + lane;
-        int4 b = make_int4(0, 0, 0, 0);
-        triangle[r] = 0;
+        pairs[r] = 0;
         exact[r] = false;
         if (i < triangle_count) {
-            triangle[r] = triangles[i];
-            b = set_up(corners, triangle[r], t, exact[r]);
+            u32 triangle = triangles[i];
+            int4 b = set_up(scratch.corners, triangle, t, exact[r]);
+            scratch.triangles[i] = make_uint2(triangle, b.x | b.y << 8 | b.z << 16 | b.w << 24);
+            if (!exact[r]) pairs[r] = b.z * b.w;
         }
-        box[r] = b.x | b.y << 8 | b.z << 16 | b.w << 24;
-        pairs[r] = exact[r] ? 0 : b.z * b.w;
     }
+    __syncwarp();
     int own = pairs[0] + pairs[1];
     if (__any_sync(FULL, own)) {
         int upto = own;
@@ -269,44 +299,38 @@ __device__ __forceinline__ void draw_cluster(
             int before = __shfl_up_sync(FULL, upto, step);
             if (lane >= step) upto += before;
         }
-        int total = __shfl_sync(FULL, upto, 31), from = upto - own;
+        int total = __shfl_sync(FULL, upto, 31), first = upto - pairs[1];  // the second triangle's pairs begin there
         for (int start = 0; start < total; start += 32) {
             int pair = start + lane, owner = 0;
 #pragma unroll
             for (int step = 16; step; step >>= 1)  // the first lane whose pairs go beyond this one
                 if (__shfl_sync(FULL, upto, owner + step - 1) <= pair) owner += step;
             owner = min(owner, 31);
-            int k = pair - __shfl_sync(FULL, from, owner), first_pairs = __shfl_sync(FULL, pairs[0], owner);
-            u32 chosen = __shfl_sync(FULL, triangle[0], owner), other = __shfl_sync(FULL, triangle[1], owner);
-            u32 place = __shfl_sync(FULL, box[0], owner), other_place = __shfl_sync(FULL, box[1], owner);
-            int number = owner;
-            if (k >= first_pairs) {
-                k -= first_pairs;
-                chosen = other;
-                place = other_place;
-                number += 32;
-            }
+            int k = pair - __shfl_sync(FULL, first, owner), before = __shfl_sync(FULL, pairs[0], owner);
             if (pair < total) {
-                int width = (place >> 16) & 255, y = row_of(k, __frcp_rn((float)width)), x = k - y * width;
-                draw_pixel(buffers, corners, chosen, x + (place & 255), y + ((place >> 8) & 255), first_word + number);
+                int number = owner + 32;
+                if (k < 0) {
+                    k += before;
+                    number = owner;
+                }
+                uint2 chosen = scratch.triangles[number];
+                int width = (chosen.y >> 16) & 255, y = row_of(k, fast_inverse((float)width)), x = k - y * width;
+                draw_pixel(buffers, scratch.corners, chosen.x, x + (chosen.y & 255), y + ((chosen.y >> 8) & 255),
+                           first_word + number);
             }
         }
     }
-#pragma unroll
     for (int r = 0; r < 2; r++)
-        for (u32 waiting = __ballot_sync(FULL, exact[r]); waiting; waiting &= waiting - 1) {
-            int owner = __ffs(waiting) - 1;
-            u32 chosen = __shfl_sync(FULL, triangle[r], owner), place = __shfl_sync(FULL, box[r], owner);
-            draw_exactly(buffers, t.x0 - t.cx, t.y0 - t.cy, placement, vertices, chosen, place,
-                         first_word + r * 32 + owner, lane);
-        }
+        if (__any_sync(FULL, exact[r]))
+            draw_exactly(buffers, t.cx, t.cy, placement, vertices, scratch.triangles, exact[r], r * 32 + lane, first_word,
+                         lane);
 }
 
 // Take the bound of the coarse blocks under a rectangle anew.
 __device__ __forceinline__ void refresh(const Buffers& b, const Tile& t, const Rect& r, int lane) {
     __syncwarp();
-    int x0 = max(0, (int)((r.x0 - t.x0) * 0.125f)), x1 = min((t.width - 1) >> 3, (int)((r.x1 - t.x0) * 0.125f));
-    int y0 = max(0, (int)((r.y0 - t.y0) * 0.125f)), y1 = min((t.height - 1) >> 3, (int)((r.y1 - t.y0) * 0.125f));
+    int x0 = (int)(r.x0 * 0.125f), x1 = min((t.width - 1) >> 3, (int)(r.x1 * 0.125f));
+    int y0 = (int)(r.y0 * 0.125f), y1 = min((t.height - 1) >> 3, (int)(r.y1 * 0.125f));
     const volatile u32* halves = (const volatile u32*)b.pixels;
     for (int j = y0; j <= y1; j++)
         for (int i = x0; i <= x1; i++) {
@@ -337,15 +361,14 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
     const Scene scene = s.scenes[s.scene_of_world[world]];
     const float* camera = s.cameras + CAMERA_WORDS * (size_t)view;
     u32 hidden_layers = s.hidden[view];
-    Tile t;
-    t.x0 = (tile % across) * TILE, t.y0 = (tile / across) * TILE;
-    t.x1 = fminf(t.x0 + TILE, s.width), t.y1 = fminf(t.y0 + TILE, s.height);
-    t.cx = camera[14] * s.scale, t.cy = camera[15] * s.scale;
-    t.width = (int)(t.x1 - t.x0), t.height = (int)(t.y1 - t.y0);
+    int tile_x = tile % across * TILE, tile_y = tile / across * TILE;
+    Tile t = {camera[14] * s.scale - tile_x, camera[15] * s.scale - tile_y, min(TILE, s.width - tile_x),
+              min(TILE, s.height - tile_y)};
 
     Buffers buffers = {shared, (float*)(shared + TILE * TILE), fmaxf(camera[16], SMALLEST_M)};
-    float* corners = buffers.coarse + COARSE * COARSE + warp * CLUSTER_VERTICES * 3;
-    u32* list = (u32*)(buffers.coarse + COARSE * COARSE + WARPS * CLUSTER_VERTICES * 3);  // bucket << 16 | item
+    Scratch* scratches = (Scratch*)(buffers.coarse + COARSE_WORDS);
+    Scratch& scratch = scratches[warp];
+    u32* list = (u32*)(scratches + WARPS);  // bucket << 16 | item
     unsigned short* sorted = (unsigned short*)(list + scene.items);
     const float far = camera[17];
     for (int i = tid; i < TILE * TILE; i += THREADS) buffers.pixels[i] = (u64)__float_as_uint(far) << 32 | NOTHING;
@@ -410,11 +433,11 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
         const float* vertices = vertices_of(s, scene, world, place.group);
         float4 center = make_float4(0, 0, 0, 0), half = center;
         bool waiting = false, drawn = false;
-        Rect own = {0, 0, 0, 0, 0}, covered = {0, t.x1, t.y1, t.x0, t.y0};
+        Rect own = {0, 0, 0, 0, 0}, covered = {0, TILE, TILE, 0, 0};
         if (lane < clusters) {
             center = boxes[first + lane].center;
             half = boxes[first + lane].half;
-            waiting = visible(m, center, half, t, own);
+            waiting = visible(m, center, half, t, own) && !hidden_coarsely(buffers, t, own);
         }
         for (u32 left = __ballot_sync(FULL, waiting); left;) {
             u32 key = waiting ? __float_as_uint(own.near) : 0xffffffffu;  // the nearest first
@@ -427,8 +450,8 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
             covered = {0, fminf(covered.x0, r.x0), fminf(covered.y0, r.y0), fmaxf(covered.x1, r.x1),
                        fmaxf(covered.y1, r.y1)};
             int counts = bits(__shfl_sync(FULL, center.w, chosen)), vertex = bits(__shfl_sync(FULL, half.w, chosen));
-            draw_cluster(buffers, t, m, placement + 12 * place.slot, vertices + 3 * (size_t)vertex, counts & 0xffff,
-                         s.triangles + (size_t)(first + chosen) * CLUSTER_TRIANGLES, counts >> 16, corners,
+            draw_cluster(buffers, t, placement + 12 * place.slot, vertices + 3 * (size_t)vertex, counts & 0xffff,
+                         s.triangles + (size_t)(first + chosen) * CLUSTER_TRIANGLES, counts >> 16, scratch,
                          (u32)item << 11 | chosen << 6, lane);
         }
         if (drawn) refresh(buffers, t, covered, lane);
@@ -437,7 +460,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
     for (int i = tid; i < TILE * TILE; i += THREADS) {
         int x = i % TILE, y = i / TILE;
         if (x >= t.width || y >= t.height) continue;
-        size_t at = ((size_t)local * s.height + (int)t.y0 + y) * s.width + (int)t.x0 + x;
+        size_t at = ((size_t)local * s.height + tile_y + y) * s.width + tile_x + x;
         u32 word = (u32)buffers.pixels[i];
         f.depth[at] = word == NOTHING ? 0.f : __uint_as_float((u32)(buffers.pixels[i] >> 32));
         f.words[at] = word;

@@ -25,6 +25,10 @@ _SHARED_LIMIT = 227 * 1024
 """Shared memory of a block on Hopper [bytes]; others have less, and say so."""
 
 
+_MOST_PIXELS = 2**31 - 1
+"""Of a launch: the kernels count them in 32 bits."""
+
+
 class Variant(NamedTuple):
     """How the rasteriser is compiled."""
 
@@ -35,20 +39,18 @@ class Variant(NamedTuple):
     """That shall fit a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Dynamic shared memory of a block: pixels, coarse depth, corners, list of items."""
-        return self.tile**2 * 8 + (self.tile // 8) ** 2 * 4 + self.warps * 128 * 12 + -(-items * 6 // 8) * 8
+        """Dynamic shared memory of a block: pixels, coarse depth, every warp's scratch, list of items."""
+        return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 
 def choose_variant(worlds: int, width: int, height: int) -> Variant:
     """The fastest measured: small tiles where there are few blocks, large ones for small pictures."""
-    pixels = worlds * width * height
+    pixels, longer = worlds * width * height, max(width, height)
     if worlds < 64:
         if pixels < 400_000:
             return Variant(16, 8, 4)
-        return Variant(16, 4, 8) if pixels < 2_000_000 else Variant(32, 4, 8)
-    if max(width, height) <= 64:
-        return Variant(64, 16, 2)
-    return Variant(64, 8, 4) if max(width, height) <= 128 else Variant(32, 4, 8)
+        return Variant(16, 4, 8) if pixels < 2_000_000 else Variant(32, 4, 7)
+    return Variant(64, 8, 3) if longer <= 64 else Variant(32, 4, 7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,7 +348,7 @@ class GpuRenderer:
         """Draw all views into ``results``; if the memory for what lies between does not suffice, some at a time."""
         import torch
 
-        at_once = views.count
+        at_once = min(views.count, max(1, _MOST_PIXELS // (self.width * self.height * scale**2)))
         while True:
             try:
                 for first in range(0, views.count, at_once):

@@ -1,4 +1,4 @@
-// Pictures out of the words of the rasteriser: ids, normals and RGB, one thread per pixel.
+// Pictures out of the words of the rasteriser, one thread per pixel: ids (`identify`), normals and RGB (`shade`).
 
 #define TONE_SIZE 8192
 #define TONE_LIMIT 2.f
@@ -74,26 +74,23 @@ __device__ __forceinline__ Hit hit_of(const World& s, int world, u32 word) {
     return h;
 }
 
-struct Point { double x, y, z; };
-
-__device__ __forceinline__ Point cross(Point a, Point b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-__device__ __forceinline__ Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-
-struct Ray { double x, y; float3 direction; };  // (x, y, 1) in the camera's frame; in the world's
+struct Ray { float3 inside, direction; };  // (x, y, 1) in the camera's frame; in the world's
 
 __device__ __forceinline__ float3 to_world(const float* camera, float x, float y, float z) {
     return make_float3(camera[0] * x + camera[1] * y + camera[2] * z, camera[4] * x + camera[5] * y + camera[6] * z,
                        camera[8] * x + camera[9] * y + camera[10] * z);
 }
 
+// Pixels of the fine picture to units at z = 1.
+__device__ __forceinline__ float2 pixel_size(const float* camera, int scale) {
+    return make_float2(1.f / (camera[12] * scale), 1.f / (camera[13] * scale));
+}
+
 // The ray through a point of the fine picture.
-__device__ __forceinline__ Ray ray_at(const float* camera, int scale, double x, double y) {
+__device__ __forceinline__ Ray ray_at(const float* camera, int scale, float2 pixel, float x, float y) {
     Ray r;
-    r.x = (x - camera[14] * scale) / ((double)camera[12] * scale);
-    r.y = (y - camera[15] * scale) / ((double)camera[13] * scale);
-    r.direction = to_world(camera, (float)r.x, (float)r.y, 1.f);
+    r.inside = make_float3((x - camera[14] * scale) * pixel.x, (y - camera[15] * scale) * pixel.y, 1.f);
+    r.direction = to_world(camera, r.inside.x, r.inside.y, 1.f);
     return r;
 }
 
@@ -137,7 +134,7 @@ __device__ __forceinline__ float3 bilinear(const u32* texels, const Level& level
 struct Surface { float3 color, normal; };  // linear; colours are lit
 
 // What a ray sees of a triangle.
-__device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray) {
+__device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray, float2 pixel) {
     const World& s = f.world;
     int world = s.world_of_view[view];
     Hit h = hit_of(s, world, word);
@@ -146,23 +143,22 @@ __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray)
     const float* vertices = vertices_of(s, h.scene, world, h.place.group);
     u32 packed = s.triangles[h.number];
     int v[3];
-    Point p[3];
+    float3 p[3];
     for (int j = 0; j < 3; j++) {
         v[j] = h.first_vertex + ((packed >> (8 * j)) & 255);
         const float* x = vertices + 3 * (size_t)v[j];
-        p[j] = {((double)m[0] * x[0] + (double)m[1] * x[1] + (double)m[2] * x[2] + m[3]) / ((double)camera[12] * s.scale),
-                ((double)m[4] * x[0] + (double)m[5] * x[1] + (double)m[6] * x[2] + m[7]) / ((double)camera[13] * s.scale),
-                (double)m[8] * x[0] + (double)m[9] * x[1] + (double)m[10] * x[2] + m[11]};
+        p[j] = make_float3((m[0] * x[0] + m[1] * x[1] + m[2] * x[2] + m[3]) * pixel.x,
+                           (m[4] * x[0] + m[5] * x[1] + m[6] * x[2] + m[7]) * pixel.y,
+                           m[8] * x[0] + m[9] * x[1] + m[10] * x[2] + m[11]);
     }
-    // planes over the ray of 1/z and of the barycentrics of vertices 1 and 2 over z, with a common factor
-    Point n = cross(p[1] - p[0], p[2] - p[0]), second = cross(p[2], p[0]), third = cross(p[0], p[1]);
-    float per_nearness = (float)(1. / (n.x * ray.x + n.y * ray.y + n.z));
-    float b1 = clamp((float)(second.x * ray.x + second.y * ray.y + second.z) * per_nearness, 0.f, 1.f);
-    float b2 = clamp((float)(third.x * ray.x + third.y * ray.y + third.z) * per_nearness, 0.f, 1.f);
-
-    double length = sqrt(n.x * n.x + n.y * n.y + n.z * n.z);
-    double scale = length > 0. ? (n.x * p[0].x + n.y * p[0].y + n.z * p[0].z > 0. ? -1. : 1.) / length : 0.;
-    float3 flat = to_world(camera, (float)(n.x * scale), (float)(n.y * scale), (float)(n.z * scale));
+    // where the ray meets the plane, from corner 0, and its barycentrics (differences first: they keep their digits)
+    float3 to1 = p[1] - p[0], to2 = p[2] - p[0], n = cross(to1, to2);
+    float per_plane = 1.f / dot(n, ray.inside), z = dot(n, p[0]) * per_plane, per_area2 = 1.f / fmaxf(dot(n, n), 1e-38f);
+    float3 along1 = cross(to2, n) * per_area2, along2 = cross(n, to1) * per_area2;
+    float3 way = ray.inside * z - p[0];
+    float b1 = clamp(dot(way, along1), 0.f, 1.f), b2 = clamp(dot(way, along2), 0.f, 1.f);
+    float3 flat = unit(n) * (dot(n, p[0]) > 0.f ? -1.f : 1.f);
+    flat = to_world(camera, flat.x, flat.y, flat.z);
     float3 corner[3];
     for (int j = 0; j < 3; j++) {
         if (h.place.group >= 0)
@@ -201,21 +197,20 @@ __device__ Surface shade_hit(const Shade& f, int view, u32 word, const Ray& ray)
     int texture = f.triangle_textures ? f.triangle_textures[h.number] : -1;
     if (texture >= 0) {
         const Level* levels = f.levels + f.first_level[texture];
-        float2 start = f.uv[v[0]], to1 = f.uv[v[1]], to2 = f.uv[v[2]];
-        to1.x -= start.x, to1.y -= start.y, to2.x -= start.x, to2.y -= start.y;
-        float2 way = make_float2(b1 * to1.x + b2 * to2.x, b1 * to1.y + b2 * to2.y);
-        float2 uv = make_float2(start.x - floorf(start.x) + way.x, start.y - floorf(start.y) + way.y);
-        // the level of detail fits the pixel's longer side on the texture (Williams 1983); (s / w)' = (s' - (s / w) w') / w
+        float2 start = f.uv[v[0]], uv1 = f.uv[v[1]], uv2 = f.uv[v[2]];
+        uv1.x -= start.x, uv1.y -= start.y, uv2.x -= start.x, uv2.y -= start.y;
+        float2 uv = make_float2(start.x - floorf(start.x) + b1 * uv1.x + b2 * uv2.x,
+                                start.y - floorf(start.y) + b1 * uv1.y + b2 * uv2.y);
+        // the level of detail fits the pixel's longer side on the texture (Williams 1983)
         float largest = 0.f;
         for (int axis = 0; axis < 2; axis++) {
-            double pixel = (f.samples == 4 ? 2. : 1.) / ((double)camera[12 + axis] * s.scale);
-            float w = (float)((axis ? n.y : n.x) * pixel);
-            float d1 = (float)((axis ? second.y : second.x) * pixel), d2 = (float)((axis ? third.y : third.x) * pixel);
-            float u_step = (to1.x * d1 + to2.x * d2 - way.x * w) * levels[0].width;
-            float v_step = (to1.y * d1 + to2.y * d2 - way.y * w) * levels[0].height;
+            float size = (axis ? pixel.y : pixel.x) * (f.samples == 4 ? 2.f : 1.f) * z;
+            float3 step = ray.inside * (-(axis ? n.y : n.x) * per_plane);  // from pixel to pixel on the plane, over z
+            if (axis) step.y += 1.f; else step.x += 1.f;
+            float d1 = dot(step, along1) * size, d2 = dot(step, along2) * size;
+            float u_step = (d1 * uv1.x + d2 * uv2.x) * levels[0].width, v_step = (d1 * uv1.y + d2 * uv2.y) * levels[0].height;
             largest = fmaxf(largest, u_step * u_step + v_step * v_step);
         }
-        largest *= per_nearness * per_nearness;
         float detail = clamp(fmaf((float)bits(largest), 0.5f / (1 << 23), -63.5f), 0.f, (float)levels[0].following);
         int base = (int)(detail + ONE_LEVEL);
         float3 color = bilinear(f.texels, levels[base], uv);
@@ -240,7 +235,7 @@ __device__ __forceinline__ float light_left(const Shade& f, int local, int x, in
         for (int right = 0; right < 2; right++) {
             int row = (y + down) / 2, column = (x + right) / 2;
             if (row >= f.coarse_height || column >= f.coarse_width) continue;
-            size_t at = ((size_t)local * f.coarse_height + row) * f.coarse_width + column;
+            u32 at = ((u32)local * f.coarse_height + row) * f.coarse_width + column;
             float4 surface = f.surfaces[at];
             float expected = surface.w + surface.x * 0.5f * (x - 2 * column) + surface.y * 0.5f * (y - 2 * row);
             float weight = fmaxf(1.f - fabsf(near - expected) * surface.z, 0.f);
@@ -252,46 +247,55 @@ __device__ __forceinline__ float light_left(const Shade& f, int local, int x, in
 
 __device__ __forceinline__ float inverse_or_zero(float z) { return z > 0.f ? 1.f / z : 0.f; }
 
-extern "C" __global__ void __launch_bounds__(256) shade(Shade f) {
+// Ids of what is seen; the pictures have the size of `words`.
+extern "C" __global__ void __launch_bounds__(256) identify(Shade f) {
+    const World& s = f.world;
+    u32 pixel = blockIdx.x * blockDim.x + threadIdx.x, size = s.width * s.height;
+    if (pixel >= size * s.views) return;
+    u32 word = f.words[pixel];
+    int instance = -1, triangle = -1, semantic = -1;
+    if (word != NOTHING) {
+        const Scene& scene = s.scenes[s.scene_of_world[s.world_of_view[s.first_view + pixel / size]]];
+        int item = scene.first_item + (word >> 11);
+        int number = (bits(s.items[item].center.w) + ((word >> 6) & 31)) * CLUSTER_TRIANGLES + (word & 63);
+        instance = s.places[item].instance;
+        if (instance < 0) instance = f.triangle_instances[number];
+        if (f.triangle) triangle = f.triangle_faces[number];
+        if (f.semantic) semantic = f.semantic_ids[scene.first_instance + instance];
+    }
+    if (f.instance) f.instance[pixel] = instance;
+    if (f.semantic) f.semantic[pixel] = semantic;
+    if (f.triangle) f.triangle[pixel] = triangle;
+}
+
+extern "C" __global__ void __launch_bounds__(256, 3) shade(Shade f) {
     const World& s = f.world;
     int factor = f.samples == 4 ? 2 : 1, width = s.width / factor, height = s.height / factor;
-    size_t pixel = (size_t)blockIdx.x * blockDim.x + threadIdx.x;
-    if (pixel >= (size_t)s.views * width * height) return;
-    int x = pixel % width, y = pixel / width % height, local = pixel / ((size_t)width * height);
+    u32 pixel = blockIdx.x * blockDim.x + threadIdx.x, row = pixel / width;
+    if (pixel >= (u32)s.views * width * height) return;
+    int x = pixel - row * width, local = row / height, y = row - local * height;
     int view = s.first_view + local;
     const float* camera = s.cameras + CAMERA_WORDS * (size_t)view;
-    size_t fine = ((size_t)local * s.height + y * factor) * s.width + x * factor;
+    u32 fine = ((u32)local * s.height + y * factor) * s.width + x * factor;
     u32 word = f.words[fine];
-    if (f.instance || f.semantic || f.triangle) {
-        int instance = -1, triangle = -1, semantic = -1;
-        if (word != NOTHING) {
-            Hit h = hit_of(s, s.world_of_view[view], word);
-            instance = h.place.instance < 0 ? f.triangle_instances[h.number] : h.place.instance;
-            triangle = f.triangle_faces[h.number];
-            semantic = f.semantic_ids[h.scene.first_instance + instance];
-        }
-        if (f.instance) f.instance[pixel] = instance;
-        if (f.semantic) f.semantic[pixel] = semantic;
-        if (f.triangle) f.triangle[pixel] = triangle;
-    }
-    if (!f.normal && !f.rgb) return;
     const float levels_per_light = TONE_SIZE / TONE_LIMIT;
+    const float2 pixel_at_1 = pixel_size(camera, s.scale);
     bool mixed = false;
     if (factor == 2)
         mixed = word != f.words[fine + 1] || word != f.words[fine + s.width] || word != f.words[fine + s.width + 1];
     int level[3] = {0, 0, 0};
     for (int k = 0; k < (mixed ? 4 : 1); k++) {
-        size_t at = fine + (k & 1) + (size_t)(k >> 1) * s.width;
-        double middle = mixed ? 0.5 : 0.5 * factor;
-        Ray ray = ray_at(camera, s.scale, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
+        u32 at = fine + (k & 1) + (k >> 1) * s.width;
+        float middle = mixed ? 0.5f : 0.5f * factor;
+        Ray ray = ray_at(camera, s.scale, pixel_at_1, x * factor + (k & 1) + middle, y * factor + (k >> 1) + middle);
         u32 seen = f.words[at];
         Surface surface = {make_float3(0, 0, 0), make_float3(0, 0, 0)};
         if (seen != NOTHING)
-            surface = shade_hit(f, view, seen, ray);
+            surface = shade_hit(f, view, seen, ray, pixel_at_1);
         else if (f.rgb)
             surface.color = sky(f.light, ray);
         if (f.normal) {
-            float* out = f.normal + 3 * pixel;
+            float* out = f.normal + 3 * (size_t)pixel;
             out[0] = surface.normal.x, out[1] = surface.normal.y, out[2] = surface.normal.z;
         }
         if (!f.rgb) continue;
@@ -303,5 +307,5 @@ extern "C" __global__ void __launch_bounds__(256) shade(Shade f) {
         }
     }
     if (f.rgb)
-        for (int a = 0; a < 3; a++) f.rgb[3 * pixel + a] = f.byte_of_level[mixed ? level[a] >> 2 : level[a]];
+        for (int a = 0; a < 3; a++) f.rgb[3 * (size_t)pixel + a] = f.byte_of_level[mixed ? level[a] >> 2 : level[a]];
 }

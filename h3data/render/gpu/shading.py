@@ -61,6 +61,10 @@ class Shader:
         shade.fill(world=world, depth=depth, words=words, samples=samples, strength=0.0)
         for name in ("instance", "semantic", "triangle", "normal", "rgb"):
             setattr(shade, name, results[name].data_ptr() if name in results else None)
+        if any(name in results for name in ("instance", "semantic", "triangle")):
+            program.launch("identify", -(-words.numel() // _THREADS), _THREADS, shade)
+        if "rgb" not in results and "normal" not in results:
+            return
         kept: tuple[torch.Tensor, ...] = ()
         if "rgb" in results and self.strength > 0:
             kept = self._occlude(program, world, depth, factor=4 if samples == 4 else 2)
