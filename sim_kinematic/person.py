@@ -163,7 +163,7 @@ class Person:
             turned = way * min(k / steps, 1.0)
             blend = min(0.5 + k / fade, 1.0) if k <= steps else 1 - (k - steps) / fade
             self.base[3:] = quat_from_heading(start + turned)
-            self._play(clip, first + turned / per_cycle, blend)
+            self.play(clip, first + turned / per_cycle, blend)
             yield
         return SkillResult(success=True)
 
@@ -188,7 +188,7 @@ class Person:
                 floor = float(self.base[1])
                 self.base = ground_pose(state.human_xz[0], state.human_heading[0], floor)
                 phase = walk.start_phase + (state.human_distance[0] - state.human_set_off[0]) / walk.stride_m
-                self._play(clip, float(phase), float(state.human_blend[0]))
+                self.play(clip, float(phase), float(state.human_blend[0]))
                 yield
                 if state.human_blend[0] == 0:
                     break
@@ -296,9 +296,10 @@ class Person:
         return reach_poses(self.body, np.concatenate(points), hand, trunk=trunk, arm=arm), way
 
     def _stand(self) -> None:
-        self._play(0, 0.0, 1.0)
+        self.play(0, 0.0, 1.0)
 
-    def _play(self, clip: int, phase: float, blend: float) -> None:
+    def play(self, clip: int, phase: float, blend: float) -> None:
+        """Take the pose of a clip at a phase (0..1), blended with standing; hands that hold something keep carrying it."""
         quats, pelvis = self.body.clip_pose([clip], [phase], [blend])
         self._pose(quats[0], pelvis[0], None)
 

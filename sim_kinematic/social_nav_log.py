@@ -159,7 +159,7 @@ class EpisodeLog:
 def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> RecordingHeader:
     """What is known before the first step: who and what is there, under which rules."""
     scene, spec, starts = world.scene, world.spec, world.starts
-    file, digest = _scene_file(scene)
+    file, digest = scene_attachment(scene)
     bodies = tuple(
         Body(
             name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
@@ -205,7 +205,7 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
 
 
 @lru_cache(maxsize=4)
-def _scene_file(scene: Scene) -> tuple[bytes, str]:
+def scene_attachment(scene: Scene) -> tuple[bytes, str]:
     """The scene file and its digest: the same for all episodes in this home."""
     buffer = io.BytesIO()
     save_scene(scene, buffer)
