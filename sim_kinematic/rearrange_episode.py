@@ -1,0 +1,268 @@
+"""Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
+(paper section 4.2; spec/habitat.md 2.1, 2.2).
+
+Everything follows from the seed. An episode is drawn again until both agents can get at every object and every goal, and
+a person alone could do the work in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.errors import InputError, SceneError
+from h3data.geometry import Array, quat_from_heading
+from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from sim_kinematic.contact import clear_of_furniture
+from sim_kinematic.randomness import generator
+from sim_kinematic.social_nav import Starts, draw_starts
+from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.stands import nearest_stand, person_stands, robot_stands
+
+ATTEMPTS = 120
+REDRAW = 10
+"""After so many attempts the starts are drawn anew as well."""
+LIFT_M = 0.001
+"""Things float this much over their surface, so that a collision check does not call them stuck in it."""
+HANDLING_S = 8.0
+"""What a person is taken to need for one object, beside the way: turning, picking, turning, placing."""
+SPARE = 0.95
+"""Share of the longest duration in which that estimate must fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardSpec:
+    """What the robot's learner gets (paper appendix, social rearrangement)."""
+
+    success: float = 10.0
+    subgoal: float = 5.0
+    """For each object: once when it is picked, once when it is at its goal."""
+    collision: float = 5.0
+    slack: float = 0.005
+
+
+REWARDS = {"paper": RewardSpec(), "habitat": RewardSpec(collision=0.5, slack=0.0005)}
+"""``habitat``: the numbers of its configuration, which differ from the paper's (spec/habitat.md 2.1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RearrangeSpec:
+    """Rules of social rearrangement."""
+
+    max_steps: int = 750
+    objects: int = 2
+    at_goal_m: float = 0.3
+    """An object this near to its goal in space is at it (``object_at``)."""
+    grip_m: float = 0.15
+    """A robot's hand takes hold of what is at most this far from it."""
+    spawn_distance_m: float = 5.0
+    carry_m: float = 2.0
+    """Least distance on the floor from an object to its goal."""
+    open_m: float = 0.35
+    """Free height that makes a receptacle an open one."""
+    object_radius_m: float = 0.12
+    """Things with a larger circumscribed circle on the floor plane stay where they are."""
+    near_m: tuple[float, float] = (2.0, 1.5)
+    """Half axes, ahead and aside, of the ellipse in which the other agent may interrupt a skill."""
+    arm_rad_s: float = 8.0
+    """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
+    end_on_collision: bool = True
+    reward: str = "paper"
+    """Which of `REWARDS`."""
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    robot: BaseSpec = BaseSpec()
+    human: WalkerSpec = WalkerSpec()
+
+    def __post_init__(self) -> None:
+        if self.reward not in REWARDS:
+            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REWARDS)}.")
+        if self.max_steps < 1 or self.objects < 1:
+            raise InputError(
+                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."
+            )
+
+
+class Target(NamedTuple):
+    """One object and where it is to go."""
+
+    name: str
+    """Of the instance in the scene."""
+    start: Array
+    """pose7 in the world at the beginning."""
+    goal: Array
+    """Where its origin should come to be, shape [3] [m]."""
+    source: str
+    """The receptacle it lies on, ``instance|receptacle``."""
+    destination: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RearrangeWorld:
+    """The unchanging half of an episode: home, map, bodies, objects and goals, rules, seed."""
+
+    scene: Scene
+    free: FreeSpace
+    seed: int
+    spec: RearrangeSpec
+    robot: Robot
+    human: Humanoid
+    starts: Starts
+    targets: tuple[Target, ...]
+    human_name: str
+    robot_name: str
+
+    @classmethod
+    def create(
+        cls, scene: Scene, *, seed: int, spec: RearrangeSpec | None = None, free: FreeSpace | None = None,
+        human: str = "female_0", robot: str = "quad_arm",
+    ) -> RearrangeWorld:  # fmt: skip
+        """The episode that ``seed`` draws in ``scene``; ``free`` saves building the map again.
+
+        Raises:
+            SceneError: the scene has too few movable things, receptacles in reach, or places to start.
+        """
+        spec = spec or RearrangeSpec()
+        free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
+        bodies = load_robot(robot), load_humanoid(human)
+        starts, targets = draw_episode(scene, free, seed, spec, *bodies)
+        return cls(
+            scene=scene, free=free, seed=seed, spec=spec, robot=bodies[0], human=bodies[1], starts=starts,
+            targets=targets, human_name=human, robot_name=robot,
+        )  # fmt: skip
+
+
+def draw_episode(
+    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, robot: Robot, human: Humanoid
+) -> tuple[Starts, tuple[Target, ...]]:
+    """Starts, objects and goals of the episode with this seed."""
+    rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
+    clear = clear_of_furniture(scene, robot)
+    movable = _movable(scene, spec)
+    surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m]
+    if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
+        raise SceneError(
+            f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
+            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles."
+        )
+    draw = _Draw(scene, free, spec, robot, human, surfaces)
+    budget = SPARE * spec.max_steps * STEP_S
+    leg = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps / (2 * spec.objects)
+    why = "none could be placed"
+    for attempt in range(ATTEMPTS):
+        rng = generator(seed, "rearrange", step=attempt)
+        if attempt % REDRAW == 0:
+            starts = draw_starts(free, int(rng.integers(2**63)), rules, stands_free=clear)
+        chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
+        # in large homes most errands are too long: later attempts look nearby
+        targets = draw.targets(rng, chosen, starts.human_xz, np.inf if attempt < REDRAW else leg)
+        if targets is None:
+            continue
+        seconds = draw.seconds_alone(starts, targets)
+        if seconds <= budget:
+            return starts, targets
+        why = f"a person alone would take about {seconds:.0f} s"
+    raise SceneError(
+        f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in {ATTEMPTS} attempts "
+        f"({why}). Hint: a larger --max-steps, or another home."
+    )
+
+
+def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
+    return [
+        i
+        for i in scene.instances
+        if i.motion == "kinematic"
+        and len(scene.assets[i.asset].mesh.vertices)
+        and _extent(scene, i)[0] <= spec.object_radius_m
+    ]
+
+
+def _extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
+    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
+    return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Draw:
+    scene: Scene
+    free: FreeSpace
+    spec: RearrangeSpec
+    robot: Robot
+    human: Humanoid
+    surfaces: list[tuple[Instance, Receptacle]]
+
+    def targets(
+        self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float
+    ) -> tuple[Target, ...] | None:
+        """A start and a goal for each of the chosen things, each within ``within_m`` of the place before, or None."""
+        names = {i.name for i in chosen}
+        taken = [
+            (i.pose[:3], _extent(self.scene, i)[0])
+            for i in self.scene.instances
+            if i.motion == "kinematic" and i.name not in names
+        ]
+        found = []
+        for thing in chosen:
+            start = self._place(rng, thing, taken, here, within_m)
+            goal = self._place(rng, thing, taken, start[0][[0, 2]], within_m, start) if start is not None else None
+            if start is None or goal is None:
+                return None
+            here = goal[0][[0, 2]]
+            turned = np.concatenate([start[0], quat_from_heading(rng.uniform(-np.pi, np.pi))])
+            found.append(Target(thing.name, turned, goal[0], start[1], goal[1]))
+        return tuple(found)
+
+    def _place(
+        self, rng: np.random.Generator, thing: Instance, taken: list[tuple[NDArray, float]], here: Array,
+        within_m: float, away_from: tuple[Array, str] | None = None,
+    ) -> tuple[Array, str] | None:  # fmt: skip
+        """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
+        radius, low, high = _extent(self.scene, thing)
+        near = [k for k in rng.permutation(len(self.surfaces)) if self._way(k, here) <= within_m]
+        for k in near[:12]:
+            instance, receptacle = self.surfaces[k]
+            size = receptacle.half_size * np.abs(instance.scale[[0, 2]]) - radius
+            local = rng.uniform(-1, 1, 2)
+            if size.min() < 0 or high - low + 0.05 > receptacle.clearance_m:
+                continue
+            x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
+            spot = instance_matrix(instance) @ np.append(receptacle.center + [x, 0, z], 1.0)
+            point = spot[:3] + [0, LIFT_M - low, 0]
+            if away_from is not None:
+                if instance.name == away_from[1].partition("|")[0]:
+                    continue
+                if np.hypot(*(point - away_from[0])[[0, 2]]) < self.spec.carry_m:
+                    continue
+            if any(np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken):
+                continue
+            if not len(person_stands(self.free, self.human, point)) or not len(
+                robot_stands(self.free, self.robot, self.spec.robot, point)
+            ):
+                continue
+            taken.append((point, radius))
+            return point, f"{instance.name}|{receptacle.name}"
+        return None
+
+    def _way(self, surface: int, here: Array) -> float:
+        """Distance on the floor [m] from ``here`` to the middle of a surface."""
+        instance, receptacle = self.surfaces[surface]
+        return float(np.hypot(*((instance_matrix(instance) @ np.append(receptacle.center, 1.0))[[0, 2]] - here)))
+
+    def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
+        """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
+        here, way = starts.human_xz, 0.0
+        for target in targets:
+            for point in (target.start[:3], target.goal):
+                stands = person_stands(self.free, self.human, point)
+                k, length = nearest_stand(self.free, stands, here)
+                if not np.isfinite(length):
+                    return np.inf
+                here, way = stands[k, :2], way + length
+        return way / self.spec.human.speed_mps + HANDLING_S * len(targets)
+

@@ -1,0 +1,403 @@
+"""What a task's agents can be told to do: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+
+A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
+pre-conditions are checked; an infeasible one is a no-op that is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot, solve_ik
+from h3data.errors import InputError
+from h3data.geometry import (
+    Array,
+    ground_pose,
+    heading_from_quat,
+    pose_from_matrix,
+    pose_inverse,
+    pose_multiply,
+    wrap_angle,
+)
+from h3data.scene import FreeSpace
+from sim_kinematic.avoidance import keep_clear
+from sim_kinematic.person import Person, SkillResult
+from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.stands import hand_turn, nearest_stand, person_stands, robot_stands
+from sim_kinematic.state import HUMAN, NOBODY, ROBOT, WorldState
+from sim_kinematic.step import drive_robots, walk_humans
+from sim_kinematic.waypoint_human import sharp_corners
+
+SKILLS = (
+    "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
+)  # fmt: skip
+PRIMITIVES = {"move_forward": (1.0, 0.0, 4), "move_backward": (-1.0, 0.0, 4), "turn_left": (0.0, 1.0, 2), "turn_right": (0.0, -1.0, 2)}
+"""Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
+STUCK_STEPS = 60
+"""A base that has not come nearer to where it wants to be for so long gives up."""
+ARRIVED_M, FACING_RAD = 0.06, 0.05
+APPROACH_M = 0.1
+"""The robot's hand comes to an object from so far above it and lifts it as high."""
+
+
+class Action(NamedTuple):
+    """What a high-level policy chooses."""
+
+    skill: str
+    target: int = -1
+    """Index of the object (or of the object whose goal it is) of the skills that have one."""
+    steps: int = 30
+    """How long ``wait`` waits."""
+
+
+class Ending(NamedTuple):
+    """How a skill ended."""
+
+    outcome: Literal["done", "failed", "aborted"]
+    reason: str = ""
+
+
+Skill = Generator[None, None, Ending]
+
+
+class Actor(Protocol):
+    """Somebody with skills."""
+
+    def infeasible(self, action: Action) -> str:
+        """Why a skill cannot start now; empty: it can."""
+        ...
+
+    def start(self, action: Action) -> Skill: ...
+
+    def idle(self) -> None:
+        """One step of doing nothing."""
+        ...
+
+
+@dataclass(eq=False)
+class Objects:
+    """The objects of the task, shared by all actors."""
+
+    names: tuple[str, ...]
+    goals: NDArray[np.float64]
+    """Shape [K, 3] [m]."""
+    state: WorldState
+    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7]."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """pose7 [K, 7] in the world; a view."""
+        return self.state.object_pose[0]
+
+    @property
+    def held_by(self) -> NDArray[np.int64]:
+        """Agent that holds each, [K]; a view."""
+        return self.state.held_by[0]
+
+    def held(self, agent: int) -> int:
+        """Index of what an agent holds, -1 = nothing."""
+        found = np.flatnonzero(self.held_by == agent)
+        return int(found[0]) if len(found) else -1
+
+    def why_not(self, agent: int, action: Action) -> str:
+        """The pre-conditions that both kinds of actors share."""
+        skill, k = action.skill, action.target
+        if skill not in SKILLS:
+            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILLS)}.")
+        if skill in SKILLS[:4] and not 0 <= k < len(self.names):
+            raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")
+        if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
+            return "held_by_other"
+        if skill == "nav_to_object" and self.held_by[k] == agent:
+            return "already_held"
+        if skill == "pick" and self.held(agent) >= 0:
+            return "hand_full"
+        if skill == "place" and self.held_by[k] != agent:
+            return "not_held"
+        return ""
+
+
+@dataclass(eq=False)
+class RobotActor:
+    """A robot with an arm. It moves ``objects.state``."""
+
+    robot: Robot
+    free: FreeSpace
+    base: BaseSpec
+    objects: Objects
+    grip_m: float
+    arm_rad_s: float
+    avoids: bool = True
+    """Whether its base keeps clear of the person (`keep_clear`), whatever the skill."""
+    person_xz: NDArray = field(default_factory=lambda: np.full(2, np.inf))
+    person_velocity: NDArray = field(default_factory=lambda: np.zeros(2))
+    command: tuple[float, float] = (0.0, 0.0)
+    """What the base was last told, -1..1 of the limits."""
+    arm_goal: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.arm_goal = self.robot.rest.copy()
+        self.hand = self.robot.links[self.robot.hand_link].name
+        self._arm = np.flatnonzero(np.arange(len(self.robot.rest)) < 7)
+
+    # --- where it is --------------------------------------------------------------------------------------------------
+    @property
+    def xz(self) -> NDArray:
+        return self.objects.state.robot_xz[0]
+
+    @property
+    def heading(self) -> float:
+        return float(self.objects.state.robot_heading[0])
+
+    @property
+    def joints(self) -> NDArray:
+        return self.objects.state.robot_joints[0]
+
+    @property
+    def pose(self) -> Array:
+        """pose7 of the agent root."""
+        return ground_pose(self.xz, self.heading, self.free.floor_y)
+
+    @property
+    def hand_pose(self) -> Array:
+        """pose7 of the place where the hand holds things, in the world."""
+        frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
+        out = pose_from_matrix(frame)
+        out[:3] += frame[:3, :3] @ self.robot.hand_position
+        return out
+
+    # --- skills -------------------------------------------------------------------------------------------------------
+    def infeasible(self, action: Action) -> str:
+        why = self.objects.why_not(ROBOT, action)
+        if not why and action.skill in ("pick", "place") and self._posture(self._hand_target(action)) is None:
+            return "out_of_reach"
+        return why
+
+    def start(self, action: Action) -> Skill:
+        k = action.target
+        if action.skill in PRIMITIVES:
+            forward, turn, steps = PRIMITIVES[action.skill]
+            return self._move(forward, turn, steps)
+        if action.skill == "wait":
+            return self._move(0.0, 0.0, action.steps)
+        if action.skill.startswith("nav"):
+            return self._navigate(self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k])
+        return self._pick(k) if action.skill == "pick" else self._place(k)
+
+    def idle(self) -> None:
+        self._step(0.0, 0.0)
+
+    def _move(self, forward: float, turn: float, steps: int) -> Skill:
+        for _ in range(steps):
+            self._step(forward, turn)
+            yield
+        return Ending("done")
+
+    def _navigate(self, point: NDArray) -> Skill:
+        """Drive to where the hand reaches a world point [3], and turn to it."""
+        stands = robot_stands(self.free, self.robot, self.base, point)
+        k, left = nearest_stand(self.free, stands, self.xz)
+        if not np.isfinite(left):
+            return Ending("failed", "no_way")
+        goal, best, since = stands[k, :2], left, 0
+        while True:
+            left = float(self.free.geodesic(self.xz, goal, max_snap_m=1.0))
+            towards = goal
+            if left > ARRIVED_M:
+                towards = self.free.next_waypoint(
+                    self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0
+                )
+                towards = goal if np.isnan(towards).any() else towards
+                error = self._error_to(towards)
+                forward = min(left / (self.base.max_speed_mps * STEP_S), 1.0) * max(0.0, np.cos(error)) ** 2
+            else:
+                error, forward = self._error_to(point[[0, 2]]), 0.0
+                if abs(error) < FACING_RAD:
+                    return Ending("done")
+                left = 0.1 * abs(error) - 1.0
+            self._step(forward, float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1)), towards)
+            yield
+            best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
+            if since > STUCK_STEPS:
+                return Ending("failed", "stuck")
+
+    def _pick(self, k: int) -> Skill:
+        over, at = self._reach_line(self._hand_target(Action("pick", k)))
+        for posture in (over, at):
+            yield from self._bring_arm(posture)
+        gap = float(np.linalg.norm(self.hand_pose[:3] - self.objects.poses[k, :3]))
+        if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
+            self.arm_goal = self.robot.rest.copy()
+            return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
+        self.objects.held_by[k] = ROBOT
+        self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
+        yield from self._bring_arm(over)
+        self.arm_goal = self.robot.rest.copy()  # carried there while it drives on
+        return Ending("done")
+
+    def _place(self, k: int) -> Skill:
+        over, at = self._reach_line(self._hand_target(Action("place", k)))
+        for posture in (over, at):
+            yield from self._bring_arm(posture)
+        self.objects.held_by[k] = NOBODY
+        yield from self._bring_arm(over)
+        self.arm_goal = self.robot.rest.copy()
+        return Ending("done")
+
+    # --- how ----------------------------------------------------------------------------------------------------------
+    def _hand_target(self, action: Action) -> Array:
+        """pose7 of the hand's place in the agent root frame for a pick or a place."""
+        k = action.target
+        there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
+        local = pose_multiply(pose_inverse(self.pose), np.append(there, [0, 0, 0, 1.0]))
+        if action.skill == "pick":
+            return np.concatenate([local[:3], hand_turn(self.robot)])
+        grip = self.objects.state.grip_pose[0, k]
+        turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
+        return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
+
+    def _posture(self, hand: Array) -> Array | None:
+        answer = solve_ik(self.robot, self.hand, hand, offset=self.robot.hand_position)
+        return answer.joint_pos if answer.reached else None
+
+    def _reach_line(self, hand: Array) -> tuple[Array, Array]:
+        """Postures over the target and at it."""
+        at = self._posture(hand)
+        assert at is not None, "checked before it starts"
+        over = solve_ik(
+            self.robot, self.hand, hand + [0, APPROACH_M, 0, 0, 0, 0, 0], at, offset=self.robot.hand_position, restarts=0
+        )
+        return over.joint_pos, at
+
+    def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
+        self.arm_goal = posture
+        while np.any(self.joints[self._arm] != posture[self._arm]):
+            self._step(0.0, 0.0, heed=False)
+            yield
+
+    def _error_to(self, xz: NDArray) -> float:
+        dx, dz = xz - self.xz
+        return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
+
+    def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
+        """One step of base and arm; what is held follows."""
+        state = self.objects.state
+        self.command = forward, turn
+        if self.avoids and heed:
+            self.command = keep_clear(
+                self.free, self.base, self.xz.copy(), self.heading, self.command, self.xz if towards is None else towards,
+                self.person_xz, self.person_velocity,
+            )  # fmt: skip
+        drive_robots(state, self.free, np.array([self.command]), self.base)
+        most = self.arm_rad_s * STEP_S
+        way = self.arm_goal[self._arm] - self.joints[self._arm]
+        far = float(np.abs(way).max())
+        self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
+        k = self.objects.held(ROBOT)
+        if k >= 0:
+            self.objects.poses[k] = pose_multiply(self.hand_pose, state.grip_pose[0, k])
+
+
+@dataclass(eq=False)
+class PersonActor:
+    """A person with two hands, of which she uses the right one. She does not give way (as Habitat's planners)."""
+
+    person: Person
+    free: FreeSpace
+    spec: WalkerSpec
+    objects: Objects
+
+    @property
+    def xz(self) -> NDArray:
+        return self.person.base[[0, 2]]
+
+    @property
+    def heading(self) -> float:
+        return float(heading_from_quat(self.person.base[3:]))
+
+    def infeasible(self, action: Action) -> str:
+        if action.skill in PRIMITIVES:
+            return "not_of_a_person"
+        return self.objects.why_not(HUMAN, action)
+
+    def start(self, action: Action) -> Skill:
+        k = action.target
+        if action.skill == "wait":
+            return self._wait(action.steps)
+        if action.skill.startswith("nav"):
+            return self._navigate(self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k])
+        return self._handle(action.skill == "pick", k)
+
+    def idle(self) -> None:
+        pass
+
+    def _wait(self, steps: int) -> Skill:
+        for _ in range(steps):
+            yield
+        return Ending("done")
+
+    def _navigate(self, point: NDArray) -> Skill:
+        """Walk to where the hand reaches a world point [3], and turn to it."""
+        stands = person_stands(self.free, self.person.body, point)
+        k, left = nearest_stand(self.free, stands, self.xz)
+        if not np.isfinite(left):
+            return Ending("failed", "no_way")
+        for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
+            self._follow()
+            yield
+        for _ in self.person.turn(float(stands[k, 2])):
+            self._follow()
+            yield
+        return Ending("done")
+
+    def _walk(self, path: NDArray) -> Generator[object, None, None]:
+        """Walk along floor points [N, 2] without stopping at them, turning on the spot where they turn (paper 3.1)."""
+        person, state = self.person, WorldState.zeros(1)
+        if len(path):
+            dx, dz = path[0] - self.xz
+            yield from person.turn(float(np.arctan2(-dz, dx)))
+        state.human_xz[0], state.human_heading[0] = self.xz, self.heading
+        clip = person.body.clip_for_speed(self.spec.speed_mps)
+        walk, k = person.body.clips[clip], 0
+        while k < len(path):
+            walk_humans(state, path[k][None], self.spec)
+            person.base = ground_pose(state.human_xz[0], state.human_heading[0], self.free.floor_y)
+            phase = walk.start_phase + (state.human_distance[0] - state.human_set_off[0]) / walk.stride_m
+            person.play(clip, float(phase), float(state.human_blend[0]))
+            yield
+            there = np.hypot(*(path[k] - state.human_xz[0])) <= self.spec.arrive_m
+            k += there and (k + 1 < len(path) or state.human_blend[0] == 0)
+
+    def _handle(self, picks: bool, k: int) -> Skill:
+        """Pick or place with the right hand; objects change hands in the step in which the hand is there."""
+        name = self.objects.names[k]
+        self.person.objects[name] = self.objects.poses[k].copy()
+        skill = self.person.pick(name) if picks else self.person.place(self.objects.goals[k])
+        result = SkillResult(success=False)
+        while True:
+            try:
+                next(skill)
+            except StopIteration as end:
+                result = end.value
+                break
+            self._follow()
+            if picks and "right" not in self.person.held:  # it may go away under her hand
+                self.person.objects[name] = self.objects.poses[k].copy()
+            yield
+        return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+
+    def _follow(self) -> None:
+        """Tell the others what the hand holds."""
+        held = self.person.held.get("right")
+        for k, name in enumerate(self.objects.names):
+            if held is not None and held.name == name:
+                self.objects.held_by[k] = HUMAN
+                self.objects.poses[k] = self.person.objects[name]
+            elif self.objects.held_by[k] == HUMAN:
+                self.objects.held_by[k] = NOBODY
+                self.objects.poses[k] = self.person.objects[name]

@@ -1,0 +1,94 @@
+"""Where to stand so that something is within reach: places on the free floor round a point, with the heading to take there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Humanoid, Robot, solve_ik
+from h3data.bodies.reach import Hand, reacher
+from h3data.geometry import Array, quat_from_matrix
+from h3data.scene import FreeSpace
+from sim_kinematic.spec import BaseSpec
+from sim_kinematic.step import least_clearance
+
+BEARINGS = 24
+"""Directions from which a point is approached."""
+PERSON_DISTANCES_M = tuple(0.25 + 0.05 * k for k in range(13))
+ROBOT_DISTANCES_M = tuple(0.55 + 0.05 * k for k in range(11))
+HAND_SIDE_RAD = 0.25
+"""A person stands so that the point is this far to the side of the hand that takes it."""
+HAND_PITCH_RAD = -0.6
+"""A robot's hand points this far below the horizon when it picks and places, always the same: so what it took standing
+stands again where it is put."""
+SWAY_M = 0.015
+"""A person's distances count when the point is reached from this much nearer and farther as well."""
+ROOM_M = 0.02
+"""Free way that a robot's base has round it where it stands."""
+
+
+def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right") -> Array:
+    """Stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on the largest island."""
+    point = np.asarray(point, np.float64)
+    side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
+    distances = np.array(PERSON_DISTANCES_M)
+    height = point[1] - free.floor_y
+    fine = np.ones(len(distances), np.bool_)
+    for sway in (-SWAY_M, 0.0, SWAY_M):
+        d = distances + sway
+        fine &= reacher(body, hand).reachable(
+            np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
+        )
+    return _on_island(free, _ring(point, distances[fine], side))
+
+
+def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike) -> Array:
+    """Stands ``(x, z, heading)`` [N, 3] from which a robot's hand, pitched by `HAND_PITCH_RAD`, reaches a world point [3]
+    [m]: where its base can turn round, or, if there is no such place, where it is clear of obstacles at the stand."""
+    point = np.asarray(point, np.float64)
+    distances = np.array(ROBOT_DISTANCES_M)
+    targets = np.zeros((len(distances), 7))
+    targets[:, 0], targets[:, 1], targets[:, 3:] = distances, point[1] - free.floor_y, hand_turn(robot)
+    answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
+    stands = _on_island(free, _ring(point, distances[answer.reached], 0.0))
+    if turning_room(free, base, stands).any():
+        return stands[turning_room(free, base, stands)]
+    offsets = np.array([*base.disc_offsets_m, -max(base.disc_offsets_m)])
+    room = base.disc_radius_m + ROOM_M
+    clear = [least_clearance(free.sdf, free.origin, free.cell_m, *stand, offsets) >= room for stand in stands]
+    return stands[np.array(clear, np.bool_)] if len(stands) else stands
+
+
+def hand_turn(robot: Robot) -> Array:
+    """Rotation (quaternion) of the hand's link in the agent root frame when it picks and places: pitched, not rolled."""
+    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    return quat_from_matrix(np.stack([ahead, np.cross(up, ahead), up], axis=1))
+
+
+def turning_room(free: FreeSpace, base: BaseSpec, stands: Array) -> NDArray[np.bool_]:
+    """Where [N] a robot's base can turn all the way round."""
+    reach = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m
+    return free.signed_distance(stands[:, :2]) >= reach
+
+
+def nearest_stand(free: FreeSpace, stands: Array, start_xz: ArrayLike) -> tuple[int, float]:
+    """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to."""
+    if not len(stands):
+        return -1, np.inf
+    ways = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
+    best = int(np.argmin(ways))
+    return best, float(ways[best])
+
+
+def _ring(point: Array, distances: Array, side: float) -> Array:
+    """Places [D * BEARINGS, 3] round a point; the heading looks ``side`` [rad] to the left of it."""
+    angle, distance = np.meshgrid(np.arange(BEARINGS) * (2 * np.pi / BEARINGS), distances)
+    angle, distance = angle.ravel(), distance.ravel()
+    x, z = point[0] - distance * np.cos(angle), point[2] + distance * np.sin(angle)
+    return np.stack([x, z, angle + side], axis=1)
+
+
+def _on_island(free: FreeSpace, stands: Array) -> Array:
+    island: NDArray[np.int32] = free.island(stands[:, :2])
+    return stands[island == 0]
