@@ -1,0 +1,139 @@
+"""Cameras on the robot: the picture is that of a replay, worlds do not mix, the detector sees the person."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.replay import Replay, camera_track
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from sim_kinematic.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.sensors import detect_humanoids
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.state import WorldState
+
+ARM = CameraSensor(outputs=("depth", "semantic", "instance"))
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=1))
+
+
+@pytest.fixture(scope="module")
+def bodies() -> tuple[Robot, Humanoid]:
+    return load_robot("quad_arm"), load_humanoid("female_0")
+
+
+def facing_each_other(home: Scene, worlds: int, apart: float = 1.6) -> WorldState:
+    """The person stands ``apart`` metres ahead of the robot, in the middle of different free places."""
+    free = FreeSpace.from_scene(home)
+    rng = np.random.default_rng(0)
+    state = WorldState.zeros(worlds)
+    w = 0
+    while w < worlds:
+        (xz,), heading = free.sample(rng, 1), rng.uniform(-np.pi, np.pi)
+        ahead = xz + apart * np.array([np.cos(heading), -np.sin(heading)])
+        if free.geodesic(xz, ahead) < apart + 1e-9:
+            state.robot_xz[w], state.robot_heading[w] = xz, heading
+            state.human_xz[w], state.human_heading[w] = ahead, heading + np.pi
+            w += 1
+    return state
+
+
+def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    robot, human = bodies
+    world = SocialNavWorld.create(home, seed=3, spec=SocialNavSpec(max_steps=60))
+    recording = simulate_social_nav(world)
+    replay = Replay(recording)
+    drawn = StateRenderer(home, robot, human)
+    state, step = WorldState.zeros(1), len(recording) - 1
+    base, person = recording.columns["agent_0.base_pose"][step], recording.columns["agent_1.base_pose"][step]
+    for pose, xz, heading in (
+        (base, state.robot_xz, state.robot_heading), (person, state.human_xz, state.human_heading),
+    ):  # fmt: skip
+        xz[0] = pose[[0, 2]]
+        heading[0] = 2 * np.arctan2(pose[4], pose[6])
+    clip = human.clips[human.clip_for_speed(2.5)]
+    phase = float(recording.columns["agent_1.motion_phase"][step])
+    state.human_distance[0] = (phase - clip.start_phase) * clip.stride_m
+    state.human_blend[0] = recording.columns["agent_1.motion_blend"][step]
+    drawn.pose(state, floor_y=float(base[1]))
+    ours = ARM.observe(drawn)
+    ((_, (theirs,)),) = replay.frames([camera_track(replay, "robot_arm")], [step], outputs=("depth", "semantic"))
+    assert (np.abs(ours["depth"][0] - theirs["depth"]) < 1e-4).mean() > 0.999
+    assert (ours["semantic"][0] == theirs["semantic"]).mean() > 0.999
+
+
+def test_the_detector_sees_who_stands_ahead(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    drawn = StateRenderer(home, *bodies, worlds=3)
+    state = facing_each_other(home, 3)
+    state.human_xz[2] = [50.0, 50.0]
+    drawn.pose(state)
+    seen = ARM.observe(drawn)
+    assert seen["depth"].shape == (3, 171, 224)
+    said = detect_humanoids(seen["semantic"])
+    assert said.found.tolist() == [1.0, 1.0, 0.0]
+    np.testing.assert_array_equal(said.mask, detect_humanoids(seen["instance"], drawn.human_instances).mask)
+    depth = np.where(said.mask[0] > 0, seen["depth"][0], np.inf).min()
+    assert 0.4 < depth < 1.6
+
+
+def test_worlds_do_not_mix(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    state = facing_each_other(home, 3)
+    many = StateRenderer(home, *bodies, worlds=3)
+    many.pose(state)
+    together = ARM.observe(many)
+    one = StateRenderer(home, *bodies)
+    for w in range(3):
+        one.pose(WorldState(**{k: v[w : w + 1].copy() for k, v in vars(state).items()}))
+        for name, picture in ARM.observe(one).items():
+            np.testing.assert_array_equal(picture[0], together[name][w], err_msg=name)
+
+
+def test_objects_are_drawn_where_the_state_has_them(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    robot, _ = bodies
+    moved = max(
+        (i for i in home.instances if i.motion != "static"), key=lambda i: home.assets[i.asset].mesh.bounds[1, 1]
+    )
+    drawn = StateRenderer(home, robot, objects=[moved.name])
+    (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == moved.name]
+    one = facing_each_other(home, 1)
+    state = WorldState.zeros(1, joints=len(robot.joint_names), objects=1)
+    state.robot_xz[:], state.robot_heading[:], state.robot_joints[0] = one.robot_xz, one.robot_heading, robot.rest
+    drawn.pose(state)
+    camera = drawn.cameras("robot_arm")[0]
+    state.object_pose[0, 0, :3] = camera.pose[:3, 3] + 0.4 * camera.pose[:3, 2]  # ahead of the lens
+    assert not (ARM.observe(drawn)["instance"] == number).any()
+    drawn.pose(state)
+    seen = ARM.observe(drawn)
+    pixels = np.argwhere(seen["instance"][0] == number)
+    assert len(pixels) > 100
+    assert np.hypot(*(pixels.mean(0) - [85, 112])) < 40
+    assert 0.2 < seen["depth"][0][seen["instance"][0] == number].min() < 0.45
+    body = CameraSensor(camera="robot_front_left", outputs=("rgb",), size=(60, 106)).observe(drawn)
+    assert body["rgb"].shape == (1, 106, 60, 3)
+
+
+def test_depth_is_scaled_as_habitats(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    drawn = StateRenderer(home, *bodies)
+    drawn.pose(facing_each_other(home, 1))
+    metres = CameraSensor().observe(drawn)["depth"]
+    scaled = CameraSensor(depth_range_m=(0.0, 10.0)).observe(drawn)["depth"]
+    np.testing.assert_allclose(scaled, np.clip(metres, 0, 10) / 10, atol=1e-6)
+
+
+def test_what_cannot_be_seen_is_told(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
+    drawn = StateRenderer(home, *bodies)
+    with pytest.raises(InputError, match="pose"):
+        ARM.observe(drawn)
+    with pytest.raises(InputError, match="1 worlds"):
+        drawn.pose(WorldState.zeros(2))
+    drawn.pose(WorldState.zeros(1))
+    with pytest.raises(InputError, match="robot_arm"):
+        CameraSensor(camera="periscope").observe(drawn)
+    with pytest.raises(InputError, match="unicorn"):
+        StateRenderer(home, bodies[0], objects=["unicorn"])
