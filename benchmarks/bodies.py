@@ -1,5 +1,5 @@
 """People: CPU seconds to skin a recording of 1,500 frames (kinematics included), to load all built-in
-bodies; microseconds to reach."""
+bodies; microseconds to reach; milliseconds to skin on a GPU, if there is one."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def run(emit: Emit) -> None:
     tracemalloc.stop()
     emit("bodies.clips_s", _timed(lambda: people[0].clips), "s")
     _reach(body, emit)
+    _skin_on_gpu(body, emit)
 
 
 def _timed(work: Callable[[], object]) -> float:
@@ -57,6 +58,27 @@ def _skin(body: Humanoid, *, lod: bool) -> float:
             pass
 
     return _timed(work)
+
+
+def _skin_on_gpu(body: Humanoid, emit: Emit) -> None:
+    """Wall milliseconds for all frames, from joint matrices to vertices on the device; nothing where there is no GPU."""
+    import torch
+
+    if not torch.cuda.is_available():
+        return
+    from h3data.bodies.skinning_torch import TorchSkin
+
+    joints = torch.from_numpy(_joints(body)).to("cuda", torch.float32)
+    for lod, name in ((False, "full"), (True, "lod")):
+        skin = TorchSkin(body, lod=lod, device="cuda")
+        for _ in range(5):
+            skin(joints)
+        torch.cuda.synchronize()
+        start = time.perf_counter()
+        for _ in range(50):
+            skin(joints)
+        torch.cuda.synchronize()
+        emit(f"bodies.skin_1500_{name}_gpu_ms", (time.perf_counter() - start) / 50 * 1e3, "ms")
 
 
 def _reach(body: Humanoid, emit: Emit) -> None:
