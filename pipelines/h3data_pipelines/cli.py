@@ -25,6 +25,7 @@ from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.motion import MotionCommand
 from h3data_pipelines.recovering import Recover
+from h3data_pipelines.report import ReportCommand
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.robots import Robots
 from h3data_pipelines.scenes import Scenes
@@ -37,6 +38,7 @@ COMMANDS: dict[str, type[Command]] = {
     "rerender": Rerender,
     "metrics": Metrics,
     "view": View,
+    "report": ReportCommand,
     "scenes": Scenes,
     "bodies": Bodies,
     "motion": MotionCommand,

@@ -1,0 +1,373 @@
+"""Reports: what is there is shown beside the paper's numbers, what is not there is said, and nothing can break out."""
+
+from __future__ import annotations
+
+import json
+import re
+import uuid
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from h3data.errors import InputError
+from h3data.geometry import ground_pose
+from h3data.metrics import measure_files
+from h3data.recording import DatasetWriter, Recording, open_recording
+from h3data.recording.records import STEP_NS, Agent, Episode
+from h3data_pipelines.cli import main
+from h3data_viewers.report import Report, make_report
+from h3data_viewers.report_data import gather, same_episodes
+from h3data_viewers.report_paper import paper_results, social_nav_table
+from h3data_viewers.report_pictures import highlights, key_rows
+from h3data_viewers.report_svg import ticks
+from h3data_viewers.report_tables import Cell, Column, Row, Section, Table, to_html, to_latex, to_markdown
+
+ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
+POLICIES = ("heuristic_expert", "stand_still")
+HOSTILE = "<script>alert(1)</script>&\"'><img src=x onerror=alert(2)>"
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Three short episodes of each policy, the same episodes for both."""
+    folder = tmp_path_factory.mktemp("report")
+    for policy in POLICIES:
+        said = main(["generate", "social_nav", "--episodes", "3", "--homes", "1", "--max-steps", "120", "--seed", "4",
+                     "--policy", policy, "-o", str(folder / policy)])  # fmt: skip
+        assert said == 0
+    return {policy: folder / policy for policy in POLICIES}
+
+
+@pytest.fixture(scope="session")
+def report(runs: dict[str, Path]) -> Report:
+    return make_report(runs.values(), pictures=2)
+
+
+def write(folder: Path, recordings: list[Recording]) -> Path:
+    with DatasetWriter(folder) as writer:
+        for recording in recordings:
+            writer.add(recording)
+    return folder
+
+
+def tidy(steps: int, *, solved: bool = True, hit: bool = False, **info: object) -> Recording:
+    """A rearrangement of object 7 by the robot and 9 by the person, done after ``steps``."""
+    at_goal = np.zeros((steps, 2), np.bool_)
+    at_goal[-1] = [True, solved]
+    collision = np.zeros(steps, np.bool_)
+    collision[-1] = hit
+    still = ground_pose(np.zeros((steps, 2)), np.zeros(steps)).astype(np.float32)
+    said = {"max_steps": 2000, "solo_steps": 60, "goal_objects": [7, 9], **info}
+    name = uuid.uuid4().hex[:8]
+    return Recording(
+        episode=Episode(uid=name, episode_id=name, task="rearrange", scene=str(info.get("home", "x")), info=said),
+        agents=(ROBOT, HUMAN),
+        columns={
+            "time_ns": np.arange(1, steps + 1) * STEP_NS,
+            "agent_0.base_pose": still,
+            "agent_1.base_pose": still,
+            "agent_0.grasp_body": np.where(np.arange(steps) < steps - 1, 7, -1).astype(np.int32),
+            "agent_1.grasp_body": np.where(np.arange(steps) < steps - 1, 9, -1).astype(np.int32),
+            "metrics.at_goal": at_goal,
+            "metrics.collision": collision,
+        },
+    )
+
+
+class Page(HTMLParser):
+    """What a browser would see: tags, attributes, ids, and whether elements are closed in order."""
+
+    VOID = frozenset({"meta", "img", "br", "rect", "line", "circle", "path", "use", "image"})
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(html)
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID or (tag in ("circle",) and not self.get_starttag_text().endswith("/>")):  # type: ignore[union-attr]
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+def test_the_page_needs_nothing_else(report: Report) -> None:
+    page = Page(report.html)
+    for tag, attributes in page.tags:
+        for name in ("src", "href"):
+            value = attributes.get(name) or ""
+            assert not value or value.startswith(("#", "data:image/jpeg;base64,")), (tag, value[:80])
+        assert not any(name.startswith("on") for name in attributes)
+    assert "url(" not in report.html
+    assert "@import" not in report.html
+    assert len(page.of("script")) == 1
+    assert len(report.html) < 1_000_000
+
+
+def test_links_and_drawings_point_to_what_is_there(report: Report) -> None:
+    page = Page(report.html)
+    ids = [a["id"] for _, a in page.tags if "id" in a]
+    assert len(ids) == len(set(ids))
+    wanted = [a["href"] for tag in ("a", "use") for a in page.of(tag)]
+    assert wanted
+    assert {str(href)[1:] for href in wanted} <= set(ids)
+
+
+def test_pictures_and_tables_can_be_heard(report: Report) -> None:
+    page = Page(report.html)
+    assert all(a.get("alt") for a in page.of("img"))
+    assert all(a.get("aria-label") or a.get("aria-hidden") for a in page.of("svg"))
+    assert all(a.get("scope") for a in page.of("th"))
+    assert len(page.of("caption")) == len(page.of("table")) > 0
+
+
+def test_the_page_holds_the_values_of_the_metrics_command(runs: dict[str, Path], report: Report) -> None:
+    for run in report.data.runs:
+        summary = measure_files([runs[run.policy]]).summary()
+        row = next(r for r in report.tables[0].sections[0].rows if r.name == run.name)
+        assert [c.value for c in row.cells] == pytest.approx([s.mean for s in summary.values()], nan_ok=True)
+        s = summary["S"]
+        assert row.cells[0].text == f"{s.mean:.2f} [{s.low:.2f}, {s.high:.2f}]"
+        assert f"{s.mean:.2f}" in report.html
+
+
+def test_the_same_recordings_give_the_same_page(runs: dict[str, Path], report: Report) -> None:
+    assert make_report(runs.values(), pictures=2).html == report.html
+
+
+def test_key_frames_are_embedded(report: Report) -> None:
+    frames = [a for a in Page(report.html).of("img") if str(a["src"]).startswith("data:image/jpeg")]
+    chosen = highlights(report.data.runs, 2)
+    assert len(frames) == sum(len(key_rows(h.episode)) for h in chosen)
+    assert {h.kind for h in highlights(report.data.runs, 6)} == {"worst", "best"}
+    everything = highlights(report.data.runs, 100)
+    assert len({id(h.episode) for h in everything}) == len(everything) == 6
+
+
+# --- the paper --------------------------------------------------------------------------------------------------------
+def test_published_numbers_are_those_of_the_paper() -> None:
+    paper = paper_results()
+    expert = paper.social_nav.row_of("heuristic_expert")
+    assert expert is not None
+    assert {k: v[0] for k, v in expert.values.items()} == {
+        "S": 1.0, "SPS": 0.97, "F": 0.51, "CR": 0.52, "BYR": 0.24, "TD": 2.56, "FD": 1.72
+    }  # fmt: skip
+    assert [row.name for row in paper.rearrange.rows][:2] == ["Learn-Single", "Plan-Pop 1"]
+    assert paper.rearrange.rows[0].train["RE"] == (159.2, 1.0)
+    assert paper.rearrange.rows[0].zsc["SR"] == (50.94, 39.55)
+    solo, single, population = (row.values for row in paper.hitl.rows)
+    # The paper's other tables follow from its estimated means.
+    assert single["RE"][0] == pytest.approx(100 * solo["TS"][0] / single["TS"][0], abs=0.01)
+    assert population["RE"][0] == pytest.approx(100 * solo["TS"][0] / population["TS"][0], abs=0.01)
+    differences = [
+        population["TS"][0] - single["TS"][0],
+        solo["TS"][0] - single["TS"][0],
+        solo["TS"][0] - population["TS"][0],
+    ]
+    assert [row.difference for row in paper.contrasts.rows] == pytest.approx(differences, abs=0.015)
+    for row in paper.rearrange.rows:
+        assert {*row.train} == {*row.zsc} == {"SR", "RE", "CR", "RC"}
+
+
+def test_published_numbers_stand_beside_ours(report: Report) -> None:
+    table = report.tables[0]
+    assert table.sections[1].published
+    assert table.sections[1].rows[0].cells[1].text == "0.97"
+    assert table.sections[0].rows[0].cells[1].small == "paper 0.97"
+    assert table.sections[0].rows[1].cells[1].small == ""
+
+
+# --- what there is ----------------------------------------------------------------------------------------------------
+def test_what_is_missing_is_said_and_has_no_table(report: Report) -> None:
+    said = " ".join(report.missing)
+    for what in ("rearrangement", "Human-in-the-loop", "Learning curves"):
+        assert what in said
+    assert {t.key for t in report.tables} == {"social_nav", "paired_1"}
+    assert "table-rearrange" not in report.html
+
+
+def test_pairs_need_the_same_scene_and_seed(runs: dict[str, Path], tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    assert main(["generate", "social_nav", "--episodes", "3", "--homes", "1", "--max-steps", "30", "--seed", "5", "-o",
+                 str(other)]) == 0  # fmt: skip
+    data = gather([*runs.values(), other])
+    first, second, third = data.runs
+    assert same_episodes(first, second)
+    assert not same_episodes(first, third), "the ids are equal, the seeds are not"
+    assert first.name == "heuristic_expert (heuristic_expert)"
+    assert third.name == "heuristic_expert (other)"
+
+
+def test_rearrangement_by_population_and_partner(tmp_path: Path) -> None:
+    ds = write(
+        tmp_path / "ds",
+        [
+            *(tidy(30, policy="learn_single", partner="a", population="train-pop") for _ in range(3)),
+            *(tidy(60, policy="learn_single", partner=p, population="zsc-pop", solved=p == "b") for p in "bc"),
+        ],
+    )
+    report = make_report([ds], pictures=0)
+    table = next(t for t in report.tables if t.key == "rearrange")
+    assert table.groups == [("Train-pop-eval", 4), ("ZSC-pop-eval", 4)]
+    assert [c.value for c in table.sections[0].rows[0].cells[:2]] == [100.0, 200.0]
+    assert table.sections[0].rows[0].cells[4].value == 50.0
+    assert 'class="heat"' in report.html
+    assert "Social navigation: there are no episodes of it." in report.missing
+
+
+def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
+    random = np.random.default_rng(2)
+    means = {"solo": 90, "learn_single": 60, "plan_pop3": 66}
+    episodes = [
+        tidy(int(random.poisson(mean)) + 2, condition=condition, participant=f"P{p}", policy=condition, home=f"home {p % 3}",
+             hit=condition != "solo" and random.random() < 0.4)
+        for condition, mean in means.items() for p in range(6) for _ in range(4)
+    ]  # fmt: skip
+    report = make_report([write(tmp_path / "ds", episodes)], pictures=0)
+    study, contrast = (next(t for t in report.tables if t.key == key) for key in ("hitl", "contrasts"))
+    by_name = {row.name: [c.value for c in row.cells] for row in study.sections[0].rows}
+    assert by_name["solo"][3] == 100.0
+    assert by_name["learn_single"][3] == pytest.approx(150, rel=0.1)
+    assert by_name["learn_single"][1] == pytest.approx(62, rel=0.1)
+    assert by_name["solo"][0] == 0.0
+    pairs = {row.name: row.cells for row in contrast.sections[0].rows}
+    assert pairs["learn_single − solo"][0].value == pytest.approx(-30, rel=0.2)
+    assert pairs["learn_single − solo"][1].text == "< .0001"
+
+
+def test_learning_curves_of_a_log(runs: dict[str, Path], tmp_path: Path) -> None:
+    ds = write(tmp_path / "ds", [open_recording(runs["stand_still"])[0]])  # type: ignore[list-item,index]
+    (ds / "learning.csv").write_text("step,reward\n0,-1.5\n1000,2\n2000,nan\n3000,4\n")
+    report = make_report([ds], pictures=0)
+    assert 'id="learning"' in report.html
+    assert not any("Learning curves" in line for line in report.missing)
+    (ds / "learning.csv").write_text("update,reward\n0,1\n")
+    with pytest.raises(InputError, match="one of them step"):
+        make_report([ds], pictures=0)
+
+
+def test_recordings_that_cannot_be_measured_are_counted(runs: dict[str, Path], tmp_path: Path) -> None:
+    good = open_recording(runs["stand_still"])[0]  # type: ignore[index]
+    assert isinstance(good, Recording)
+    alone = replace(
+        good,
+        episode=replace(good.episode, uid="alone", episode_id="alone"),
+        agents=good.agents[:1],
+        columns={k: v for k, v in good.columns.items() if not k.startswith("agent_1")},
+    )
+    report = make_report([write(tmp_path / "ds", [good, alone])], pictures=1)
+    assert list(report.data.unmeasured.values()) == [("ds#1",)]
+    assert "1 not measured" in Page(report.html).text
+
+
+def test_recordings_without_a_scene_still_have_plans(tmp_path: Path) -> None:
+    report = make_report([write(tmp_path / "ds", [tidy(30, policy="x")])], pictures=2)
+    assert 'class="floor"' in report.html
+
+
+def test_paths_that_cannot_be_reported(runs: dict[str, Path], tmp_path: Path) -> None:
+    for paths, message in (([], "at least one"), ([runs["stand_still"]] * 2, "Named twice")):
+        with pytest.raises(InputError, match=message):
+            gather(paths)
+    with pytest.raises(InputError, match="no such"):
+        gather([tmp_path / "nothing"])
+
+
+# --- hostile names ----------------------------------------------------------------------------------------------------
+def test_names_cannot_break_out(runs: dict[str, Path], tmp_path: Path) -> None:
+    good = open_recording(runs["heuristic_expert"])[0]  # type: ignore[index]
+    assert isinstance(good, Recording)
+    info = {**good.episode.info, "policy": HOSTILE, "partner": HOSTILE}
+    hostile = [
+        replace(
+            good,
+            episode=replace(
+                good.episode, uid=str(k), episode_id=f"{k}{HOSTILE}", scene=HOSTILE, info={**info, "partner": p}
+            ),
+            agents=tuple(replace(a, name=HOSTILE + a.kind) for a in good.agents),
+        )
+        for k, p in enumerate((HOSTILE, "other"))
+    ]
+    folder = write(tmp_path / "<img src=x onerror=alert(3)>", hostile)
+    (folder / "learning.csv").write_text("step,<b>bold</b>\n0,1\n1,2\n")
+    plain = Page(make_report([runs["heuristic_expert"]], pictures=1).html)
+    report = make_report([folder], title=HOSTILE, pictures=1)
+    page = Page(report.html)
+    assert {tag for tag, _ in page.tags} - {tag for tag, _ in plain.tags} <= {"b"}
+    assert len(page.of("script")) == 1
+    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+    assert all(str(a["src"]).startswith("data:") for a in page.of("img"))
+    assert "alert(1)" in page.text
+    for text in (report.to_markdown(), report.to_latex()):
+        assert "<script" not in text
+        assert "<img" not in text
+
+
+@given(st.text(max_size=40))
+def test_any_text_stays_text(text: str) -> None:
+    table = Table(
+        key="k", title=text, caption=text, name_head=text, columns=(Column(head=text, hint=text),),
+        sections=(Section(title=text, rows=(Row(name=text, cells=(Cell(text=text, small=text),)),)),), notes=(text,),
+    )  # fmt: skip
+    page = Page(to_html(table))
+    assert {tag for tag, _ in page.tags} <= {"div", "table", "caption", "span", "thead", "tbody", "tr", "th", "td", "small",
+                                            "ul", "li"}  # fmt: skip
+    rows = [line for line in to_markdown(table).splitlines() if line.startswith("|")]
+    assert len(rows) == 3 + bool(text)
+    assert all(len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) == 3 for row in rows)
+    body = to_latex(table)
+    assert body.count(r"\\") == 2 + bool(text)
+    assert not re.search(r"(?<!\\)[#%]", body)
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 8))
+def test_ticks_are_round_and_inside(low: float, span: float, count: int) -> None:
+    found = ticks(low, low + span, count)
+    assert 1 <= len(found) <= count + 1
+    assert all(low - 1e-6 * span <= t <= low + span * (1 + 1e-6) for t in found)
+    assert np.allclose(np.diff(found), np.diff(found)[:1], rtol=1e-3)
+
+
+def test_the_table_of_one_run_has_no_best(runs: dict[str, Path]) -> None:
+    (run,) = gather([runs["heuristic_expert"]]).runs
+    assert not any(c.strong for r in social_nav_table([run]).sections[0].rows for c in r.cells)
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+def test_the_command(runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, md, tex = (tmp_path / name for name in ("r.html", "t.md", "t.tex"))
+    words = ["report", *map(str, runs.values()), "-o", str(out), "--markdown", str(md), "--latex", str(tex)]
+    capsys.readouterr()
+    assert main([*words, "--pictures", "0", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["bytes"] == out.stat().st_size
+    assert [run["name"] for run in said["runs"]] == list(POLICIES)
+    assert said["runs"][0]["summary"]["S"]["count"] == 3
+    assert "| heuristic\\_expert |" in md.read_text()
+    assert r"\toprule" in tex.read_text()
+    assert main([*words, "--pictures", "0"]) == 2, "the files are there"
+    assert main([*words, "--pictures", "0", "--force"]) == 0
+    assert main(["report", str(runs["stand_still"]), "-o", str(out), "--latex", str(out), "--force"]) == 2
+    assert main(["report", str(runs["stand_still"]), "-o", str(tmp_path / "x.html"), "--pictures", "-1"]) == 2

@@ -1,0 +1,251 @@
+"""What a report is made of: every episode read once, measured, and kept as a few kilobytes; runs of episodes that belong
+together.
+
+What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics import EpisodeMetrics, MetricsTable, measure, tabulate
+from h3data.metrics.batch import find_sources, recordings
+from h3data.recording import Recording, open_recording
+
+GRID_S = 0.5
+"""Distances are kept at this spacing."""
+TRACK_S = 0.2
+"""Tracks are kept at this spacing."""
+CURVES_FILE = "learning.csv"
+"""In a dataset's folder: how its policy was trained. One row per logged update, a column ``step``."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Where one agent went."""
+
+    kind: str
+    """``robot`` or ``human``."""
+    xz: NDArray[np.float32]
+    """Floor positions every `TRACK_S`, the last row included, shape [K, 2] [m]; NaN = not there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportEpisode:
+    """One measured episode."""
+
+    source: Path
+    """Dataset or log that holds it."""
+    index: int
+    """Its number in the dataset."""
+    metrics: EpisodeMetrics
+    seed: int
+    policy: str
+    partner: str
+    population: str
+    """``train``, ``zsc`` or empty."""
+    participant: str
+    condition: str
+    distance_m: NDArray[np.float32]
+    """Robot to human every `GRID_S`, shape [G]; empty without both."""
+    tracks: tuple[Track, ...]
+
+    @property
+    def name(self) -> str:
+        """How the command line names it."""
+        return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
+
+    def seconds(self, row: int) -> float:
+        """Time of a row since the beginning."""
+        return (row + 1) * self.metrics.dt_ns * 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """Episodes of one policy from one dataset."""
+
+    name: str
+    policy: str
+    task: str
+    """``social_nav`` or ``rearrange``."""
+    episodes: tuple[ReportEpisode, ...]
+    table: MetricsTable
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportData:
+    """Everything that a report shows, pictures excepted."""
+
+    paths: tuple[Path, ...]
+    runs: tuple[Run, ...]
+    unmeasured: Mapping[str, tuple[str, ...]]
+    """Why, and the names of the recordings that could not be measured."""
+    curves: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    """Learning curves by dataset name: columns [N] of which one is ``step``."""
+
+    @property
+    def episodes(self) -> Iterator[ReportEpisode]:
+        """Of all runs."""
+        return (episode for run in self.runs for episode in run.episodes)
+
+    def of_task(self, task: str) -> tuple[Run, ...]:
+        """The runs of one task."""
+        return tuple(run for run in self.runs if run.task == task)
+
+
+def gather(paths: Iterable[str | os.PathLike[str]]) -> ReportData:
+    """Read and measure every recording of datasets, logs and folders of logs by the profile ``paper``.
+
+    Raises:
+        InputError: there is no recording, or a path is given twice; what `tabulate` refuses.
+        FormatError: a file is damaged.
+    """
+    roots = tuple(map(Path, paths))
+    if not roots:
+        raise InputError("Expected at least one dataset or recording.")
+    twice = [p for k, p in enumerate(roots) if p.resolve() in {q.resolve() for q in roots[:k]}]
+    if twice:
+        raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
+    grouped: dict[tuple[int, str, str], list[ReportEpisode]] = {}
+    unmeasured: dict[str, list[str]] = {}
+    count = 0
+    for place, root in enumerate(roots):
+        for source in find_sources([root]):
+            for index, recording in enumerate(recordings([source], "paper")):
+                count += 1
+                try:
+                    episode = _episode(source, index, recording)
+                except InputError as fault:
+                    unmeasured.setdefault(_reason(fault), []).append(
+                        f"{source.name}#{index}" if source.is_dir() else source.name
+                    )
+                    continue
+                policy = episode.policy or root.stem or "unnamed"
+                grouped.setdefault((place, episode.metrics.task, policy), []).append(episode)
+    if not count:
+        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
+    return ReportData(
+        paths=roots,
+        runs=_runs(grouped, roots),
+        unmeasured={reason: tuple(names) for reason, names in unmeasured.items()},
+        curves={root.name: curve for root in roots if (curve := read_curves(root / CURVES_FILE))},
+    )
+
+
+def same_episodes(first: Run, second: Run) -> bool:
+    """Whether two runs hold the same episodes: equal ids, scenes and seeds, each once."""
+    a, b = ({e.metrics.episode_id: (e.metrics.scene, e.seed) for e in run.episodes} for run in (first, second))
+    return first.task == second.task and a == b and len(a) == len(first.episodes) == len(second.episodes)
+
+
+def read_whole(episode: ReportEpisode) -> Recording:
+    """The recording with its bodies and its scene, to draw pictures of it."""
+    opened = open_recording(episode.source)
+    return opened if isinstance(opened, Recording) else opened.recording(episode.index)
+
+
+def read_curves(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Numeric columns [N] of a training log; empty if there is no such file or nothing that could be drawn."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    if not path.is_file():
+        return {}
+    try:
+        table = csv.read_csv(path)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"Expected a table of numbers with a column step ({error}): {path}") from error
+    numeric = {
+        name: np.asarray(table[name].to_numpy(), np.float64)
+        for name in table.column_names
+        if pa.types.is_integer(table[name].type) or pa.types.is_floating(table[name].type)
+    }
+    if "step" not in numeric or len(numeric) < 2:
+        raise InputError(
+            f"Expected columns of numbers, one of them step; got {', '.join(map(repr, table.column_names))}: {path}"
+        )
+    return numeric
+
+
+# --- inside -----------------------------------------------------------------------------------------------------------
+def _episode(source: Path, index: int, recording: Recording) -> ReportEpisode:
+    metrics = measure(recording, "paper")
+    info = recording.episode.info
+    tracks = tuple(
+        Track(kind=agent.kind, xz=_sampled(recording.agent_column(i, "base_pose")[:, [0, 2]], metrics.dt_ns))
+        for i, agent in enumerate(recording.agents)
+    )
+    return ReportEpisode(
+        source=source,
+        index=index,
+        metrics=metrics,
+        seed=recording.episode.seed,
+        policy=_said(info, "policy"),
+        partner=_said(info, "partner") or _partner(recording),
+        population=_population(_said(info, "population")),
+        participant=_said(info, "participant"),
+        condition=_said(info, "condition"),
+        distance_m=_distances(recording),
+        tracks=tracks,
+    )
+
+
+def _runs(grouped: Mapping[tuple[int, str, str], Sequence[ReportEpisode]], roots: Sequence[Path]) -> tuple[Run, ...]:
+    """Named by policy; where several datasets hold a policy, by dataset as well."""
+    policies = [(task, policy) for _, task, policy in grouped]
+    names: list[str] = []
+    runs = []
+    for (place, task, policy), episodes in grouped.items():
+        name = policy if policies.count((task, policy)) == 1 else f"{policy} ({roots[place].name or roots[place]})"
+        if name in names and policies.count((task, policy)) > 1:
+            name = f"{policy} ({roots[place]})"
+        names.append(name)
+        table = tabulate((e.metrics for e in episodes), profile="paper")
+        runs.append(Run(name=name, policy=policy, task=task, episodes=tuple(episodes), table=table))
+    return tuple(runs)
+
+
+def _said(info: Mapping[str, Any], key: str) -> str:
+    value = info.get(key, "")
+    return str(value) if isinstance(value, str | int | float) else ""
+
+
+def _partner(recording: Recording) -> str:
+    human = next((a for a in recording.agents if a.kind == "human"), None)
+    return "" if human is None else human.model.rpartition("/")[2] or human.name
+
+
+def _population(text: str) -> str:
+    return next((kind for kind in ("train", "zsc") if text.lower().startswith(kind)), "")
+
+
+def _sampled(rows: NDArray[np.float32], dt_ns: int) -> NDArray[np.float32]:
+    stride = max(1, round(TRACK_S * 1e9 / dt_ns))
+    return np.concatenate([rows[::stride], rows[-1:]]).astype(np.float32)
+
+
+def _distances(recording: Recording) -> NDArray[np.float32]:
+    places = [next((i for i, a in enumerate(recording.agents) if a.kind == kind), None) for kind in ("robot", "human")]
+    if None in places or not len(recording):
+        return np.zeros(0, np.float32)
+    stride = max(1, round(GRID_S * 1e9 / recording.episode.dt_ns))
+    a, b = (recording.columns[f"agent_{i}.base_pose"][::stride, :3] for i in places)
+    return np.linalg.norm(a - b, axis=1).astype(np.float32)
+
+
+def _reason(fault: InputError) -> str:
+    """The fault without the name of the episode, so that equal ones can be counted."""
+    needs = getattr(fault, "needs", None)
+    if needs:
+        missing = sorted({column for columns in needs.values() for column in columns})
+        return f"nothing to measure: lacks {', '.join(missing)}"
+    return "needs a robot and a human" if "need a robot and a human" in str(fault) else str(fault)
