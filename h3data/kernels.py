@@ -11,6 +11,7 @@ import functools
 import hashlib
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,13 +31,27 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(cache=True, nogil=True, **options)(function)
+        try:
+            dispatcher: Any = njit(cache=True, nogil=True, **options)(function)
+        except RuntimeError:  # numba finds no folder that it can write to
+            _warn_once()
+            return njit(nogil=True, **options)(function)
         if hasattr(dispatcher, "_cache"):  # not where numba is switched off
             file = dispatcher._cache._cache_file  # numba has no public way; tests/test_kernels.py tells when this ends
             file._source_stamp = (file._source_stamp, source_digest(function.__module__))
         return dispatcher
 
     return compiled
+
+
+@functools.cache
+def _warn_once() -> None:
+    warnings.warn(
+        "Compiled kernels cannot be kept, so every start takes some seconds longer: numba can write neither beside the "
+        "package nor in the home folder. Hint: set NUMBA_CACHE_DIR to a folder that can be written.",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 @functools.cache

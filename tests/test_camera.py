@@ -11,7 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.errors import InputError
-from h3data.render import OPENGL_TO_OPENCV, look_at, overlay, pinhole
+from h3data.render import (
+    CONVENTIONS,
+    OPENGL_TO_OPENCV,
+    Camera,
+    camera_from_matrix,
+    equirectangular,
+    fisheye,
+    look_at,
+    orthographic,
+    overlay,
+    pinhole,
+)
 
 RED = (255, 0, 0)
 
@@ -27,6 +38,69 @@ def test_projection_inverts_the_ray_through_a_pixel(seed):
     found, depth = camera.project(world)
     np.testing.assert_allclose(found, pixels, atol=1e-8)
     np.testing.assert_allclose(depth, z)
+
+
+CAMERAS = [
+    pinhole(64, 48, hfov_deg=110),
+    orthographic(50, 70, width_m=3.0),
+    fisheye(60, 60, hfov_deg=220),
+    equirectangular(80),
+]
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.projection)
+def test_points_on_the_ray_of_a_pixel_appear_in_its_centre(camera: Camera):
+    camera = camera.at(look_at([1, 2, 3], [0.5, 1.7, -2]))
+    start, directions = camera.rays()
+    for depth in (0.3, 7.0):
+        local = (start + depth * directions).reshape(-1, 3)
+        seen = np.isfinite(local).all(1)
+        pixels, found = camera.project(local[seen] @ camera.pose[:3, :3].T + camera.pose[:3, 3])
+        v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+        np.testing.assert_allclose(pixels, np.stack([u, v], -1).reshape(-1, 2)[seen], atol=1e-7)
+        np.testing.assert_allclose(found, depth)
+        assert seen.mean() > 0.9
+
+
+def test_what_lies_right_and_below_is_right_and_below_in_every_picture():
+    for camera in CAMERAS:
+        pixels, _ = camera.project([[0, 0, 1], [0.2, 0, 1], [0, 0.2, 1]])
+        np.testing.assert_allclose(pixels[0], [camera.cx, camera.cy])
+        assert pixels[1, 0] > pixels[0, 0] + 1
+        assert pixels[2, 1] > pixels[0, 1] + 1
+
+
+def test_a_calibrated_matrix_makes_the_same_camera():
+    camera = pinhole(64, 48, hfov_deg=70)
+    again = camera_from_matrix(camera.intrinsics, 64, 48)
+    assert (again.fx, again.fy, again.cx, again.cy) == (camera.fx, camera.fy, camera.cx, camera.cy)
+    faults = {
+        "singular": np.diag([0.0, 50, 1]), "skew": [[50, 3, 32], [0, 50, 24], [0, 0, 1]],
+        "finite 3x3": np.full((3, 3), np.nan), "mirrored": np.diag([-50.0, 50, 1]),
+    }  # fmt: skip
+    for message, matrix in faults.items():
+        with pytest.raises(InputError, match=message):
+            camera_from_matrix(matrix, 64, 48)
+
+
+def test_cameras_that_cannot_be_are_refused():
+    for make in (
+        lambda: pinhole(4, 4, hfov_deg=180), lambda: pinhole(4, 4, hfov_deg=np.nan), lambda: fisheye(4, 4, hfov_deg=400),
+        lambda: orthographic(4, 4, width_m=0),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match="got"):
+            make()
+    with pytest.raises(InputError, match=r"near 3\.0 and far 1\.0"):
+        pinhole(4, 4, hfov_deg=60, near=3.0, far=1.0).checked()
+
+
+def test_conventions_lead_to_ours():
+    # a Habitat camera looks along -z with y up: its point ahead is at positive z in ours
+    pose = look_at([0, 1, 0], [3, 1, 0])
+    habitat = pose @ OPENGL_TO_OPENCV
+    ahead_and_up = habitat @ [0, 0.5, -2, 1]
+    np.testing.assert_allclose(pinhole(8, 8, hfov_deg=90, pose=habitat @ CONVENTIONS["habitat"]).to_camera(ahead_and_up[:3]),
+                               [[0, -0.5, 2]], atol=1e-12)  # fmt: skip
 
 
 def test_points_behind_have_no_pixel():

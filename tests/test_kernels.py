@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from h3data import kernels
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,3 +80,16 @@ def test_nothing_is_cached_past_the_decorator():
                 isinstance(node, ast.keyword) and node.arg == "cache" and getattr(node.value, "value", None) is True
             )
             assert not cached, f"{path}:{node.value.lineno}: use h3data.kernels.kernel"  # type: ignore[attr-defined]
+
+
+def test_kernels_work_where_no_cache_can_be_written(monkeypatch):
+    def njit(*, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function 'f': no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(kernels, "njit", njit)
+    kernels._warn_once.cache_clear()
+    with pytest.warns(RuntimeWarning, match="NUMBA_CACHE_DIR"):
+        assert kernels.kernel()(abs)(-2) == 2
+    assert kernels.kernel()(abs)(-3) == 3, "and it says so only once"

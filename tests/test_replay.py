@@ -147,7 +147,7 @@ def test_unknown_cameras_are_listed(replay: Replay) -> None:
 
 def test_recordings_without_agents_have_a_view_from_above() -> None:
     r = Replay(boxes())
-    assert camera_names(r) == ["top_down"]
+    assert camera_names(r) == ["top_down", "top_down_orthographic", "orbit"]
     with pytest.raises(InputError):
         camera_track(r, "third_person")
 

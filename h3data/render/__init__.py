@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from h3data.render import overlay
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
     from h3data.render.files import write_depth_png, write_png
+    from h3data.render.motion import Boxes, flow_to_rgb, optical_flow, visible_boxes, visible_masks
     from h3data.render.pictures import Output, Poses
+    from h3data.render.rays import RayCaster, lidar
     from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
     from h3data.render.shading import Light
@@ -33,10 +35,12 @@ if TYPE_CHECKING:
 __all__ = [
     "CONVENTIONS",
     "OPENGL_TO_OPENCV",
+    "Boxes",
     "Camera",
     "Light",
     "Output",
     "Poses",
+    "RayCaster",
     "RenderInstance",
     "RenderScene",
     "Renderer",
@@ -45,17 +49,29 @@ __all__ = [
     "depth_to_rgb",
     "equirectangular",
     "fisheye",
+    "flow_to_rgb",
     "instance_to_rgb",
+    "lidar",
     "look_at",
     "normalize_depth",
+    "optical_flow",
     "orthographic",
     "overlay",
     "pinhole",
+    "visible_boxes",
+    "visible_masks",
     "write_depth_png",
     "write_png",
 ]
 
 _HOMES = {
+    "Boxes": "motion",
+    "RayCaster": "rays",
+    "flow_to_rgb": "motion",
+    "lidar": "rays",
+    "optical_flow": "motion",
+    "visible_boxes": "motion",
+    "visible_masks": "motion",
     "Light": "shading",
     "Output": "pictures",
     "Poses": "pictures",

@@ -199,7 +199,7 @@ class World:
 
     def poses(self) -> Poses:
         """A copy of where everything is."""
-        return Poses(self.matrix.copy(), dict(self.vertices))
+        return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
 
 
 def view_of(camera: Camera, *, fine: int = 1) -> View:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,7 @@ def draw_polyline(
     _check(image, camera)
     p = camera.to_camera(points)
     if len(p) and np.isfinite(p).all() and p[:, 2].min() >= _NEAR_M:
-        pixels = _to_pixels(camera, p)
+        pixels = camera.to_pixels(p)
         if np.abs(pixels).max() < _FAR_PX:  # nothing to cut: one call draws it all
             import cv2
 
@@ -78,15 +79,11 @@ def _cut(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.f
 def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, color: Color, thickness: int) -> None:
     import cv2
 
-    pixels = _cut_to_square(_to_pixels(camera, np.stack([a, b])))
+    pixels = _cut_to_square(camera.to_pixels(np.stack([a, b])))
     if pixels is None:
         return
     start, end = ((int(x), int(y)) for x, y in _fixed(pixels))
     cv2.line(image, start, end, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
-
-
-def _to_pixels(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -124,3 +121,21 @@ def _check(image: NDArray[np.uint8], camera: Camera) -> None:
             f"Expected a contiguous uint8 image [{camera.height}, {camera.width}, 3] of this camera, "
             f"got {image.dtype} {list(image.shape)}."
         )
+
+
+def draw_boxes(
+    image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
+) -> None:
+    """Draw boxes [B, 4] (as `h3data.render.visible_boxes` gives them) with their labels, in colours [B, 3]."""
+    import cv2
+
+    rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)
+    if not len(rows) == len(labels) == len(paints):
+        raise InputError(
+            f"Expected a label and a colour for each of {len(rows)} boxes, got {len(labels)}, {len(paints)}."
+        )
+    for (x0, y0, x1, y1), label, paint in zip(rows.tolist(), labels, paints.tolist(), strict=True):
+        cv2.rectangle(image, (x0, y0), (x1 - 1, y1 - 1), paint, thickness)
+        for width, color in ((3, (20, 20, 20)), (1, paint)):
+            place = (x0 + 3, max(y0 - 5, 12))
+            cv2.putText(image, label, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, width, cv2.LINE_AA)

@@ -31,6 +31,8 @@ class Poses(NamedTuple):
     """Mesh to world of every instance, shape [I, 3, 4]; NaN: not there."""
     vertices: Mapping[int, NDArray[np.float32]]
     """Vertices [V, 3] [m] of the deformable meshes that were given new ones, by mesh."""
+    visible: NDArray[np.bool_]
+    """Which instances are shown, shape [I]."""
 
 
 def check_outputs(outputs: Sequence[str]) -> None:

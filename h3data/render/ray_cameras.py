@@ -57,10 +57,9 @@ def picture_from_cube(camera: Camera, draw: Callable[[Camera], NDArray[np.uint8]
         pose = camera.pose.copy()
         pose[:3, :3] = pose[:3, :3] @ turn
         picture = draw(replace(face, pose=pose, hidden_layers=camera.hidden_layers, name=camera.name))
-        local = d[mask] @ turn
-        x, y = (local[:, a] / local[:, 2] * focal + size / 2 - 0.5 for a in (0, 1))
-        sampled = cv2.remap(picture, x.astype(np.float32)[None], y.astype(np.float32)[None], cv2.INTER_LINEAR)
-        rgb[mask] = sampled[0]
+        local = np.where(mask[..., None], d @ turn, (0.0, 0.0, 1.0))
+        x, y = ((local[..., a] / local[..., 2] * focal + size / 2 - 0.5).astype(np.float32) for a in (0, 1))
+        rgb[mask] = cv2.remap(picture, x, y, cv2.INTER_LINEAR)[mask]
 
 
 def _face(k: int) -> NDArray[np.float64]:

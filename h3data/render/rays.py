@@ -68,8 +68,8 @@ class Part:
 class RayCaster:
     """The triangles of a scene at one moment, ready for rays from anywhere.
 
-    ``poses`` (of `Renderer.poses`) says where everything is, by default as the scene was built; ``shown`` [I] leaves
-    instances out. Building takes about a second per million triangles.
+    ``poses`` (of `Renderer.poses`) says where everything is and what is shown, by default as the scene was built; ``shown``
+    [I] says it in its place. Building takes about a second per million triangles.
     """
 
     def __init__(
@@ -77,8 +77,8 @@ class RayCaster:
         parts: Sequence[Part] | None = None,
     ) -> None:  # fmt: skip
         self.scene = scene
-        self.poses = poses or Poses(scene.instance_matrix, {})
-        mask = np.ones(len(scene.instances), np.bool_) if shown is None else np.asarray(shown, np.bool_)
+        self.poses = poses or Poses(scene.instance_matrix, {}, np.ones(len(scene.instances), np.bool_))
+        mask = self.poses.visible if shown is None else np.asarray(shown, np.bool_)
         self.parts = [Part(scene, self.poses, np.flatnonzero(mask))] if parts is None else list(parts)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> Hits:

@@ -1,62 +1,55 @@
-"""Named cameras of a recording: the robot's own, one that trails the robot, one from above, and the user's own files."""
+"""Named cameras of a recording: the robot's and the human's own, some that watch them, some from above; and camera files."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix
-from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, pinhole
+from h3data.render import OPENGL_TO_OPENCV, look_at, orthographic, pinhole
+from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
 from h3data.replay.chase import held, third_person
 from h3data.replay.replay import CameraTrack, Replay
 
 
-class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A camera in a TOML file: where it stands and what it looks at, in the world or in an agent's root frame."""
-
-    eye: tuple[float, float, float]
-    target: tuple[float, float, float]
-    name: str = ""
-    width: int = 640
-    height: int = 480
-    hfov_deg: float = 70.0
-    follow: str = ""
-    """Name of an agent: ``eye`` and ``target`` are then in its root frame (x forward, y up, z right)."""
-    hidden_layers: tuple[str, ...] = ()
-
-
 def camera_names(replay: Replay) -> list[str]:
     """Every camera that this recording offers by name."""
-    names = ["top_down"]
+    names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
         names.append("third_person")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model else None
-        if isinstance(model, Robot):
-            names += [c.name for c in model.cameras if c.name not in names]
+        own = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
+        names += [name if name not in names else f"{agent.name}/{name}" for name in own]
     return names + [c for c in replay.recording.columns if c.startswith("user.")]
 
 
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
-    """The camera called ``name_or_file``, or the one described in that TOML file.
+    """The camera called ``name_or_file``, or the one described in that TOML or JSON file (docs/cameras.md).
+
+    Where two agents have a camera of one name, ``agent/name`` is the later one's.
 
     Raises:
         InputError: there is no such camera (the message lists them) or the file is not a camera.
     """
-    if name_or_file.endswith(".toml"):
-        return _from_file(replay, Path(name_or_file))
+    if name_or_file.lower().endswith((".toml", ".json")):
+        return track_of_file(replay, Path(name_or_file))
     names = camera_names(replay)
     if name_or_file not in names:
         raise InputError(
-            f"Unknown camera {name_or_file!r}. This recording offers: {', '.join(names)}; or give a .toml file."
+            f"Unknown camera {name_or_file!r}. This recording offers: {', '.join(names)}; "
+            "or give a .toml or .json file."
         )
     if name_or_file == "top_down":
         return top_down(replay)
+    if name_or_file == "top_down_orthographic":
+        return top_down_orthographic(replay)
+    if name_or_file == "orbit":
+        return orbit(replay)
     if name_or_file == "third_person":
         return third_person(replay)
     if name_or_file.startswith("user."):
@@ -65,17 +58,30 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack:
-    """A camera of the first robot that has one of that name."""
+    """A camera of the first agent that has one of that name; with ``agent/`` before it, of that agent."""
+    owner, _, own_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
-        model = replay.model(index) if agent.model else None
-        if not isinstance(model, Robot):
-            continue
-        for mounted in model.cameras:
-            if mounted.name == name:
-                camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)
-                poses = model.camera_poses(name, replay.link_matrices(index).astype(np.float64))
-                return CameraTrack(camera=camera, poses=poses)
-    raise InputError(f"No robot of this recording has a camera {name!r}.")
+        model = replay.model(index) if agent.model and owner in ("", agent.name) else None
+        if isinstance(model, Robot):
+            for mounted in model.cameras:
+                if mounted.name == own_name:
+                    camera = pinhole(
+                        mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", ".")
+                    )
+                    poses = model.camera_poses(own_name, replay.link_matrices(index).astype(np.float64))
+                    return CameraTrack(camera=camera, poses=poses)
+        elif model is not None and own_name == HUMAN_HEAD:
+            camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
+            return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
+    raise InputError(f"No agent of this recording has a camera {name!r}.")
+
+
+HUMAN_HEAD = "human_head"
+"""What a human sees: between the eyes, looking where the head does."""
+HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
+"""Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
+HEAD_NEAR_M = 0.12
+"""The face itself is cut away."""
 
 
 def _user(replay: Replay, column: str) -> CameraTrack:
@@ -104,6 +110,33 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     pose = look_at(eye, np.array([middle[0], lo[1], middle[2]]), up=(0.0, 0.0, -1.0))
     camera = pinhole(width, height, hfov_deg=hfov_deg, name="top_down", pose=pose, hidden_layers=("ceiling",))
     return CameraTrack(camera=camera, poses=pose[None])
+
+
+def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
+    """The whole home as a plan to scale: no wall leans; else as `top_down`."""
+    lo, hi = _extent(replay)
+    lo, hi = lo - margin_m, hi + margin_m
+    span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
+    scale = np.sqrt(TOP_DOWN_PIXELS / (span_x * span_z))
+    width, height = (max(int(span * scale) // 2 * 2, 2) for span in (span_x, span_z))
+    eye = np.array([(lo[0] + hi[0]) / 2, hi[1] + 1.0, (lo[2] + hi[2]) / 2])
+    pose = look_at(eye, eye - (0.0, 1.0, 0.0), up=(0.0, 0.0, -1.0))
+    camera = orthographic(
+        width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",)
+    )
+    return CameraTrack(camera=camera, poses=pose[None])
+
+
+def orbit(replay: Replay) -> CameraTrack:
+    """Around everything from above, without ceilings, once in the recording."""
+    lo, hi = _extent(replay)
+    middle, reach = (lo + hi) / 2, float(np.hypot(hi[0] - lo[0], hi[2] - lo[2])) / 2
+    times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9
+    around = Orbit(radius_m=2.3 * reach, height_m=2.0 * reach, period_s=max(replay.recording.duration_s, 12.0))
+    target = (float(middle[0]), float(lo[1]) + 0.5, float(middle[2]))
+    poses = orbit_poses(times, target, around) if len(times) else np.eye(4)[None]
+    camera = pinhole(960, 540, hfov_deg=50, name="orbit", pose=poses[0], hidden_layers=("ceiling",))
+    return CameraTrack(camera=camera, poses=poses)
 
 
 PLACEHOLDER_STAGE_M = 10.0
@@ -135,25 +168,3 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points = np.concatenate([c.reshape(-1, 3) for c in corners]) if corners else np.zeros((1, 3))
     lo, hi = points.min(0), points.max(0)
     return lo, np.maximum(hi, lo + 1.0)
-
-
-# --- from a file --------------------------------------------------------------------------------------------------------
-def _from_file(replay: Replay, path: Path) -> CameraTrack:
-    if not path.is_file():
-        raise InputError(f"No camera file there. Expected a TOML file with eye and target: {path}")
-    try:
-        spec = msgspec.toml.decode(path.read_bytes(), type=CameraFile)
-    except msgspec.DecodeError as error:
-        fields = ", ".join(CameraFile.__struct_fields__)
-        raise InputError(f"Not a camera: {error}. Expected TOML with the fields {fields}: {path}") from None
-    pose = look_at(spec.eye, spec.target)
-    camera: Camera = pinhole(
-        spec.width, spec.height, hfov_deg=spec.hfov_deg, name=spec.name or path.stem, hidden_layers=spec.hidden_layers
-    )
-    if not spec.follow:
-        return CameraTrack(camera=camera, poses=pose[None])
-    names = [agent.name for agent in replay.recording.agents]
-    if spec.follow not in names:
-        raise InputError(f"The camera follows {spec.follow!r}; this recording has the agents {names}: {path}")
-    base = held(replay.recording.agent_column(names.index(spec.follow), "base_pose").astype(np.float64))
-    return CameraTrack(camera=camera, poses=pose_to_matrix(base) @ pose)

@@ -1,0 +1,272 @@
+"""Cameras described in TOML or JSON files: fixed, mounted on a body, following, orbiting, along a path; any lens.
+
+The fields are those of `CameraFile`; docs/cameras.md explains them with examples.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.errors import InputError
+from h3data.geometry import Array, heading_from_quat, pose_to_matrix, quat_from_heading
+from h3data.render import (
+    CONVENTIONS,
+    Camera,
+    camera_from_matrix,
+    equirectangular,
+    fisheye,
+    look_at,
+    orthographic,
+    pinhole,
+)
+from h3data.render.camera import Convention, Projection
+from h3data.replay.chase import held
+from h3data.replay.replay import CameraTrack, Replay
+
+Point = tuple[float, float, float]
+
+
+class Key(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One place of a camera's path."""
+
+    time_s: float
+    eye: Point
+    target: Point
+
+
+class Orbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A circle around the target, counter-clockwise seen from above."""
+
+    radius_m: float = 3.0
+    height_m: float = 1.5
+    """Of the eye over the target."""
+    period_s: float = 12.0
+    start_deg: float = 0.0
+    """Heading from the target to the eye at the start."""
+
+
+class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A camera: lens, and place: ``eye`` and ``target``, ``pose``, ``keys`` or ``orbit``, in the world or on a body."""
+
+    name: str = ""
+    width: int = 640
+    height: int = 480
+    projection: Projection = "perspective"
+    hfov_deg: float | None = None
+    """Across the width; 70 for perspective, 180 for fisheye cameras unless given."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx fy cx cy [px], in place of hfov_deg."""
+    width_m: float | None = None
+    """Across an orthographic picture."""
+    near: float = 0.0
+    far: float = float("inf")
+    hidden_layers: tuple[str, ...] = ()
+    eye: Point | None = None
+    target: Point | None = None
+    pose: list[float] | list[list[float]] | None = None
+    """x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to what it is mounted on), in ``convention``."""
+    convention: Convention = "opencv"
+    keys: tuple[Key, ...] = ()
+    orbit: Orbit | None = None
+    follow: str = ""
+    """Name of an agent: the camera goes and turns with its root frame (x forward, y up, z right)."""
+    turns: bool = True
+    """False: it goes with the agent but keeps its direction."""
+    smooth_s: float = 0.0
+    """Evens out the way of what is followed."""
+    link: str = ""
+    """Link of the robot ``follow`` or joint of the human ``follow``: the camera is mounted there."""
+    body: str = ""
+    """Name of a recorded body that the camera is mounted on."""
+
+
+def load_camera_file(path: Path) -> CameraFile:
+    """The camera in a TOML or JSON file.
+
+    Raises:
+        InputError: there is no such file, or it does not describe a camera.
+    """
+    if not path.is_file():
+        raise InputError(f"No camera file there. Expected a TOML or JSON file with eye and target: {path}")
+    decoder: Any = msgspec.json if path.suffix.lower() == ".json" else msgspec.toml
+    try:
+        spec = decoder.decode(path.read_bytes(), type=CameraFile)
+    except (msgspec.DecodeError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        fields = ", ".join(CameraFile.__struct_fields__)
+        kind = path.suffix.lower()[1:].upper()
+        raise InputError(f"Not a camera: {error}. Expected {kind} with the fields {fields}: {path}") from None
+    places = [name for name in ("eye", "pose", "keys", "orbit") if getattr(spec, name)]
+    if len(places) != 1 or (spec.eye is None) != (spec.target is None or spec.orbit is not None):
+        raise InputError(
+            f"A camera needs one of: eye with target, pose, keys, orbit; this one has {places or 'none'}: {path}"
+        )
+    return spec
+
+
+def track_of_file(replay: Replay, path: Path) -> CameraTrack:
+    """The camera in a file, at every step of a recording."""
+    spec = load_camera_file(path)
+    try:
+        camera = _lens(spec, spec.name or path.stem)
+        base = _base(replay, spec)
+        local = _poses(replay, spec)
+    except InputError as error:
+        raise InputError(f"{error} In the camera file {path}") from None
+    poses = local if base is None else base @ local
+    camera.at(poses[0]).checked()
+    return CameraTrack(camera=camera, poses=poses)
+
+
+def _lens(spec: CameraFile, name: str) -> Camera:
+    common: dict[str, Any] = {"name": name, "hidden_layers": spec.hidden_layers}
+    clip: dict[str, Any] = {"near": spec.near, "far": spec.far}
+    if spec.projection == "orthographic":
+        if spec.width_m is None:
+            raise InputError("An orthographic camera needs width_m, the metres across its picture.")
+        return orthographic(spec.width, spec.height, width_m=spec.width_m, **common, **clip)
+    if spec.projection == "fisheye":
+        return fisheye(spec.width, spec.height, hfov_deg=spec.hfov_deg or 180.0, **common)
+    if spec.projection == "equirectangular":
+        return equirectangular(spec.width, spec.height, **common)
+    if spec.intrinsics is None:
+        return pinhole(spec.width, spec.height, hfov_deg=spec.hfov_deg or 70.0, **common, **clip)
+    if spec.hfov_deg is not None:
+        raise InputError("Give either hfov_deg or intrinsics, not both.")
+    fx, fy, cx, cy = spec.intrinsics
+    k = camera_from_matrix([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], spec.width, spec.height)
+    return Camera(width=k.width, height=k.height, fx=fx, fy=fy, cx=cx, cy=cy, pose=np.eye(4), **common, **clip)
+
+
+# --- where it is in its frame --------------------------------------------------------------------------------------------
+def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
+    """Camera to its frame, [1 or T, 4, 4]."""
+    if spec.pose is not None:
+        given = np.array(spec.pose, np.float64)
+        if given.shape not in ((7,), (4, 4)) or not np.isfinite(given).all():
+            raise InputError(f"pose must be 7 numbers (x y z qx qy qz qw) or a 4x4 matrix, got {spec.pose}.")
+        if given.shape == (7,):
+            length = float(np.linalg.norm(given[3:]))
+            if abs(length - 1) > 1e-3:
+                raise InputError(f"The quaternion of pose must have length 1, it has {length:g}.")
+            given[3:] /= length
+            given = pose_to_matrix(given)
+        return (given @ CONVENTIONS[spec.convention])[None]
+    if spec.orbit is not None:
+        return orbit_poses(_times(replay), spec.target or (0.0, 0.8, 0.0), spec.orbit)
+    if spec.keys:
+        times = np.array([key.time_s for key in spec.keys])
+        if (np.diff(times) <= 0).any():
+            raise InputError(f"The keys of a path must be in the order of time, got {times.tolist()} s.")
+        now = _times(replay)
+        eye = smooth_path(times, np.array([key.eye for key in spec.keys]), now)
+        target = smooth_path(times, np.array([key.target for key in spec.keys]), now)
+        return np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)])
+    assert spec.eye is not None
+    assert spec.target is not None
+    if spec.eye == spec.target:
+        raise InputError(f"eye and target must be different points, both are {list(spec.eye)}.")
+    return look_at(spec.eye, spec.target)[None]
+
+
+def _times(replay: Replay) -> NDArray[np.float64]:
+    """Seconds since the recording began, shape [T]."""
+    times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9
+    return times - times[0] if len(times) else np.zeros(1)
+
+
+def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float64]:
+    """Camera (OpenCV) to world at each time [T] of a camera that circles ``target`` [m], shape [T, 4, 4]."""
+    angle = np.radians(orbit.start_deg) + 2 * np.pi * np.asarray(times_s) / orbit.period_s
+    way = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
+    eyes = np.array(target) + way * orbit.radius_m + (0.0, orbit.height_m, 0.0)
+    return np.stack([look_at(eye, target) for eye in eyes])
+
+
+def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.float64]:
+    """A smooth line through points [K, 3] at key times [K], at ``times`` [T]; it waits before the first and after the last."""
+    if len(points) < 3:
+        return np.stack([np.interp(times, key_times, points[:, k]) for k in range(3)], axis=1)
+    from scipy.interpolate import PchipInterpolator  # goes through the keys without overshooting
+
+    path = PchipInterpolator(key_times, points, axis=0)
+    return np.asarray(path(np.clip(times, key_times[0], key_times[-1])), np.float64)
+
+
+# --- what it is mounted on -------------------------------------------------------------------------------------------
+def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
+    """What the camera moves with, to world [T, 4, 4]; None = nothing."""
+    if spec.body and spec.follow:
+        raise InputError("Give either body or follow, not both.")
+    if spec.body:
+        return body_frames(replay, spec.body)
+    if not spec.follow:
+        if spec.link:
+            raise InputError(f"link {spec.link!r} needs follow, the name of its agent.")
+        return None
+    names = [agent.name for agent in replay.recording.agents]
+    if spec.follow not in names:
+        raise InputError(f"The camera follows {spec.follow!r}; this recording has the agents {names}.")
+    agent = names.index(spec.follow)
+    if spec.link:
+        return link_frames(replay, agent, spec.link)
+    base = held(replay.recording.agent_column(agent, "base_pose").astype(np.float64))
+    if spec.smooth_s > 0:
+        base = _smoothed(base, spec.smooth_s / max(float(np.median(np.diff(_times(replay)))), 1e-6))
+    if not spec.turns:
+        base[:, 3:] = quat_from_heading(np.zeros(len(base)))
+    return np.asarray(pose_to_matrix(base), np.float64)
+
+
+def _smoothed(base: NDArray[np.float64], steps: float) -> NDArray[np.float64]:
+    """Root poses [T, 7] with place and heading evened out over about so many steps."""
+    from scipy.ndimage import gaussian_filter1d
+
+    place = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
+    heading = gaussian_filter1d(np.unwrap(heading_from_quat(base[:, 3:])), steps / 2, mode="nearest")
+    return np.asarray(np.concatenate([place, quat_from_heading(heading)], axis=1), np.float64)
+
+
+def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
+    """World frames of a robot's link (URDF axes) or a human's joint (z forward, y up, x left at rest), [T, 4, 4]."""
+    label = replay.recording.agents[agent].name
+    if not replay.recording.agents[agent].model:
+        raise InputError(f"Agent {label!r} has no model with links; a camera can be mounted on its bodies by name.")
+    model = replay.model(agent)
+    if isinstance(model, Robot):
+        names = [link.name for link in model.links]
+        frames = replay.link_matrices(agent)
+    else:
+        from h3data.bodies.skeleton import JOINT_NAMES
+
+        names = list(JOINT_NAMES)
+        frames = replay.joint_matrices(agent, np.arange(len(replay)))
+    if name not in names:
+        raise InputError(f"Agent {label!r} has no link {name!r}. It has: {', '.join(names)}.")
+    return _rigid(np.asarray(frames[:, names.index(name)], np.float64))
+
+
+def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
+    """World frames of something drawn, by its name, [T, 4, 4]; its scale is left out."""
+    names = [drawable.name for drawable in replay.drawables]
+    if name not in names:
+        near = [n for n in names if name.lower() in n.lower()][:8] or names[:8]
+        raise InputError(f"There is no body {name!r} among {len(names)}, for example: {', '.join(near)}.")
+    index = names.index(name)
+    if replay.drawables[index].deformable:
+        raise InputError(f"Body {name!r} is a skinned person: mount the camera with follow and link.")
+    matrices = replay.matrices(index) if replay.drawables[index].moving else replay.drawables[index].matrix[None]
+    return _rigid(np.asarray(matrices, np.float64))
+
+
+def _rigid(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frames [T, 4, 4] with unit axes; where there are none (NaN) the last ones."""
+    frames = held(matrices.reshape(len(matrices), 16)).reshape(-1, 4, 4)
+    frames[:, :3, :3] /= np.maximum(np.linalg.norm(frames[:, :3, :3], axis=1, keepdims=True), 1e-12)
+    return frames
