@@ -140,6 +140,7 @@ HOSTILE: dict[str, tuple[tuple[Any, ...], Any]] = {
     "buffers that are none": (("buffers",), None),
     "compressed in a way that is not read": (("extensionsRequired",), ["EXT_meshopt_compression"]),
     "meshes that are numbers": (("meshes",), [1]),
+    "required extensions that are a text": (("extensionsRequired",), "KHR_materials_unlit"),
 }
 
 
@@ -162,6 +163,13 @@ def test_hostile_documents_are_refused(tmp_path: Path, case: str) -> None:
     if "materials" not in keys and "extensionsRequired" not in keys:
         with suppress(SceneError):
             node_box(path)
+
+
+def test_unknown_required_extensions_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    build = Builder()
+    build.document["extensionsRequired"] = ["KHR_texture_transform", "MAKER_hologram"]
+    assert len(build.mesh(tmp_path).faces) == 2
+    assert "['MAKER_hologram']" in caplog.text
 
 
 def test_vertices_that_are_not_numbers(tmp_path: Path) -> None:

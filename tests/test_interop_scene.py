@@ -256,6 +256,13 @@ def test_largest_rectangle_never_leaves_the_surface() -> None:
     assert 4 * half[0] * half[1] > 1.85  # the best one has area 2
 
 
+@pytest.mark.parametrize("value", [1.5, -5, 1e20, True, "7"])
+def test_semantic_ids_are_whole_numbers(dataset: Dataset, value: object) -> None:
+    dataset.json("objects/0/brick.object_config.json", {"render_asset": "brick.glb", "semantic_id": value})
+    with pytest.raises(FormatError, match="semantic_id"):
+        dataset.scene({"template_name": "brick"})
+
+
 # --- broken input -----------------------------------------------------------------------------------------------------
 def test_missing_meshes_are_an_error_unless_allowed(dataset: Dataset) -> None:
     (dataset.root / "objects" / "0" / "brick.glb").unlink()
@@ -266,7 +273,7 @@ def test_missing_meshes_are_an_error_unless_allowed(dataset: Dataset) -> None:
     scene = load_habitat_scene(dataset.config, "one", allow_missing=True)
     assert [i.name for i in scene.instances] == ["stage"]
     assert any("do not exist" in w for w in scene.source["warnings"])
-    with pytest.raises(SceneError, match="'sofa'"):
+    with pytest.raises(SceneError, match="'sofa'; nothing is found below its paths 'objects', 'bare'"):
         dataset.scene({"template_name": "sofa"})
     assert len(load_habitat_scene(dataset.config, allow_missing=True).instances) == 1
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import posixpath
 from collections.abc import Iterator
 from functools import cached_property
@@ -26,6 +27,13 @@ from h3data.interop.gltf_primitives import MAX_TRIANGLES, PlainMesh, read_primit
 from h3data.scene.accessors import GltfArrays, entry
 from h3data.scene.glb import unpack_glb
 
+_log = logging.getLogger(__name__)
+_KNOWN_EXTENSIONS = {
+    "KHR_draco_mesh_compression", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit",
+    "KHR_texture_basisu", "KHR_texture_ktx", "EXT_texture_webp", "KHR_mesh_quantization",
+}  # fmt: skip
+"""Read, or without effect on what is drawn. Quantised vertices are plain accessors of whole numbers."""
+
 
 class GltfFile:
     """One glTF file. Faults raise `SceneError` or `ValueError` with the key; `h3data.interop.meshes` adds the file."""
@@ -41,9 +49,7 @@ class GltfFile:
             self.document, self._binary = json.loads(data), memoryview(b"")
         if not isinstance(self.document, dict):
             raise ValueError("its JSON is not an object")
-        for extension in ("EXT_meshopt_compression", "KHR_meshopt_compression"):
-            if extension in self.document.get("extensionsRequired", []):
-                raise SceneError(f"its triangles are compressed ({extension}), which is not read")
+        _check_extensions(self.document.get("extensionsRequired", []), path)
         self._buffers: dict[int, memoryview] = {}
         self._meshes: dict[int, list[PlainMesh]] = {}
         self.arrays = GltfArrays(self.document, self._buffer)
@@ -139,6 +145,18 @@ class GltfFile:
             raise ValueError(f"its nodes show {total} triangles, the most that are read are {MAX_TRIANGLES}")
         for mesh, matrix, skin in placed:
             yield from ((part, matrix, skin) for part in self.mesh(mesh))
+
+
+def _check_extensions(required: Any, path: Path) -> None:
+    """Refuse or tell of what a reader must know to show the file rightly."""
+    if not isinstance(required, list):
+        raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
+    unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
+    packed = [name for name in unknown if "compression" in name]
+    if packed:
+        raise SceneError(f"its triangles are compressed ({packed[0]}), which is not read")
+    if unknown:
+        _log.warning("It needs glTF extensions that are not read, and may look different: %s: %s", unknown, path)
 
 
 def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:

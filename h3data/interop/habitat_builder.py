@@ -15,7 +15,7 @@ from h3data.geometry import IDENTITY_POSE, IDENTITY_QUAT, normalized, pose_to_ma
 from h3data.interop.habitat_articulated import initial_positions, link_frames, link_pose, pose_of_links
 from h3data.interop.habitat_dataset import SceneDataset, Section, Template
 from h3data.interop.habitat_templates import TemplateReader
-from h3data.interop.habitat_values import flag, number, numbers, text
+from h3data.interop.habitat_values import flag, number, numbers, text, whole_number
 from h3data.scene.records import Instance, LightSource, Motion, Room, Scene
 
 REACH_MAX_M = 1e5
@@ -89,7 +89,7 @@ class SceneBuilder:
                 asset=self._seen(read.asset, entry, where),
                 pose=np.concatenate([position, rotation]).astype(np.float64),
                 scale=scale,
-                semantic_id=int(number(read.attributes, "semantic_id", 0, where=template.path)),
+                semantic_id=whole_number(read.attributes, "semantic_id", 0, where=template.path),
                 motion=motion,
             ),
             where,
@@ -131,7 +131,7 @@ class SceneBuilder:
                     asset=self._seen(asset, hidden, where),
                     pose=link_pose(frames[link.index], link.turn),
                     scale=np.full(3, scale),
-                    semantic_id=int(number(read.attributes, "semantic_id", 0, where=template.path)),
+                    semantic_id=whole_number(read.attributes, "semantic_id", 0, where=template.path),
                 ),
                 where,
             )

@@ -74,6 +74,8 @@ class SceneDataset:
     descriptors: Mapping[str, str] = field(default_factory=dict)
     """The same for semantic descriptors."""
     keys: KeyNotes = field(default_factory=KeyNotes)
+    empty_paths: tuple[str, ...] = ()
+    """Search paths below which nothing is."""
 
     @property
     def scenes(self) -> list[str]:
@@ -131,13 +133,14 @@ def load_scene_dataset(path: Path) -> SceneDataset:
     keys = KeyNotes()
     keys.note("scene_dataset_config", content)
     sections: dict[Section, tuple[Template, ...]] = {}
+    empty: list[str] = []
     for section, ending in _CONFIG_ENDINGS.items():
         entry = mapping(content, section, where=path)
         if section != "semantic_scene_descriptor_instances":  # there names of files may stand beside the keys
             keys.note("dataset_section", entry)
         for item in objects(entry, "configs", where=path):
             keys.note("dataset_override", item)
-        sections[section] = tuple(_templates(path, entry, ending))
+        sections[section] = tuple(_templates(path, entry, ending, empty))
     if not any(sections.values()):
         raise FormatError(f"This dataset configuration lists no stages, objects or scenes that exist: {path}")
     navmeshes = mapping(content, "navmesh_instances", where=path)
@@ -148,6 +151,7 @@ def load_scene_dataset(path: Path) -> SceneDataset:
         navmeshes={k: v for k, v in navmeshes.items() if isinstance(v, str)},
         descriptors={k: v for k, v in descriptors.items() if isinstance(v, str)},
         keys=keys,
+        empty_paths=tuple(empty),
     )
 
 
@@ -170,14 +174,18 @@ def dataset_above(path: Path) -> SceneDataset:
     )
 
 
-def _templates(config: Path, entry: Mapping[str, Any], ending: str) -> list[Template]:
+def _templates(config: Path, entry: Mapping[str, Any], ending: str, empty: list[str]) -> list[Template]:
+    """What a section lists; adds to ``empty`` the search paths below which nothing is."""
     root = config.parent
     defaults = mapping(entry, "default_attributes", where=config)
     found: dict[Path, Template] = {}
     for extension, patterns in mapping(entry, "paths", where=config).items():
         wanted = ending if extension == ".json" else extension
         for pattern in patterns if isinstance(patterns, list) else [patterns]:
-            for file in _matching(root, str(pattern), wanted):
+            files = _matching(root, str(pattern), wanted)
+            if not files:
+                empty.append(str(pattern))
+            for file in files:
                 found.setdefault(file, Template(handle=_short(file.name), path=file, defaults=defaults))
     configured = {t.handle for t in found.values() if t.is_config}
     # a mesh that also has a config is offered once, as the config

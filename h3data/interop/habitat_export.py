@@ -351,7 +351,9 @@ def _refuse(folder: Path, *, force: bool) -> None:
         if not folder.is_dir():
             raise InputError(f"Expected a folder to export to, this is a file: {folder}")
         if not force:
-            raise InputError(f"The folder to export to is not empty. Use force to replace it, or another: {folder}")
+            raise InputError(
+                f"The folder to export to is not empty. Replace it with force (--force), or choose another: {folder}"
+            )
         configs = [p.read_text(errors="replace") for p in folder.glob("*" + DATASET_ENDING)]
     except OSError as error:
         raise InputError(f"Cannot look into the folder to export to ({error.strerror}): {folder}") from None

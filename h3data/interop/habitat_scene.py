@@ -140,7 +140,9 @@ def _from_instance(builder: SceneBuilder, dataset: SceneDataset, template: Templ
         else:
             builder.add_articulated(found, entry, where=where)
     if absent:
-        fault = f"{len(absent)} objects have no template in the dataset, the first is {absent[0]!r}"
+        fault = f"Objects without a template in the dataset: {len(absent)}, the first is {absent[0]!r}"
+        if dataset.empty_paths:
+            fault += f"; nothing is found below its paths {', '.join(map(repr, dataset.empty_paths[:5]))}"
         if not builder.allow_missing:
             raise SceneError(f"{fault}. Hint: --allow-missing (allow_missing=True) leaves them out. {where}")
         builder.warn(fault)

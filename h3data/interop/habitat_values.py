@@ -67,6 +67,14 @@ def number(attributes: Mapping[str, Any], key: str, default: float, *, where: Pa
     return float(value)
 
 
+def whole_number(attributes: Mapping[str, Any], key: str, default: int, *, where: Path) -> int:
+    """The whole number from 0 to 2^31 - 1 under ``key``."""
+    value = number(attributes, key, default, where=where)
+    if value != int(value) or not 0 <= value < 2**31:
+        raise _unexpected("a whole number from 0 to 2147483647", key, attributes.get(key), where)
+    return int(value)
+
+
 def numbers(attributes: Mapping[str, Any], key: str, default: Sequence[float], *, where: Path) -> tuple[float, ...]:
     """The finite numbers under ``key``, as many as ``default`` has."""
     value = attributes.get(key)
