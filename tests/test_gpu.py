@@ -8,21 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gpu_emulator import COMPILER, EmulatedRenderer
 from numpy.typing import NDArray
 
 from benchmarks.render import blob, box, colored, textured
 from h3data.bodies.humanoid_file import load_humanoid
 from h3data.errors import InputError
-from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.gpu import GpuRenderer, GpuScene, gpu_problem
+from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render.gpu import GpuEngine, GpuRenderer, GpuScene, gpu_problem
 from h3data.render.gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS, build_meshlets
 from h3data.render.gpu.packing import pack_scenes
-from h3data.render.gpu.renderer import choose_variant
+from h3data.render.gpu.views import choose_variant
 from h3data.render.scene_map import render_scene
 from h3data.scene.homes import HomeSpec, build_home
 from h3data.scene.records import Mesh
-
-from gpu_emulator import COMPILER, EmulatedRenderer
 
 OUTPUTS: Any = ("depth", "instance", "semantic", "triangle", "normal", "rgb")
 WIDTH, HEIGHT = 96, 72
@@ -111,7 +110,7 @@ def eight_views(scene: RenderScene) -> list[Camera]:
     return views(eyes, eyes + ahead)
 
 
-def walking(cameras: list[Camera]) -> NDArray[np.float64]:
+def walking(cameras: list[Camera]) -> NDArray[np.floating]:
     """Joint frames [8, 55, 4, 4] of a person who walks in front of each camera."""
     body = load_humanoid("female_0")
     quats, pelvis = body.walk_pose(np.full(len(cameras), 1.2), np.linspace(0, 0.9, len(cameras)))
@@ -232,7 +231,7 @@ def test_deformed_meshes_without_skin(make):
         [RenderInstance(1, np.eye(4)), RenderInstance(2, placed(0.6, 0.8, 0)), RenderInstance(0, placed(-0.6, 0.8, 0))],
         deformable=[0, 2],
     )
-    stretched = scene.meshes[2].vertices * np.float32([0.5, 1.4, 0.8])
+    stretched = scene.meshes[2].vertices * np.array([0.5, 1.4, 0.8], np.float32)
 
     def pose(gpu: Any, cpu: Renderer) -> None:
         gpu.update_vertices(2, np.tile(stretched, (2, 1, 1)))
@@ -274,6 +273,43 @@ def test_pictures_repeat_whatever_the_tile(make):
     other = gpu.render(cameras, outputs=OUTPUTS)
     assert (abs(first["depth"] - other["depth"]) < 1e-4).float().mean() > 0.9999
     assert (first["instance"] == other["instance"]).float().mean() > 0.9999
+
+
+def test_near_and_far_cut_as_on_the_cpu(make):
+    scene = RenderScene([room(), ball()], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 1, 0))])
+    got = compare(make, GpuScene(scene), [replace(c, near=2.4, far=4.0) for c in ROOM_VIEWS])
+    seen = got["depth"][got["depth"] > 0]
+    assert seen.min() >= 2.4
+    assert seen.max() <= 4.0
+    assert (got["instance"] == -1).any()
+
+
+def test_one_renderer_for_both_back_ends(make):
+    """`Renderer` with the GPU behind it: moved, hidden and deformed things in two worlds."""
+
+    class Engine(GpuEngine):
+        renderer_class = make
+
+    scene = RenderScene(
+        [room(), ball(), ball(10, smooth=True)],
+        [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 1, 0)), RenderInstance(2, placed(0.5, 0.5, 0.5))],
+        deformable=[2],
+    )
+    engine, cpu = Engine(scene, light=Light(), worlds=2), Renderer(scene, worlds=2)
+    gpu = Renderer(scene, worlds=2)
+    gpu._engine = engine
+    seen = [0, 1, 0]
+    cameras = [*ROOM_VIEWS, ROOM_VIEWS[1]]
+    for step in range(2):
+        for renderer in (gpu, cpu):
+            renderer.set_transforms([1], placed(0.3 * step, 1.1, 0.2), world=1)
+            renderer.set_vertices(2, scene.meshes[2].vertices * np.float32(1 - 0.3 * step), world=step)
+            renderer.set_visible([1], False, world=0)
+        want = cpu.render_batch(cameras, worlds=seen, outputs=OUTPUTS)
+        got = gpu.render_batch(cameras, worlds=seen, outputs=OUTPUTS)
+        for k in range(3):
+            assert_alike({n: t[k].cpu().numpy() for n, t in got.items()}, {n: a[k] for n, a in want.items()})
+    assert list(gpu.poses(1).vertices) == [2]
 
 
 def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch):

@@ -65,7 +65,7 @@ def _offsets() -> NDArray[np.float64]:
     return np.stack([length * np.cos(angle), length * np.sin(angle)], axis=2)
 
 
-_OFFSETS = _offsets()
+TAP_OFFSETS = _offsets()
 
 
 class Occlusion(NamedTuple):
@@ -87,7 +87,7 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
     table[CENTER_X], table[CENTER_Y] = (cx - 0.5) / factor, (cy - 0.5) / factor
     table[LAST_X], table[LAST_Y] = last_x, last_y
     table[RADIUS], table[NEAR_RADIUS], table[GAIN] = RADIUS_M, SPREAD, CONTRAST / TAPS
-    table[OFFSETS:] = _OFFSETS.ravel()
+    table[OFFSETS:] = TAP_OFFSETS.ravel()
     return table
 
 

@@ -78,8 +78,8 @@ def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.where(value <= _SHOULDER, value, 1 - rest * np.exp(-np.maximum(value - _SHOULDER, 0) / rest))
 
 
-_LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
-_BYTE_OF_LINEAR = np.round(
+LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
+BYTE_OF_LINEAR = np.round(
     255 * linear_to_srgb(tone_map((np.arange(TONE_SIZE) + 0.5) * (TONE_LIMIT / TONE_SIZE)))
 ).astype(np.uint8)
 
@@ -87,7 +87,7 @@ _BYTE_OF_LINEAR = np.round(
 _NO_OCCLUSION = Occlusion(np.zeros((0, 0), np.float32), np.zeros((4, 0, 0), np.float32))
 
 
-def _light_table(light: Light) -> NDArray[np.float32]:
+def light_table(light: Light) -> NDArray[np.float32]:
     sky, ground = np.array(light.sky), np.array(light.ground)
     colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
     directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
@@ -121,8 +121,8 @@ def shade(
         placement.matrix,
         view,
         target,
-        _light_table(light),
-        (_LINEAR_OF_BYTE, _BYTE_OF_LINEAR),
+        light_table(light),
+        (LINEAR_OF_BYTE, BYTE_OF_LINEAR),
         occlusion,
         np.float32(strength),
         no_rgb if rgb is None else rgb,

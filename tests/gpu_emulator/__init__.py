@@ -12,7 +12,8 @@ from typing import Any
 import torch
 
 from h3data.render.gpu.cuda import source_text
-from h3data.render.gpu.renderer import GpuRenderer, Variant
+from h3data.render.gpu.renderer import GpuRenderer
+from h3data.render.gpu.views import Variant
 
 COMPILER = shutil.which("g++")
 KERNELS = {

@@ -21,7 +21,7 @@ from h3data.files import part_file
 if TYPE_CHECKING:
     import torch
 
-SOURCES = ("common.cuh", "deform.cu", "raster.cu", "shade.cu", "occlusion.cu")
+SOURCES = ("common.cuh", "deform.cu", "tile.cuh", "triangles.cuh", "raster.cu", "shade.cu", "occlusion.cu")
 _DYNAMIC_SHARED_BYTES = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 
 

@@ -46,7 +46,7 @@ __device__ __forceinline__ Box box_of(const float* low, const float* high, int f
 }
 
 // One block per (world, group). Joints that are NaN make empty boxes, which nothing ever sees.
-extern "C" __global__ void deform(Deform d) {
+extern "C" __global__ void __launch_bounds__(256, 5) deform(Deform d) {
     extern __shared__ float4 palette[];  // [joint_count, 3]: rows
     __shared__ int group_low[3], group_high[3];
     const World& s = d.world;

@@ -40,8 +40,8 @@ def _fields(pointers: str, **rest: str) -> list[tuple[str, Any]]:
 
 class World(Struct):
     _fields_ = _fields(
-        "vertices triangles clusters items places scenes scene_of_world world_of_view groups poses cameras hidden placement deformed "
-        "deformed_clusters deformed_groups",
+        "vertices triangles clusters items places scenes scene_of_world world_of_view groups poses cameras hidden "
+        "placement deformed deformed_clusters deformed_groups",
         int="slots deformed_vertices deformed_cluster_count deformed_group_count width height first_view views scale "
         "unused",
     )

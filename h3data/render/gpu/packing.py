@@ -7,48 +7,22 @@ moves or deforms is cut on its own, once per scene. An *item* is a group of clus
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.render.gpu.layout import BOX, GROUP, PLACE, SCENE
-from h3data.render.gpu.meshlets import Meshlets, build_meshlets
+from h3data.render.gpu.deformables import Deformables
+from h3data.render.gpu.layout import BOX, PLACE, SCENE
+from h3data.render.gpu.meshlets import build_meshlets
+from h3data.render.gpu.pool import Pool, mesh_arrays
+from h3data.render.gpu.stage import GpuScene
 from h3data.render.scene import RenderScene
 
 MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
-_BOX_MARGIN_M = 1e-6
-
-
-class SkinWeights(Protocol):
-    """What drives a skinned mesh; `h3data.bodies.humanoid.SkinnedMesh` is one."""
-
-    joints: NDArray[np.integer]
-    """Joints of the four weights, shape [V, 4]."""
-    weights: NDArray[np.float32]
-    """Shape [V, 4]."""
-
-
-@dataclass(frozen=True, eq=False)
-class GpuScene:
-    """A scene, and what of it moves: everything else is baked where it stands."""
-
-    scene: RenderScene
-    moving: Sequence[int] = ()
-    """Instances with a pose of their own in every world; those of deformable meshes need not be named."""
-    skins: Mapping[int, tuple[SkinWeights, NDArray[Any]]] = field(default_factory=dict)
-    """Of deformable meshes that follow joints: the weights, and the inverse bind matrices [J, 4, 4]. The other deformable
-    meshes are given their vertices."""
-
-    @property
-    def slots(self) -> tuple[int, ...]:
-        """The instances that have poses, in the order of `GpuRenderer.update_poses`."""
-        deformable = set(self.scene.deformable)
-        others = [k for k, m in enumerate(self.scene.instance_mesh) if int(m) in deformable and k not in self.moving]
-        return (*(int(k) for k in self.moving), *others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,66 +74,6 @@ class Packed:
         return sum(a.nbytes for a in vars(self).values() if isinstance(a, np.ndarray))
 
 
-class _Pool:
-    """Clusters of many meshes one after another."""
-
-    def __init__(self) -> None:
-        self.vertex_count = self.cluster_count = 0
-        self.parts: dict[str, list[NDArray[Any]]] = {}
-
-    def keep(self, **arrays: NDArray[Any]) -> None:
-        for name, array in arrays.items():
-            self.parts.setdefault(name, []).append(array)
-
-    def joined(self, name: str, empty: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        return np.concatenate([np.zeros(empty, dtype), *self.parts.get(name, [])])
-
-    def add(
-        self, cut: Meshlets, vertices: NDArray, normals: NDArray, colors: NDArray, uv: NDArray, face_ids: NDArray,
-        face_textures: NDArray, face_instances: NDArray,
-    ) -> NDArray[Any]:  # fmt: skip
-        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` per triangle of what was cut."""
-        clusters = boxes(cut.low, cut.high)
-        counts = np.diff(cut.first_vertex)
-        clusters["first"] = counts | cut.triangle_count << 16
-        clusters["second"] = cut.first_vertex[:-1] + self.vertex_count
-        starts, count = cut.group_first[:-1], len(cut.low)
-        low = np.minimum.reduceat(cut.low, starts) if count else cut.low
-        high = np.maximum.reduceat(cut.high, starts) if count else cut.high
-        groups = boxes(low, high)
-        groups["first"], groups["second"] = starts[: len(groups)] + self.cluster_count, np.diff(cut.group_first)
-        flat = uv[cut.vertices] if len(uv) else np.zeros((len(cut.vertices), 2), np.float32)
-
-        def per_triangle(values: NDArray) -> NDArray[np.int32]:
-            padded = np.append(values, -1).astype(np.int32)  # face -1 picks the last
-            return padded[cut.faces].reshape(-1)
-
-        self.keep(
-            vertices=vertices[cut.vertices],
-            normals=normals[cut.vertices],
-            colors=colors[cut.vertices],
-            uv=flat,
-            triangles=cut.triangles.reshape(-1),
-            clusters=clusters,
-            triangle_faces=per_triangle(face_ids),
-            triangle_textures=per_triangle(face_textures),
-            triangle_instances=per_triangle(face_instances),
-        )
-        self.vertex_count += len(cut.vertices)
-        self.cluster_count += count
-        return groups
-
-
-def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
-    """Boxes [N] of two corners [N, 3], a hair larger."""
-    out = np.zeros(len(low), BOX)
-    center = (low.astype(np.float64) + high) / 2
-    half = (high.astype(np.float64) - low) / 2
-    out["center"] = center
-    out["half"] = half * (1 + 1e-5) + _BOX_MARGIN_M + 1e-7 * np.abs(center)
-    return out
-
-
 @lru_cache(maxsize=1)
 def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
     """The arrays of some scenes; those of the last ones are kept, for renderers of other sizes.
@@ -169,7 +83,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
     """
     for number, stage in enumerate(scenes):
         _check(stage, number)
-    pool, deformed = _Pool(), _Deformables(scenes)
+    pool, deformed = Pool(), Deformables(scenes)
     for number in range(len(scenes)):
         deformed.pack(pool, number)
     layers = tuple(sorted({str(layer) for stage in scenes for layer in stage.scene.layers} - {""}))
@@ -248,7 +162,7 @@ def _check(stage: GpuScene, number: int) -> None:
 
 
 def _scene_items(
-    pool: _Pool, stage: GpuScene, deformed: _Deformables, number: int, bits: Mapping[str, int], first_texture: int
+    pool: Pool, stage: GpuScene, deformed: Deformables, number: int, bits: Mapping[str, int], first_texture: int
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Items [N] and places [N] of a scene: first what stands still, layer by layer, then what moves."""
     scene, slots = stage.scene, stage.slots
@@ -282,26 +196,6 @@ def _scene_items(
     return np.concatenate([np.zeros(0, BOX), *items]), np.concatenate([np.zeros(0, PLACE), *places])
 
 
-def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: int = -1) -> dict[str, NDArray[Any]]:
-    """A mesh as `_Pool.add` takes it, with its faces."""
-    surface = scene.surface
-    v, f = slice(*scene.first_vertex[mesh : mesh + 2]), slice(*scene.first_face[mesh : mesh + 2])
-    textures = surface.face_textures[f]
-    colors = np.zeros((v.stop - v.start, 4), np.uint8)
-    colors[:, :3] = surface.colors[v]
-    count = f.stop - f.start
-    return {
-        "vertices": scene.meshes[mesh].vertices,
-        "faces": scene.meshes[mesh].faces,
-        "normals": surface.normals[v],
-        "colors": colors,
-        "uv": surface.uv[v] if len(surface.uv) else np.zeros((len(colors), 2), np.float32),
-        "face_ids": np.arange(count, dtype=np.int32),
-        "face_textures": np.where(textures >= 0, textures + first_texture, -1).astype(np.int32),
-        "face_instances": np.full(count, instance, np.int32),
-    }
-
-
 def _baked(scene: RenderScene, instances: Sequence[int], first_texture: int) -> dict[str, NDArray[Any]]:
     """Some instances as one mesh in the world."""
     parts: list[dict[str, NDArray[Any]]] = []
@@ -319,108 +213,3 @@ def _baked(scene: RenderScene, instances: Sequence[int], first_texture: int) -> 
         start += len(part["vertices"])
         parts.append(part)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-class _Deformables:
-    """The deformable meshes of all scenes. They go into the pool first, so that tables per vertex of theirs stay short."""
-
-    def __init__(self, scenes: Sequence[GpuScene]) -> None:
-        self.scenes = scenes
-        self.rows: list[dict[str, int]] = []
-        self.boxes: list[dict[int, tuple[NDArray[Any], int]]] = []
-        """Of each scene, by mesh: its groups, and the number of the first among the scene's."""
-        self.sources: list[NDArray[np.float32]] = []
-        self.source_first: list[dict[int, int]] = []
-        self.counts = np.zeros(3, np.int64)
-        """Most vertices, clusters and groups of a scene."""
-        self.group_count = self.normal_group_count = 0
-        self.joint_count = max((len(bind) for s in scenes for _, bind in s.skins.values()), default=1)
-        self.bodies = max((len(s.scene.deformable) for s in scenes), default=0)
-        self.inverse_bind = np.tile(
-            np.eye(4, dtype=np.float32), (len(scenes), max(self.bodies, 1), self.joint_count, 1, 1)
-        )
-
-    def pack(self, pool: _Pool, number: int) -> None:
-        """Append one scene's."""
-        stage = self.scenes[number]
-        scene, before = stage.scene, (pool.vertex_count, pool.cluster_count, self.group_count)
-        self.rows.append(dict(first_group=before[2], first_vertex=before[0], first_cluster=before[1]))
-        self.boxes.append({})
-        self.source_first.append({})
-        sources = [np.zeros((0, 3), np.float32)]
-        first_texture = sum(len(s.scene.surface.textures.first_level) for s in self.scenes[:number])
-        for body, mesh in enumerate(scene.deformable):
-            own = mesh_arrays(scene, mesh, first_texture)
-            own["colors"][:, 3] = mesh in scene.groups
-            faces = own.pop("faces")
-            cut = build_meshlets(own["vertices"], faces)
-            first_vertex = pool.vertex_count
-            groups = pool.add(cut, **own)
-            first_source = -1
-            if mesh in stage.skins:
-                skin, bind = stage.skins[mesh]
-                joints, weights = skin.joints.astype(np.uint8), skin.weights.astype(np.float32)
-                self.inverse_bind[number, body, : len(bind)] = bind
-            else:
-                joints, weights = np.zeros((len(own["vertices"]), 4), np.uint8), np.zeros((len(own["vertices"]), 4))
-                first_source = sum(map(len, sources))
-                self.source_first[number][mesh] = first_source
-                sources.append(own["vertices"])
-            rows = np.zeros(len(groups), GROUP)
-            rows["first_cluster"], rows["clusters"] = groups["first"], groups["second"]
-            rows["body"], rows["first_source"] = body, first_source
-            self.boxes[number][mesh] = groups, self.group_count - before[2]
-            pool.keep(
-                groups=rows,
-                skin_joints=joints[cut.vertices],
-                skin_weights=weights[cut.vertices].astype(np.float32),
-                source_vertex=cut.vertices,
-            )
-            self._pack_normals(pool, scene, mesh, cut, faces, first_vertex)
-            self.group_count += len(groups)
-        self.sources.append(np.concatenate(sources))
-        after = (pool.vertex_count, pool.cluster_count, self.group_count)
-        self.rows[-1]["groups"] = after[2] - before[2]
-        self.counts = np.maximum(self.counts, np.subtract(after, before))
-
-    def _pack_normals(
-        self, pool: _Pool, scene: RenderScene, mesh: int, cut: Meshlets, faces: NDArray[np.int32], first_vertex: int
-    ) -> None:
-        """The faces around every vertex, by groups of vertices that share a normal."""
-        if mesh not in scene.groups:
-            pool.keep(normal_groups=np.zeros(len(cut.vertices), np.int32))
-            return
-        group_of = scene.groups[mesh]
-        place = np.zeros(len(scene.meshes[mesh].vertices), np.int32)  # one of a vertex' places in the pool
-        place[cut.vertices] = np.arange(len(cut.vertices), dtype=np.int32) + first_vertex
-        around = group_of[faces].reshape(-1)
-        order = np.argsort(around, kind="stable")
-        count = int(group_of.max(initial=-1)) + 1
-        first_face = sum(map(len, pool.parts.get("group_faces", [])))
-        starts = np.concatenate([[0], np.cumsum(np.bincount(around, minlength=count))])
-        pool.keep(
-            normal_groups=(group_of[cut.vertices] + self.normal_group_count).astype(np.int32),
-            group_first=(starts[:-1] + first_face).astype(np.int32),
-            group_faces=place[faces][order // 3],
-        )
-        self.normal_group_count += count
-
-    def arrays(self, pool: _Pool) -> dict[str, Any]:
-        """Their part of `Packed`."""
-        faces = pool.joined("group_faces", (0, 3), np.int32)
-        return dict(
-            groups=pool.joined("groups", (0,), GROUP),
-            normal_groups=pool.joined("normal_groups", (0,), np.int32),
-            group_first=np.append(pool.joined("group_first", (0,), np.int32), len(faces)).astype(np.int32),
-            group_faces=faces,
-            skin_joints=pool.joined("skin_joints", (0, 4), np.uint8),
-            skin_weights=pool.joined("skin_weights", (0, 4), np.float32),
-            source_vertex=pool.joined("source_vertex", (0,), np.int32),
-            inverse_bind=self.inverse_bind,
-            sources=tuple(self.sources),
-            source_first=tuple(self.source_first),
-            deformed_vertices=int(self.counts[0]),
-            deformed_clusters=int(self.counts[1]),
-            deformed_groups=int(self.counts[2]),
-            bodies=self.bodies,
-        )

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.render.gpu.cuda import Program, chosen_device
-from h3data.render.gpu.layout import CAMERA_WORDS, Deform, Raster, World
-from h3data.render.gpu.packing import GpuScene, Packed, pack_scenes
+from h3data.render.gpu.layout import Deform, Raster, World
+from h3data.render.gpu.packing import Packed, pack_scenes
 from h3data.render.gpu.shading import Shader
+from h3data.render.gpu.stage import GpuScene
+from h3data.render.gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
 from h3data.render.pictures import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
 from h3data.render.shading import Light
@@ -23,49 +25,8 @@ if TYPE_CHECKING:
 
 _SHARED_LIMIT = 227 * 1024
 """Shared memory of a block on Hopper [bytes]; others have less, and say so."""
-
-
 _MOST_PIXELS = 2**31 - 1
 """Of a launch: the kernels count them in 32 bits."""
-
-
-class Variant(NamedTuple):
-    """How the rasteriser is compiled."""
-
-    tile: int
-    """Width and height of a block's tile [px]."""
-    warps: int
-    blocks: int
-    """That shall fit a multiprocessor at the same time."""
-
-    def shared_bytes(self, items: int) -> int:
-        """Dynamic shared memory of a block: pixels, coarse depth, every warp's scratch, list of items."""
-        return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
-
-
-def choose_variant(worlds: int, width: int, height: int) -> Variant:
-    """The fastest measured: small tiles where there are few blocks, large ones for small pictures."""
-    pixels, longer = worlds * width * height, max(width, height)
-    if worlds < 64:
-        if pixels < 400_000:
-            return Variant(16, 8, 4)
-        return Variant(16, 4, 8) if pixels < 2_000_000 else Variant(32, 4, 7)
-    return Variant(64, 8, 3) if longer <= 64 else Variant(32, 4, 7)
-
-
-@dataclass(frozen=True, eq=False)
-class _Views:
-    """Cameras on the device, as the kernels read them."""
-
-    key: tuple[Any, ...]
-    cameras: torch.Tensor
-    hidden: torch.Tensor
-    world_of_view: torch.Tensor
-    placement: torch.Tensor
-
-    @property
-    def count(self) -> int:
-        return len(self.cameras)
 
 
 class GpuRenderer:
@@ -106,12 +67,14 @@ class GpuRenderer:
             raise InputError(f"scene_of_world needs {worlds} numbers from 0 to {len(self.scenes) - 1}.")
         self.scene_of_world = tuple(int(s) for s in chosen)
         self.light = light or Light()
+        if self.light.shadow_rays:
+            raise InputError("The GPU back end casts no shadows. Hint: Light(shadow_rays=0), or the CPU renderer.")
         self.device = self._find_device(device)
         self.packed = pack_scenes(self.scenes)
         self._items = int(self.packed.scenes["items"].max())
         self._programs: dict[Variant, Any] = {}
         self.variant = choose_variant(self.worlds, self.width, self.height)
-        self._views: _Views | None = None
+        self._views: Views | None = None
         self._upload()
         self._reset()
 
@@ -127,7 +90,7 @@ class GpuRenderer:
 
         packed = self.packed
         self._tensors = {
-            f.name: _tensor(getattr(packed, f.name), self.device)
+            f.name: tensor_of(getattr(packed, f.name), self.device)
             for f in fields(Packed)
             if isinstance(getattr(packed, f.name), np.ndarray)
         }
@@ -140,7 +103,7 @@ class GpuRenderer:
         self._joints = empty(worlds, packed.bodies, packed.inverse_bind.shape[2], 12)
         self._sources = empty(worlds, max(map(len, packed.sources)), 3)
         held = self._held = {
-            "scene_of_world": _tensor(np.array(self.scene_of_world, np.int32), self.device),
+            "scene_of_world": tensor_of(np.array(self.scene_of_world, np.int32), self.device),
             "deformed": empty(worlds, packed.deformed_vertices, 3),
             "deformed_clusters": empty(worlds, packed.deformed_clusters, 8),
             "deformed_groups": empty(worlds, packed.deformed_groups, 8),
@@ -180,9 +143,9 @@ class GpuRenderer:
             poses[number, : len(stage.slots)] = stage.scene.instance_matrix[list(stage.slots)]
             sources[number, : len(packed.sources[number])] = packed.sources[number]
         which = self._held["scene_of_world"].long()
-        self._poses.copy_(_tensor(poses, self.device)[which].flatten(2))
-        self._sources.copy_(_tensor(sources, self.device)[which])
-        self._joints.copy_(_tensor(joints.astype(np.float32), self.device)[which].flatten(3))
+        self._poses.copy_(tensor_of(poses, self.device)[which].flatten(2))
+        self._sources.copy_(tensor_of(sources, self.device)[which])
+        self._joints.copy_(tensor_of(joints.astype(np.float32), self.device)[which].flatten(3))
         self._run_deform()
 
     @property
@@ -296,14 +259,17 @@ class GpuRenderer:
             self._draw(views, fine, scale=2)
         return results
 
-    def _views_of(self, cameras: list[Camera], worlds: Sequence[int] | None, poses: Any) -> _Views:
+    def _views_of(self, cameras: list[Camera], worlds: Sequence[int] | None, poses: Any) -> Views:
         """The views on the device. With ``poses`` and the same lenses as before, nothing comes from the host."""
         seen = tuple(range(self.worlds)) if worlds is None else tuple(int(w) for w in worlds)
-        lenses = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *_range(c)) for c in cameras)
+        lenses = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *depth_range(c)) for c in cameras)
         key = (seen, lenses)
         views = self._views
         if poses is None or views is None or views.key != key:
-            views = self._views = self._new_views(key, cameras)
+            views = self._views = new_views(
+                key, cameras, worlds=self.worlds, size=(self.width, self.height), layers=self.packed.layers,
+                slots=self.packed.slots, device=self.device,
+            )  # fmt: skip
         if poses is not None:
             given = self._floats(poses, "poses", 3)
             if given.shape not in ((views.count, 4, 4), (views.count, 3, 4)):
@@ -311,40 +277,7 @@ class GpuRenderer:
             views.cameras[:, :12].unflatten(1, (3, 4)).copy_(given[:, :3])
         return views
 
-    def _new_views(self, key: tuple[Any, ...], cameras: list[Camera]) -> _Views:
-        import torch
-
-        seen = np.array(key[0], np.int32)
-        if len(cameras) not in (1, len(seen)):
-            raise InputError(f"Expected one camera or one per view ({len(seen)}), got {len(cameras)}.")
-        if not len(seen) or seen.min() < 0 or seen.max() >= self.worlds:
-            raise InputError(f"Expected views of worlds 0 to {self.worlds - 1}, got {key[0]}.")
-        table = np.zeros((len(cameras), CAMERA_WORDS), np.float32)
-        hidden = np.zeros(len(cameras), np.uint32)
-        for k, camera in enumerate(cameras):
-            self._check_camera(camera)
-            table[k, :12] = np.asarray(camera.pose, np.float64)[:3].ravel()
-            table[k, 12:] = camera.fx, camera.fy, camera.cx, camera.cy, *_range(camera)
-            hidden[k] = sum(1 << b for b, layer in enumerate(self.packed.layers) if layer in camera.hidden_layers)
-        every = (len(seen), -1)
-        return _Views(
-            key=key,
-            cameras=_tensor(table, self.device).expand(every).contiguous(),
-            hidden=_tensor(hidden, self.device)[:, None].expand(every).contiguous(),
-            world_of_view=_tensor(seen, self.device),
-            placement=torch.empty((len(seen), self.packed.slots, 12), dtype=torch.float32, device=self.device),
-        )
-
-    def _check_camera(self, camera: Camera) -> None:
-        camera.checked()
-        if camera.projection != "perspective":
-            raise InputError(f"The GPU draws perspective cameras; camera {camera.name!r} is {camera.projection}.")
-        if (camera.width, camera.height) != (self.width, self.height):
-            raise InputError(
-                f"Camera {camera.name!r} is {camera.width}x{camera.height}, this renderer draws {self.width}x{self.height}."
-            )
-
-    def _draw(self, views: _Views, results: dict[str, torch.Tensor], *, scale: int) -> None:
+    def _draw(self, views: Views, results: dict[str, torch.Tensor], *, scale: int) -> None:
         """Draw all views into ``results``; if the memory for what lies between does not suffice, some at a time."""
         import torch
 
@@ -360,7 +293,7 @@ class GpuRenderer:
                     raise
                 at_once = -(-at_once // 2)
 
-    def _draw_part(self, views: _Views, part: slice, results: dict[str, torch.Tensor], scale: int) -> None:
+    def _draw_part(self, views: Views, part: slice, results: dict[str, torch.Tensor], scale: int) -> None:
         import torch
 
         count, program = part.stop - part.start, self._program()
@@ -427,24 +360,8 @@ class GpuRenderer:
         )
 
 
-def _range(camera: Camera) -> tuple[float, float]:
-    """Depths between which it sees [m]."""
-    return float(camera.near), float(camera.far)
-
-
 def _positive(**values: int) -> list[int]:
     wrong = {name: v for name, v in values.items() if int(v) != v or v < 1}
     if wrong:
         raise InputError(f"Expected positive whole numbers, got {wrong}.")
     return [int(v) for v in values.values()]
-
-
-def _tensor(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """An array on the device; records as their bytes."""
-    import torch
-
-    if array.dtype.fields is not None:
-        array = array.view(np.uint8)
-    elif array.dtype.kind == "u" and array.itemsize == 4:
-        array = array.view(np.int32)
-    return torch.from_numpy(np.ascontiguousarray(array)).to(device)
