@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from sim_kinematic.spec import STEP_S, BaseSpec
-from sim_kinematic.step import integrate, least_clearance
+from sim_kinematic.step import integrate, least_clearance, wrap_angle
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _CANDIDATES = np.array([(forward, turn) for forward in _LEVELS for turn in _LEVELS])
@@ -29,12 +29,22 @@ class AvoidanceSpec:
     stride: int = 3
     """Steps between the moments that are looked at."""
     margin_m: float = 0.35
-    """Free way that is kept between both."""
+    """Free way that is kept between both while she walks,"""
+    still_margin_m: float = 0.1
+    """and while she stands."""
+    still_mps: float = 0.1
+    """Slower than this she stands."""
     person_radius_m: float = 0.35
     discs_m: tuple[float, ...] = (-0.3, 0.0, 0.4)
     """Discs of the base's radius that stand for the whole robot, hind legs to hand, along its x axis."""
     weight: float = 8.0
-    """Metres of way that a metre of lacking room is worth."""
+    """Metres of way that a metre of lacking room is worth,"""
+    facing_m: float = 0.1
+    """and a radian by which it looks elsewhere."""
+    detour_m: float = 1.0
+    """A way round somebody who stands leads past her at this distance,"""
+    passage_m: float = 0.75
+    """and at no point nearer than this."""
 
 
 AVOIDANCE = AvoidanceSpec()
@@ -52,14 +62,18 @@ def _least_gap(x, z, heading, person_x, person_z, discs, radius):
 
 @kernel(error_model="numpy")
 def try_command(
-    sdf, origin, cell, x, z, heading, speed, turn, person, velocity, offsets, base_radius, discs, radius, steps, stride, dt
-):
-    """Least gap [m] to the person while the base keeps a command for a while, and where it is in the end: ``(gap, x, z)``.
+    sdf, origin, cell, x, z, heading, speed, turn, way, person, velocity, offsets, base_radius, discs, radius, steps,
+    stride, dt,
+):  # fmt: skip
+    """Least gap [m] to the person while the base keeps a command for ``way`` [m] at most, and where it is in the end:
+    ``(gap, x, z, heading)``.
 
     It stays where it would touch an obstacle; the first moments count most: there her motion is known best.
     """
     gap = math.inf
     for step in range(1, steps + 1):
+        if abs(speed) * step * dt > way:
+            speed = 0.0
         nx, nz, nh = integrate(x, z, heading, speed, 0.0, turn, dt)
         if least_clearance(sdf, origin, cell, nx, nz, nh, offsets) >= base_radius - 2e-3:
             x, z, heading = nx, nz, nh
@@ -67,7 +81,7 @@ def try_command(
             t = step * dt
             now = _least_gap(x, z, heading, person[0] + velocity[0] * t, person[1] + velocity[1] * t, discs, radius)
             gap = min(gap, now + 0.25 * t)
-    return gap, x, z
+    return gap, x, z, heading
 
 
 def keep_clear(
@@ -81,21 +95,61 @@ def keep_clear(
     if np.hypot(*(person_xz - xz)) > spec.range_m:
         return wanted
 
-    def trial(command: tuple[float, float]) -> tuple[float, float, float]:
+    def trial(command: tuple[float, float], way: float = math.inf) -> tuple[float, float, float, float]:
         return try_command(
             free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, command[0] * base.max_speed_mps,
-            command[1] * base.max_turn_rad_s, person_xz, person_velocity, np.array(base.disc_offsets_m),
+            command[1] * base.max_turn_rad_s, way, person_xz, person_velocity, np.array(base.disc_offsets_m),
             base.disc_radius_m, np.array(spec.discs_m), base.disc_radius_m + spec.person_radius_m,
             spec.horizon_steps, spec.stride, STEP_S,
         )  # fmt: skip
 
-    if trial(wanted)[0] >= spec.margin_m:
+    margin = spec.margin_m if np.hypot(*person_velocity) > spec.still_mps else spec.still_margin_m
+    if trial(wanted, float(np.hypot(*(towards - xz))))[0] >= margin:
         return wanted
     best, least = wanted, math.inf
     for forward, turn in ((0.0, 0.0), *_CANDIDATES.tolist()):
-        gap, x, z = trial((forward, turn))
-        cost = spec.weight * max(spec.margin_m - gap, 0.0) + math.hypot(x - towards[0], z - towards[1])
+        gap, x, z, new_heading = trial((forward, turn))
+        left = math.hypot(x - towards[0], z - towards[1])
+        off = abs(wrap_angle(math.atan2(z - towards[1], towards[0] - x) - new_heading)) if left > 0.1 else 0.0
+        cost = spec.weight * max(margin - gap, 0.0) + left + spec.facing_m * off
         cost += 0.02 * abs(turn)  # of equals the calmest
         if cost < least:
             best, least = (forward, turn), cost
     return best
+
+
+def is_crowded(base: BaseSpec, stands: NDArray, person_xz: NDArray, spec: AvoidanceSpec = AVOIDANCE) -> NDArray[np.bool_]:
+    """At which stands ``(x, z, heading)`` [N, 3] a robot would be too near to where a person is now."""
+    radius = base.disc_radius_m + spec.person_radius_m
+    discs = np.array(spec.discs_m)
+    gaps = [_least_gap(x, z, heading, person_xz[0], person_xz[1], discs, radius) for x, z, heading in stands]
+    return np.array(gaps) < spec.margin_m
+
+
+def way_round(
+    free: FreeSpace, start: NDArray, goal: NDArray, person_xz: NDArray, spec: AvoidanceSpec = AVOIDANCE
+) -> NDArray | None:
+    """A point [2] by which a path from ``start`` to ``goal`` leads round a person who stands in the way; None: she does not,
+    or there is no way round."""
+    if not np.isfinite(person_xz).all() or _passes(free.path(start, goal, max_snap_m=1.0), person_xz, spec):
+        return None
+    angles = np.arange(12) * (np.pi / 6)
+    ring = person_xz + spec.detour_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    best, least = None, math.inf
+    for point in ring[free.is_navigable(ring)]:
+        legs = [free.path(start, point, max_snap_m=1.0), free.path(point, goal, max_snap_m=1.0)]
+        length = sum(float(np.hypot(*np.diff(leg, axis=0).T).sum()) for leg in legs)
+        if length < least and all(_passes(leg, person_xz, spec) for leg in legs):
+            best, least = point, length
+    return best
+
+
+def _passes(path: NDArray, person_xz: NDArray, spec: AvoidanceSpec) -> bool:
+    """Whether a path [K, 2] keeps its distance from a person, its first half metre aside: one must get away first."""
+    if len(path) < 2:
+        return False
+    legs = np.diff(path, axis=0)
+    lengths = np.hypot(*legs.T)
+    dots = np.concatenate([np.linspace(a, b, 2 + int(n / 0.1)) for a, b, n in zip(path, path[1:], lengths, strict=False)])
+    dots = dots[np.hypot(*(dots - path[0]).T) > 0.5]
+    return not len(dots) or float(np.hypot(*(dots - person_xz).T).min()) >= spec.passage_m

@@ -119,15 +119,10 @@ class Chooser:
     def choose(self, view: TaskView) -> Action:
         if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
             self._avoid[self._object] = view.step + 60
-        held = [k for k in range(len(view.objects)) if view.held_by[k] == view.agent]
-        left = held or [k for k in view.left_to_do() if self._avoid.get(k, 0) <= view.step]
-        if self._object not in left or not held:
-            chosen = self.prefer(view, left) if left and not held else (held[0] if held else None)
-            if chosen is None:
-                self._object = -1
-                return Action("wait", steps=5)
-            self._object = chosen
-        return errand(view, self._object)
+        held = np.flatnonzero(view.held_by == view.agent)
+        chosen = int(held[0]) if len(held) else self.prefer(view, self._left(view))
+        self._object = -1 if chosen is None else chosen
+        return Action("wait", steps=5) if chosen is None else errand(view, chosen)
 
     def interrupts(self, view: TaskView) -> str:
         action = view.action
@@ -136,9 +131,12 @@ class Chooser:
         if view.held_by[action.target] not in (NOBODY, view.agent):
             return "object_taken"
         if view.close and action.skill == "nav_to_object":
-            better = self.prefer(view, view.left_to_do())
+            better = self.prefer(view, self._left(view))
             return "agents_close" if better is not None and better != action.target else ""
         return ""
+
+    def _left(self, view: TaskView) -> list[int]:
+        return [k for k in view.left_to_do() if self._avoid.get(k, 0) <= view.step]
 
 
 def _nearest(view: TaskView, left: list[int]) -> int | None:

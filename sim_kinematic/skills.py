@@ -25,7 +25,7 @@ from h3data.geometry import (
     wrap_angle,
 )
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance import keep_clear
+from sim_kinematic.avoidance import AVOIDANCE, is_crowded, keep_clear, way_round
 from sim_kinematic.person import Person, SkillResult
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.stands import hand_turn, nearest_stand, person_stands, robot_stands
@@ -40,7 +40,11 @@ PRIMITIVES = {"move_forward": (1.0, 0.0, 4), "move_backward": (-1.0, 0.0, 4), "t
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 STUCK_STEPS = 60
 """A base that has not come nearer to where it wants to be for so long gives up."""
-ARRIVED_M, FACING_RAD = 0.06, 0.05
+LOOKS_ROUND = (10, 40)
+"""After so many steps without progress it looks for a way round a person who stands in the way,"""
+VIA_M = 0.25
+"""which it has taken when it is this near to the point beside her."""
+ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
 APPROACH_M = 0.1
 """The robot's hand comes to an object from so far above it and lifts it as high."""
 
@@ -201,30 +205,39 @@ class RobotActor:
     def _navigate(self, point: NDArray) -> Skill:
         """Drive to where the hand reaches a world point [3], and turn to it."""
         stands = robot_stands(self.free, self.robot, self.base, point)
-        k, left = nearest_stand(self.free, stands, self.xz)
+        k, left = nearest_stand(self.free, stands, self.xz, is_crowded(self.base, stands, self.person_xz))
         if not np.isfinite(left):
             return Ending("failed", "no_way")
-        goal, best, since = stands[k, :2], left, 0
-        while True:
-            left = float(self.free.geodesic(self.xz, goal, max_snap_m=1.0))
-            towards = goal
-            if left > ARRIVED_M:
-                towards = self.free.next_waypoint(
-                    self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0
-                )
-                towards = goal if np.isnan(towards).any() else towards
-                error = self._error_to(towards)
-                forward = min(left / (self.base.max_speed_mps * STEP_S), 1.0) * max(0.0, np.cos(error)) ** 2
-            else:
-                error, forward = self._error_to(point[[0, 2]]), 0.0
+        goal, best, since = stands[k, :2], np.inf, 0
+        via: NDArray | None = None  # where to pass somebody who stands in the way
+        while since <= STUCK_STEPS:
+            if since in LOOKS_ROUND and np.hypot(*self.person_velocity) < AVOIDANCE.still_mps:
+                via = way_round(self.free, self.xz, goal, self.person_xz)
+            if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
+                via, best = None, np.inf
+            left = float(self.free.geodesic(self.xz, goal if via is None else via, max_snap_m=1.0))
+            if via is None and (left <= ARRIVED_M or (left <= NEARLY_M and since > LOOKS_ROUND[0])):
+                error = self._error_to(point[[0, 2]])
                 if abs(error) < FACING_RAD:
                     return Ending("done")
+                self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
-            self._step(forward, float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1)), towards)
+            else:
+                towards = self._waypoint(goal if via is None else via)
+                error = self._error_to(towards)
+                forward = min(left / (self.base.max_speed_mps * STEP_S), 1.0) * max(0.0, np.cos(error)) ** 2
+                self._step(forward, self._turn(error), towards)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
-            if since > STUCK_STEPS:
-                return Ending("failed", "stuck")
+        return Ending("failed", "stuck")
+
+    def _turn(self, error: float) -> float:
+        """The command that removes a heading error [rad] in one step, if the limit allows."""
+        return float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1))
+
+    def _waypoint(self, goal: NDArray) -> NDArray:
+        found = self.free.next_waypoint(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
+        return goal if np.isnan(found).any() else found
 
     def _pick(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("pick", k)))

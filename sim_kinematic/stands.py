@@ -15,7 +15,8 @@ from sim_kinematic.step import least_clearance
 BEARINGS = 24
 """Directions from which a point is approached."""
 PERSON_DISTANCES_M = tuple(0.25 + 0.05 * k for k in range(13))
-ROBOT_DISTANCES_M = tuple(0.55 + 0.05 * k for k in range(11))
+ROBOT_DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
+"""One counts when the hand reaches the point from its two neighbours too: a base does not stand to the millimetre."""
 HAND_SIDE_RAD = 0.25
 """A person stands so that the point is this far to the side of the hand that takes it."""
 HAND_PITCH_RAD = -0.6
@@ -23,6 +24,8 @@ HAND_PITCH_RAD = -0.6
 stands again where it is put."""
 SWAY_M = 0.015
 """A person's distances count when the point is reached from this much nearer and farther as well."""
+CROWDED_M = 100.0
+"""A way this much longer is taken rather than standing where the other one stands."""
 ROOM_M = 0.02
 """Free way that a robot's base has round it where it stands."""
 
@@ -50,7 +53,8 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     targets = np.zeros((len(distances), 7))
     targets[:, 0], targets[:, 1], targets[:, 3:] = distances, point[1] - free.floor_y, hand_turn(robot)
     answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
-    stands = _on_island(free, _ring(point, distances[answer.reached], 0.0))
+    reached = answer.reached[1:-1] & answer.reached[:-2] & answer.reached[2:]
+    stands = _on_island(free, _ring(point, distances[1:-1][reached], 0.0))
     if turning_room(free, base, stands).any():
         return stands[turning_room(free, base, stands)]
     offsets = np.array([*base.disc_offsets_m, -max(base.disc_offsets_m)])
@@ -72,12 +76,17 @@ def turning_room(free: FreeSpace, base: BaseSpec, stands: Array) -> NDArray[np.b
     return free.signed_distance(stands[:, :2]) >= reach
 
 
-def nearest_stand(free: FreeSpace, stands: Array, start_xz: ArrayLike) -> tuple[int, float]:
-    """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to."""
+def nearest_stand(
+    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | None = None
+) -> tuple[int, float]:
+    """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to.
+
+    Those that are ``crowded`` [N] are taken only if all are.
+    """
     if not len(stands):
         return -1, np.inf
     ways = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
-    best = int(np.argmin(ways))
+    best = int(np.argmin(ways if crowded is None else ways + np.where(crowded, CROWDED_M, 0.0)))
     return best, float(ways[best])
 
 
