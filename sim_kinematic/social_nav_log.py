@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import ground_pose, heading_direction, normalized
+from h3data.geometry import ground_pose
 from h3data.recording import (
     STEP_NS,
     Agent,
@@ -27,6 +27,7 @@ from h3data.recording import (
 )
 from h3data.scene import CATEGORIES, Scene, save_scene, scene_digest
 from sim_kinematic.policies import ROBOT_SKILLS
+from sim_kinematic.sensors import facing
 
 if TYPE_CHECKING:
     from sim_kinematic.social_nav import SocialNavWorld
@@ -107,13 +108,6 @@ def motion_phase(world: SocialNavWorld, clip: int, distance: NDArray[np.float64]
     """Place in the walking cycle after having walked ``distance`` [...] [m] since setting off."""
     walk = world.human.clips[clip]
     return ((walk.start_phase + distance / walk.stride_m) % 1.0).astype(np.float32)
-
-
-def facing(
-    robot_xz: NDArray[np.float64], heading: NDArray[np.float64], human_xz: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Cosine [...] between the robot's forward axis and the direction to the person; 0 where she is at the same place."""
-    return np.sum(heading_direction(heading) * normalized(human_xz - robot_xz), axis=-1)
 
 
 @dataclass

@@ -1,0 +1,134 @@
+"""Laws of stepping under random actions: nothing breaks, nothing is entered, one world is the same as many."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from h3data.bodies import load_robot
+from h3data.errors import InputError
+from h3data.scene import Cylinder, FreeSpace, HomeSpec, Scene, build_home
+from sim_kinematic.collision import FclScene, MovingShapes, contacts
+from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.spec import ArmSpec, BaseSpec
+from sim_kinematic.state import WorldState
+from sim_kinematic.step import drive_robots, least_clearance
+
+GRID_ERROR_M = 4e-3
+"""What FCL finds beyond the tolerance at corners of walls (worst of 1,900: 2.7 mm): the distance grid has cells of 5 cm."""
+ARM = ArmSpec()
+
+
+@lru_cache(maxsize=2)
+def floor(seed: int) -> tuple[Scene, FreeSpace]:
+    home = build_home(HomeSpec(preset="small", seed=seed))
+    return home, FreeSpace.from_scene(home)
+
+
+@st.composite
+def base_specs(draw: st.DrawFn, slides: tuple[str, ...] = ("strict", "habitat")) -> BaseSpec:
+    return BaseSpec(
+        slide=draw(st.sampled_from(slides)),  # type: ignore[arg-type]
+        disc_offsets_m=draw(st.sampled_from([(0.0,), (0.0, 0.225), (0.0, 0.25, -0.25)])),
+        max_speed_mps=draw(st.floats(0.1, 2.5)),
+        max_turn_rad_s=draw(st.floats(0.1, 2.5)),
+        max_lateral_mps=draw(st.sampled_from([0.0, 1.0])),
+        allow_back=draw(st.booleans()),
+    )
+
+
+def started(free: FreeSpace, spec: BaseSpec, worlds: int, rng: np.random.Generator) -> WorldState:
+    """Robots at random where their discs are free, one object near each hand."""
+    robot = load_robot("quad_arm")
+    state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=2)
+    state.robot_joints[:] = robot.rest
+    offsets = np.array(spec.disc_offsets_m)
+    for w in range(worlds):
+        while True:
+            (xz,), heading = free.sample(rng, 1), rng.uniform(-np.pi, np.pi)
+            clear = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
+            if clear >= spec.disc_radius_m:
+                break
+        state.robot_xz[w], state.robot_heading[w] = xz, heading
+    state.object_pose[:, 0, :3] = robot_hands(state, robot)[:, :3, 3] + rng.normal(0, 0.05, (worlds, 3))
+    return state
+
+
+def act(state: WorldState, free: FreeSpace, spec: BaseSpec, actions: np.ndarray) -> None:
+    """One step of everything: actions [W, 11] hold base, arm and grip."""
+    robot = load_robot("quad_arm")
+    drive_robots(state, free, actions[:, : 3 if spec.max_lateral_mps else 2], spec)
+    move_arms(state, robot, actions[:, 3:10], ARM)
+    grip_objects(state, robot_hands(state, robot), actions[:, 10], ARM)
+
+
+def digest(state: WorldState) -> list[bytes]:
+    return [array.tobytes() for array in vars(state).values()]
+
+
+@settings(max_examples=6)
+@given(base_specs(), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_one_world_is_as_many_and_nothing_breaks(spec: BaseSpec, home: int, seed: int) -> None:
+    _, free = floor(home)
+    many = started(free, spec, 64, np.random.default_rng(seed))
+    again = many.copy()
+    singles = {w: WorldState(**{k: v[w : w + 1].copy() for k, v in vars(many).items()}) for w in (0, 17, 63)}
+    rng = np.random.default_rng(seed)
+    robot = load_robot("quad_arm")
+    for _ in range(40):
+        actions = rng.uniform(-1.5, 1.5, (64, 11))
+        for state in (many, again):
+            act(state, free, spec, actions)
+        for w, single in singles.items():
+            act(single, free, spec, actions[w : w + 1])
+    assert digest(many) == digest(again)
+    for w, single in singles.items():
+        assert digest(single) == digest(WorldState(**{k: v[w : w + 1] for k, v in vars(many).items()})), w
+    for name, array in vars(many).items():
+        assert np.isfinite(array).all(), name
+    assert (many.robot_joints >= robot.lower).all()
+    assert (many.robot_joints <= robot.upper).all()
+
+
+@settings(max_examples=6)
+@given(base_specs(("strict",)), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> None:
+    """By the distance grid to its tolerance, and by FCL to that and the error of the grid."""
+    scene, free = floor(home)
+    rng = np.random.default_rng(seed)
+    state = started(free, spec, 40, rng)
+    offsets = np.array(spec.disc_offsets_m)
+    low, high = 0.21, 1.41  # above what a robot climbs
+    scenery = FclScene(scene)
+    upright = np.array([0, 0, 0, 0, 0, 0, 1.0])
+    disc = MovingShapes([Cylinder(pose=upright, radius=spec.disc_radius_m, half_height=(high - low) / 2)])
+    for k in range(60):
+        actions = rng.uniform(-1, 1, (40, 11))
+        actions[:, 0] = rng.choice([1.0, -1.0, 0.4], 40)
+        act(state, free, spec, actions)
+        ahead = np.stack([np.cos(state.robot_heading), -np.sin(state.robot_heading)], -1)
+        centres = (state.robot_xz[:, None] + offsets[:, None] * ahead[:, None]).reshape(-1, 2)
+        clear = free.clearance(centres)
+        assert clear.min() >= -spec.clearance_tolerance_m - 1e-9
+        for x, z in centres[clear < 1e-3] if k % 10 == 9 else ():
+            disc.set_transforms(np.array([[[1, 0, 0, x], [0, 1, 0, (low + high) / 2], [0, 0, 1, z], [0, 0, 0, 1.0]]]))
+            touched = contacts(scenery, disc)
+            for touch in touched[:1]:
+                assert touch.depth_m < spec.clearance_tolerance_m + GRID_ERROR_M, scenery.names[touch.index_a]
+
+
+@pytest.mark.parametrize("slide", ["strict", "habitat"])
+def test_nan_in_one_world_moves_none(slide: str) -> None:
+    _, free = floor(1)
+    spec = BaseSpec(slide=slide)  # type: ignore[arg-type]
+    state = started(free, spec, 3, np.random.default_rng(0))
+    before = digest(state)
+    actions = np.ones((3, 2))
+    actions[2, 1] = np.nan
+    with pytest.raises(InputError, match="world 2"):
+        drive_robots(state, free, actions, spec)
+    assert digest(state) == before
