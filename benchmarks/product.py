@@ -1,4 +1,4 @@
-"""What a user waits for: importing the package, the help, the demo."""
+"""What a user waits for: importing the package, the help, the demo, a report of 1,000 episodes."""
 
 from __future__ import annotations
 
@@ -7,13 +7,33 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+
+REPORT_RUNS, REPORT_EPISODES = ("heuristic_expert", "random"), 500
 
 
 def _wall_s(*command: str) -> float:
     start = time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return time.perf_counter() - start
+
+
+def _make_run(folder: Path, policy: str) -> Path:
+    """A dataset of `REPORT_EPISODES` episodes: ten simulated ones over and over, under different names."""
+    from h3data.recording import DatasetWriter
+    from h3data.scene import HomeSpec, build_home
+    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+
+    homes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in range(2)]
+    worlds = [SocialNavWorld.create(homes[k % 2], seed=k) for k in range(10)]
+    recordings = [simulate_social_nav(world, policy=policy) for world in worlds]
+    with DatasetWriter(folder) as writer:
+        for k in range(REPORT_EPISODES):
+            recording = recordings[k % len(recordings)]
+            episode = replace(recording.episode, uid=f"{policy}-{k}", episode_id=f"{k:06d}")
+            writer.add(replace(recording, episode=episode))
+    return folder
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
@@ -25,3 +45,9 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         _wall_s(*cli, "demo", "--steps", "5", "-o", str(Path(folder) / "warm"))
         emit("demo.wall_s", _wall_s(*cli, "demo", "-o", str(Path(folder) / "demo")), "s")
+        runs = [str(_make_run(Path(folder) / policy, policy)) for policy in REPORT_RUNS]
+        out = Path(folder) / "report.html"
+        emit(
+            "report.1000_wall_s", min(_wall_s(*cli, "report", *runs, "-o", str(out), "--force") for _ in range(2)), "s"
+        )
+        emit("report.1000_mb", out.stat().st_size / 1e6, "MB")

@@ -25,7 +25,7 @@ from h3data_viewers.report_data import gather, same_episodes
 from h3data_viewers.report_paper import paper_results, social_nav_table
 from h3data_viewers.report_pictures import highlights, key_rows
 from h3data_viewers.report_svg import ticks
-from h3data_viewers.report_tables import Cell, Column, Row, Section, Table, to_html, to_latex, to_markdown
+from h3data_viewers.report_tables import Cell, Column, Row, Section, Table, number, to_html, to_latex, to_markdown
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
 POLICIES = ("heuristic_expert", "stand_still")
@@ -252,8 +252,10 @@ def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     assert by_name["learn_single"][1] == pytest.approx(62, rel=0.1)
     assert by_name["solo"][0] == 0.0
     pairs = {row.name: row.cells for row in contrast.sections[0].rows}
-    assert pairs["learn_single − solo"][0].value == pytest.approx(-30, rel=0.2)
-    assert pairs["learn_single − solo"][1].text == "< .0001"
+    assert pairs["solo − learn_single"][0].value == pytest.approx(30, rel=0.2)
+    assert pairs["solo − learn_single"][1].text == "< .0001"
+    assert [row.name for row in study.sections[0].rows] == ["solo", "learn_single", "plan_pop3"]
+    assert "rearrange" not in {t.key for t in report.tables}, "people are no population"
 
 
 def test_learning_curves_of_a_log(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -348,6 +350,11 @@ def test_ticks_are_round_and_inside(low: float, span: float, count: int) -> None
     assert 1 <= len(found) <= count + 1
     assert all(low - 1e-6 * span <= t <= low + span * (1 + 1e-6) for t in found)
     assert np.allclose(np.diff(found), np.diff(found)[:1], rtol=1e-3)
+
+
+def test_numbers_as_they_are_printed() -> None:
+    assert [number(v) for v in (1.005, -0.004, -1.5, float("nan"), 0)] == ["1.00", "0.00", "−1.50", "–", "0.00"]
+    assert [number(v, 1) for v in (159.24, -0.04)] == ["159.2", "0.0"]
 
 
 def test_the_table_of_one_run_has_no_best(runs: dict[str, Path]) -> None:

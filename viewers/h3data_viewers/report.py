@@ -35,7 +35,7 @@ from h3data_viewers.report_paper import (
     social_nav_table,
 )
 from h3data_viewers.report_pictures import Plans, highlight_card, highlights, ranked_by, trajectory_figures
-from h3data_viewers.report_study import study_episodes, study_tables
+from h3data_viewers.report_study import study_runs, study_tables
 from h3data_viewers.report_tables import Cell, Column, Row, Section, Table, number, to_html, to_latex, to_markdown
 
 _TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
@@ -85,8 +85,6 @@ def make_report(paths: Iterable[str | os.PathLike[str]], *, title: str = "", pic
         runs = data.of_task(task)
         if runs:
             body += _task_sections(task, runs, tables, plans, pictures, missing)
-    study = [t for t in tables if t.key in ("hitl", "contrasts")]
-    body += [_section(t.key, t.title, to_html(t)) for t in study]
     if pairs:
         text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
         body.append(_section("paired", "Paired differences", text))
@@ -132,12 +130,13 @@ def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
         tables.append(social_nav_table(runs))
     else:
         missing.append("Social navigation: there are no episodes of it.")
-    if runs := data.of_task("rearrange"):
+    people = study_runs(data)
+    if runs := [run for run in data.of_task("rearrange") if run not in people]:
         tables.append(rearrangement_table(runs))
     else:
         missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
-    if people := study_episodes(data):
-        study, why = study_tables(people)
+    if people:
+        study, why = study_tables([e for run in people for e in run.episodes])
         tables += study
         if why:
             missing.append(f"Human-in-the-loop study: {why}.")
@@ -151,11 +150,12 @@ def _task_sections(
 ) -> list[Part]:
     """Everything about the runs of one task."""
     names = legend([run.name for run in runs])
-    table = next(t for t in tables if t.key == task)
-    own = to_html(table) + (
-        f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
-    )
-    parts = [_section(task, table.title, own)]
+    parts = []
+    if table := next((t for t in tables if t.key == task), None):
+        beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
+        parts.append(_section(task, table.title, to_html(table) + beside))
+    if task == "rearrange":
+        parts += [_section(t.key, t.title, to_html(t)) for t in tables if t.key in ("hitl", "contrasts")]
     partners = partner_tables(runs, _PARTNER_METRICS[task])
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)

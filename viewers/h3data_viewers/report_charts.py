@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.metrics import Metric, metrics_of
-from h3data_viewers.report_data import GRID_S, Run
+from h3data_viewers.report_data import GRID_S, ReportEpisode, Run
 from h3data_viewers.report_paper import paper_results
 from h3data_viewers.report_svg import Svg, axes, linear, tick_text, ticks, x_axis
 
@@ -55,7 +55,7 @@ def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> str:
     x_axis(svg, x, ticks(0, high, 4), box, title=_unit(metric))
     for k, (run, s) in enumerate(zip(runs, summaries, strict=True)):
         y = 8 + _ROW * (k + 0.5)
-        svg.text(_LABEL - 8, y + 4, run.name, "label", anchor="end", most=18)
+        svg.text(_LABEL - 8, y + 4, run.name, "label", anchor="end", most=16)
         if np.isfinite(s.low):
             svg.line(x(s.low), y, x(s.high), y, f"whisker {series_class(k)}")
         if np.isfinite(s.mean):
@@ -99,7 +99,7 @@ def _distribution(metric: Metric, runs: Sequence[Run]) -> str:
     edges = np.linspace(low, high, _BINS + 1)
     for k, (run, column) in enumerate(zip(runs, columns, strict=True)):
         base = 6 + lane * (k + 1)
-        svg.text(_LABEL - 8, base - 18, run.name, "label", anchor="end", most=18)
+        svg.text(_LABEL - 8, base - 18, run.name, "label", anchor="end", most=16)
         svg.text(_LABEL - 8, base - 4, f"n = {len(column)}", "tick", anchor="end")
         counts = np.histogram(column, edges)[0]
         for i in np.flatnonzero(counts):
@@ -113,32 +113,40 @@ def _distribution(metric: Metric, runs: Sequence[Run]) -> str:
 
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[str]:
-    """Distance over time with quartiles, and the shares of episodes that have found the person, and touched her."""
+    """Distance over time with quartiles, and the shares of episodes that have met their aim, and touched the person."""
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:
         return []
-    charts = [_distance(kept)]
-    for title, row_of in (
-        ("Person found by then", lambda e: e.metrics.encounter_row),
-        ("Person touched by then", lambda e: e.metrics.contact_row),
-    ):
+    longest = _longest(kept)
+    aim = ("Task done by then", _row_done) if runs[0].task == "rearrange" else ("Person found by then", _row_found)
+    charts = [_distance(kept, longest, zone=runs[0].task == "social_nav")]
+    for title, row_of in (aim, ("Person touched by then", lambda e: e.metrics.contact_row)):
         times = [
             (k, run, [e.seconds(row_of(e)) if row_of(e) >= 0 else np.inf for e in run.episodes]) for k, run in kept
         ]
-        charts.append(_share(title, times, _longest(kept)))
+        charts.append(_share(title, times, longest))
     return charts
+
+
+def _row_found(episode: ReportEpisode) -> int:
+    return episode.metrics.encounter_row
+
+
+def _row_done(episode: ReportEpisode) -> int:
+    values = episode.metrics.values
+    return int(values["TS"]) - 1 if values["SR"] == 1 else -1
 
 
 def _longest(kept: Sequence[tuple[int, Run]]) -> float:
     return max(e.seconds(e.metrics.rows - 1) for _, run in kept for e in run.episodes)
 
 
-def _distance(kept: Sequence[tuple[int, Run]]) -> str:
+def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: bool) -> str:
     quartiles = [(k, run, _quartiles([e.distance_m for e in run.episodes])) for k, run in kept]
-    longest = _longest(kept)
     high = max([2.5, *(float(np.nanmax(q)) for _, _, q in quartiles if q.size and not np.isnan(q).all())])
     svg, x, y = _panel(longest, high, "Distance of robot and person over time: median and quartiles", "seconds")
-    svg.rect(x(0), y(2), x(longest) - x(0), y(1) - y(2), "zone")
+    if zone:
+        svg.rect(x(0), y(2), x(longest) - x(0), y(1) - y(2), "zone")
     for k, _, q in quartiles:
         t = np.arange(q.shape[1]) * GRID_S
         known = ~np.isnan(q).any(0)
@@ -148,7 +156,8 @@ def _distance(kept: Sequence[tuple[int, Run]]) -> str:
     for k, _, q in quartiles:
         t = np.arange(q.shape[1]) * GRID_S
         svg.path([(x(a), y(b)) for a, b in zip(t, q[1], strict=True)], f"line {series_class(k)}")
-    return _figure(svg, "Distance [m]: median and quartiles of the episodes that last; shaded: 1–2 m, following")
+    caption = "Distance [m]: median and quartiles of the episodes that last"
+    return _figure(svg, caption + ("; shaded: 1–2 m, following" if zone else ""))
 
 
 def _quartiles(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float64]:

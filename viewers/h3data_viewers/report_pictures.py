@@ -30,7 +30,8 @@ _TRACKS = 40
 _SMOOTH_M = 0.04
 _FRAME = (400, 300)
 _QUALITY = 78
-_BAR_M = 2.0
+_BARS_M = (1, 2, 5, 10, 20, 50)
+"""Lengths of scale bars [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
     """Empty floor around the tracks of an episode whose scene was not recorded."""
     points = np.concatenate([t.xz for t in episode.tracks] or [np.zeros((1, 2), np.float32)])
     points = points[np.isfinite(points).all(1)]
-    low, high = (points.min(0) - 1.0, points.max(0) + 1.0) if len(points) else (np.full(2, -1.0), np.full(2, 1.0))
+    low, high = (points.min(0) - 2.0, points.max(0) + 2.0) if len(points) else (np.full(2, -2.0), np.full(2, 2.0))
     span = np.asarray(high - low, np.float64)
     scale = float(min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1]))
     return Plan(
@@ -173,9 +174,10 @@ def _draw_track(svg: Svg, plan: Plan, track: Track, css: str) -> None:
 
 
 def _scale_bar(svg: Svg, plan: Plan) -> None:
-    y, length = plan.height - 10, _BAR_M * plan.scale
+    metres = next((m for m in _BARS_M if m * plan.scale >= 40), _BARS_M[-1])
+    y, length = plan.height - 10, metres * plan.scale
     svg.line(10, y, 10 + length, y, "scale-bar")
-    svg.text(14 + length, y + 4, f"{_BAR_M:g} m", "on-plan")
+    svg.text(14 + length, y + 4, f"{metres:g} m", "on-plan")
 
 
 # --- best and worst ---------------------------------------------------------------------------------------------------
@@ -225,7 +227,10 @@ def highlight_card(highlight: Highlight, plans: Plans) -> str:
     try:
         replay = Replay(read_whole(episode))
         scene = replay.scene
-        frames = _frames(replay, [row for row, _ in rows])
+        if replay.drawables:
+            frames = _frames(replay, [row for row, _ in rows])
+        else:
+            missing = "<p class=missing>No key frames: the recording names nothing that could be drawn.</p>"
     except H3DataError as fault:
         missing = f"<p class=missing>No key frames: {escape(str(fault))}</p>"
     plan = plans.of(episode, scene)

@@ -18,7 +18,7 @@ from h3data.metrics import (
     metrics_of,
     relative_efficiency,
 )
-from h3data_viewers.report_data import ReportData, ReportEpisode
+from h3data_viewers.report_data import ReportData, ReportEpisode, Run
 from h3data_viewers.report_paper import metric_column, paper_results
 from h3data_viewers.report_tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number, p_text, spread_cell
 
@@ -26,14 +26,14 @@ Estimates = dict[str, tuple[float, float, float]]
 """Mean with the ends of its interval, by condition."""
 
 
-def study_episodes(data: ReportData) -> list[ReportEpisode]:
-    """Rearrangement episodes of participants under conditions."""
-    return [e for run in data.of_task("rearrange") for e in run.episodes if e.participant and e.condition]
+def study_runs(data: ReportData) -> tuple[Run, ...]:
+    """Runs of rearrangement whose episodes all say which participant did them under which condition."""
+    return tuple(r for r in data.of_task("rearrange") if all(e.participant and e.condition for e in r.episodes))
 
 
 def study_tables(episodes: Sequence[ReportEpisode]) -> tuple[list[Table], str]:
     """The tables of estimated means and of pairwise contrasts, or none of them and why."""
-    conditions = sorted({e.condition for e in episodes})
+    conditions = sorted({e.condition for e in episodes}, key=lambda c: (not _alone(c), c))
     if len(conditions) < 2 or len({e.participant for e in episodes}) < 2:
         return [], "the study needs two conditions and two participants or more"
     try:
@@ -66,6 +66,11 @@ def _fit(episodes: Sequence[ReportEpisode], metric: str, family: Literal["poisso
     return fit_glmm(rows, metric, family, fixed=["condition"], random=random)
 
 
+def _alone(condition: str) -> bool:
+    """Whether people work without a robot under a condition."""
+    return condition.lower().startswith("solo")
+
+
 def _estimates(means: MarginalMeans) -> Estimates:
     ends = means.intervals()
     return {c: (float(m), float(a), float(b)) for c, m, (a, b) in zip(means.levels, means.means, ends, strict=True)}
@@ -73,7 +78,7 @@ def _estimates(means: MarginalMeans) -> Estimates:
 
 def _efficiencies(means: MarginalMeans, notes: list[str]) -> Estimates:
     """RE in percent of the condition in which people work alone, if there is one."""
-    solo = next((c for c in means.levels if c.lower().startswith("solo")), None)
+    solo = next((c for c in means.levels if _alone(c)), None)
     if solo is None:
         notes.append("RE needs a condition whose name begins with solo.")
         return {}
@@ -135,13 +140,13 @@ def _study_table(
 
 def _contrast_table(means: MarginalMeans) -> Table:
     paper = paper_results().contrasts
-    ours = [
-        Row(
-            name=f"{c.first} − {c.second}",
-            cells=(mean_cell(c.difference, c.low, c.high, digits=1), Cell(text=p_text(c.p), value=c.p)),
-        )
-        for c in contrasts(means, scale="response", adjust="tukey")
-    ]
+    ours = []
+    for c in contrasts(means, scale="response", adjust="tukey"):
+        names, difference = (c.first, c.second), (c.difference, c.low, c.high)
+        if c.difference < 0:  # as the paper prints them
+            names, difference = (c.second, c.first), (-c.difference, -c.high, -c.low)
+        cells = (mean_cell(*difference, digits=1), Cell(text=p_text(c.p), value=c.p))
+        ours.append(Row(name=" − ".join(names), cells=cells))
     published = [
         Row(name=r.name, cells=(Cell(text=number(r.difference), value=r.difference), Cell(text=r.p)))
         for r in paper.rows

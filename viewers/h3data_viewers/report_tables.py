@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from html import escape
 
 NAN = float("nan")
+_WIDE = 7
+"""With more columns, intervals stand below their means."""
 _LATEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}",
@@ -91,7 +93,10 @@ class Table:
 # --- numbers ----------------------------------------------------------------------------------------------------------
 def number(value: float, digits: int = 2) -> str:
     """A number with a fixed count of decimals; a dash for NaN."""
-    return "–" if not math.isfinite(value) else f"{value:.{digits}f}".replace("-", "−")
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−" if float(text) else "")
 
 
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
@@ -125,9 +130,10 @@ def to_html(table: Table, *, sortable: bool = True) -> str:
         f'<th scope="col"{_title(c.hint)}>{escape(c.head)}</th>' for c in (Column(head=table.name_head), *table.columns)
     )
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
+    css = "data" + (" sortable" if sortable else "") + (" wide" if len(table.columns) > _WIDE else "")
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(table.title)}">'
-        f'<table class="data{" sortable" if sortable else ""}" id="table-{escape(table.key)}">'
+        f'<table class="{css}" id="table-{escape(table.key)}">'
         f"<caption><span>{escape(table.caption)}</span></caption>"
         f"<thead>{group_row}<tr>{heads}</tr></thead>{rows}</table></div>"
         + (f'<ul class="notes">{notes}</ul>' if notes else "")
