@@ -12,11 +12,13 @@ from statistics import median
 
 import numpy as np
 
+from h3data.bodies import load_robot
 from h3data.replay import Replay
 from h3data.replay.cameras import camera_track
 from h3data.scene import FreeSpace, HomeSpec, build_home
+from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.spec import ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.state import WorldState
 from sim_kinematic.step import drive_robots, walk_humans
 
@@ -25,11 +27,15 @@ EPISODES = 4
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.state.*``, ``sim.social_nav.*`` and ``sim.human_robot.w1_depth_fps``."""
+    """Emits ``sim.state.*``, ``sim.arm.*``, ``sim.social_nav.*`` and ``sim.human_robot.w1_depth_fps``."""
     home = build_home(HomeSpec(preset="small", seed=1))
     free = FreeSpace.from_scene(home)
     emit("sim.state.w1_steps_per_s", _state_steps(free, worlds=1, steps=20_000), "steps/s")
     emit("sim.state.w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, worlds=1024, steps=300), "steps/s")
+    habitat = BaseSpec(slide="habitat")
+    emit("sim.state.habitat_slide_w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, 1024, 20, habitat), "steps/s")
+    emit("sim.arm.w1_steps_per_s", _arm_steps(worlds=1, steps=2000), "steps/s")
+    emit("sim.arm.w1024_env_steps_per_cpu_s", 1024 * _arm_steps(worlds=1024, steps=50), "steps/s")
     # collisions do not end these episodes: all have the same number of steps
     spec = SocialNavSpec(end_on_collision=False)
     worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
@@ -50,9 +56,9 @@ def run(emit: Emit) -> None:
     emit("sim.human_robot.w1_depth_fps", 1 / (frame_s + seconds / spec.max_steps), "frames/s")
 
 
-def _state_steps(free: FreeSpace, *, worlds: int, steps: int) -> float:
+def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:
     """Steps per CPU second of all worlds together: robots drive, humans walk; nothing else."""
-    spec = SocialNavSpec()
+    spec = SocialNavSpec(robot=base or BaseSpec())
     rng = np.random.default_rng(0)
     state = WorldState.zeros(worlds)
     state.robot_xz[:], state.human_xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
@@ -65,6 +71,23 @@ def _state_steps(free: FreeSpace, *, worlds: int, steps: int) -> float:
             drive_robots(state, free, actions[(k // 10) % 64], spec.robot)
 
     go(10)
+    return steps / median(_cpu_s(lambda: go(steps)) for _ in range(5))
+
+
+def _arm_steps(worlds: int, steps: int) -> float:
+    """Steps per CPU second of all worlds together: arms of 7 joints move, hands carry one of five objects."""
+    robot, spec = load_robot("quad_arm"), ArmSpec()
+    state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=5)
+    state.robot_joints[:] = robot.rest
+    state.object_pose[:, 0, :3] = robot_hands(state, robot)[:, :3, 3]
+    action, grip = np.random.default_rng(0).uniform(-1, 1, (worlds, 7)), np.ones(worlds)
+
+    def go(count: int) -> None:
+        for _ in range(count):
+            move_arms(state, robot, action, spec)
+            grip_objects(state, robot_hands(state, robot), grip, spec)
+
+    go(3)
     return steps / median(_cpu_s(lambda: go(steps)) for _ in range(5))
 
 
