@@ -8,12 +8,24 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Callable
+from dataclasses import replace
+from importlib.util import find_spec
 from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
+from h3data.render import (
+    Camera,
+    Light,
+    Renderer,
+    RenderInstance,
+    RenderScene,
+    fisheye,
+    look_at,
+    orthographic,
+    pinhole,
+)
 from h3data.scene.records import Mesh, Texture
 
 Emit = Callable[[str, float, str], None]
@@ -265,7 +277,29 @@ def _run_largest(emit: Emit, renderer: Renderer) -> None:
     emit("render.cpu.rgb_plain_640x480_cpu_ms", frame_ms(plain, views, outputs=(*IDS, "rgb")), "ms")
     emit("render.cpu.sky_640x480_cpu_ms", frame_ms(empty, views, outputs=("rgb",)), "ms")
     emit("render.cpu.rgb_4_samples_640x480_cpu_ms", frame_ms(renderer, views, outputs=("rgb",), samples=4), "ms")
+    flat = [
+        orthographic(640, 480, width_m=ROOMS_X * ROOM_M, pose=look_at([x, HEIGHT_M - 0.1, z], [x, 0, z]))
+        for x in (5.0, 6.75, 8.0) for z in (4.0, 4.5)
+    ]  # fmt: skip
+    emit("render.cpu.orthographic_640x480_cpu_ms", frame_ms(renderer, flat, outputs=IDS), "ms")
+    cut = [replace(camera, near=0.5, far=8.0) for camera in views]
+    emit("render.cpu.clipped_640x480_cpu_ms", frame_ms(renderer, cut, outputs=IDS), "ms")
+    _run_rays(emit, renderer.scene)
     emit("render.cpu.update_cpu_ms", _update_ms(), "ms")
+
+
+def _run_rays(emit: Emit, scene: RenderScene) -> None:
+    if find_spec("embreex") is None:
+        return
+    eye = poses(1)[0]
+    renderer, shaded = Renderer(scene), Renderer(scene, light=Light(shadow_rays=8))
+    emit("render.rays.fisheye_480x480_cpu_ms", frame_ms(renderer, [fisheye(480, 480, pose=eye)], outputs=IDS), "ms")
+    emit(
+        "render.rays.fisheye_rgb_480x480_cpu_ms",
+        frame_ms(renderer, [fisheye(480, 480, pose=eye)], outputs=("rgb",)),
+        "ms",
+    )
+    emit("render.rays.shadows_8_640x480_cpu_ms", frame_ms(shaded, _views("640x480")[:2], outputs=("rgb",)), "ms")
 
 
 def _update_ms() -> float:

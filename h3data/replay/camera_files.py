@@ -70,7 +70,7 @@ class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     hidden_layers: tuple[str, ...] = ()
     eye: Point | None = None
     target: Point | None = None
-    pose: list[float] | list[list[float]] | None = None
+    pose: list[float | list[float]] | None = None
     """x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to what it is mounted on), in ``convention``."""
     convention: Convention = "opencv"
     keys: tuple[Key, ...] = ()
@@ -148,7 +148,10 @@ def _lens(spec: CameraFile, name: str) -> Camera:
 def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
     """Camera to its frame, [1 or T, 4, 4]."""
     if spec.pose is not None:
-        given = np.array(spec.pose, np.float64)
+        try:
+            given = np.array(spec.pose, np.float64)
+        except ValueError:  # rows of different lengths
+            given = np.zeros(0)
         if given.shape not in ((7,), (4, 4)) or not np.isfinite(given).all():
             raise InputError(f"pose must be 7 numbers (x y z qx qy qz qw) or a 4x4 matrix, got {spec.pose}.")
         if given.shape == (7,):

@@ -31,7 +31,7 @@ def camera_names(replay: Replay) -> list[str]:
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     """The camera called ``name_or_file``, or the one described in that TOML or JSON file (docs/cameras.md).
 
-    Where two agents have a camera of one name, ``agent/name`` is the later one's.
+    ``agent/name`` is the camera of that name of one agent, where several have one.
 
     Raises:
         InputError: there is no such camera (the message lists them) or the file is not a camera.
@@ -40,10 +40,13 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
         return track_of_file(replay, Path(name_or_file))
     names = camera_names(replay)
     if name_or_file not in names:
-        raise InputError(
-            f"Unknown camera {name_or_file!r}. This recording offers: {', '.join(names)}; "
-            "or give a .toml or .json file."
-        )
+        found = _mounted(replay, name_or_file) if "/" in name_or_file else None
+        if found is None:
+            raise InputError(
+                f"Unknown camera {name_or_file!r}. This recording offers: {', '.join(names)}; "
+                "or give a .toml or .json file."
+            )
+        return found
     if name_or_file == "top_down":
         return top_down(replay)
     if name_or_file == "top_down_orthographic":
@@ -54,11 +57,13 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
         return third_person(replay)
     if name_or_file.startswith("user."):
         return _user(replay, name_or_file)
-    return _mounted(replay, name_or_file)
+    found = _mounted(replay, name_or_file)
+    assert found is not None
+    return found
 
 
-def _mounted(replay: Replay, name: str) -> CameraTrack:
-    """A camera of the first agent that has one of that name; with ``agent/`` before it, of that agent."""
+def _mounted(replay: Replay, name: str) -> CameraTrack | None:
+    """A camera of the first agent that has one of that name; with ``agent/`` before it, of that agent. None: there is none."""
     owner, _, own_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None
@@ -73,7 +78,7 @@ def _mounted(replay: Replay, name: str) -> CameraTrack:
         elif model is not None and own_name == HUMAN_HEAD:
             camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
             return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
-    raise InputError(f"No agent of this recording has a camera {name!r}.")
+    return None
 
 
 HUMAN_HEAD = "human_head"

@@ -189,7 +189,8 @@ def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, po
     light = person.full is None
     if person.full and person.light and there:
         distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min()
-        light = person.body.light_enough(camera.fx, distance)
+        focal = camera.fx * (distance if camera.projection == "orthographic" else 1.0)
+        light = person.body.light_enough(focal, distance)
     shown = person.light if light else person.full
     for skin in (person.full, person.light):
         if skin:
