@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_to_matrix
-from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene, normalize_depth, pinhole
+from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene, pinhole
 from h3data.render.renderer import Backend
 from h3data.scene import Mesh, Scene
 from h3data.scene.records import instance_matrix
@@ -180,6 +180,10 @@ class CameraSensor:
     size: tuple[int, int] | None = None
     """Width and height [pixels] instead of the camera's own; its field of view stays."""
 
+    def __post_init__(self) -> None:
+        if self.depth_range_m is not None and not 0 <= self.depth_range_m[0] < self.depth_range_m[1] < float("inf"):
+            raise InputError(f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.")
+
     def observe(self, drawn: StateRenderer) -> dict[str, Any]:
         """Pictures of all worlds as last posed, by output, each [W, H, W', ...]."""
         cameras = drawn.cameras(self.camera)
@@ -187,7 +191,8 @@ class CameraSensor:
             cameras = [_resized(camera, *self.size) for camera in cameras]
         pictures = drawn.picture(cameras, self.outputs)
         if self.depth_range_m is not None and "depth" in pictures:
-            pictures["depth"] = normalize_depth(pictures["depth"], *self.depth_range_m)
+            near, far = self.depth_range_m
+            pictures["depth"] = (pictures["depth"].clip(near, far) - near) / (far - near)  # NumPy, or torch on a GPU
         return pictures
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
+from h3data.render import normalize_depth
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.camera_sensor import CameraSensor, StateRenderer
@@ -123,7 +124,10 @@ def test_depth_is_scaled_as_habitats(home: Scene, bodies: tuple[Robot, Humanoid]
     drawn.pose(facing_each_other(home, 1))
     metres = CameraSensor().observe(drawn)["depth"]
     scaled = CameraSensor(depth_range_m=(0.0, 10.0)).observe(drawn)["depth"]
-    np.testing.assert_allclose(scaled, np.clip(metres, 0, 10) / 10, atol=1e-6)
+    np.testing.assert_array_equal(scaled, normalize_depth(metres, 0.0, 10.0))
+    assert scaled.dtype == np.float32
+    with pytest.raises(InputError, match="near < far"):
+        CameraSensor(depth_range_m=(3.0, 1.0))
 
 
 def test_what_cannot_be_seen_is_told(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
