@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.scene import Cylinder, FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.collision import FclScene, MovingShapes, contacts
+from sim_kinematic.collision import FclScene, MovingShapes, collide
 from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.spec import ArmSpec, BaseSpec
 from sim_kinematic.state import WorldState
 from sim_kinematic.step import drive_robots, least_clearance
 
-GRID_ERROR_M = 4e-3
-"""What FCL finds beyond the tolerance at corners of walls (worst of 1,900: 2.7 mm): the distance grid has cells of 5 cm."""
+DEEPEST_M = 2e-3
 ARM = ArmSpec()
 
 
@@ -97,7 +96,7 @@ def test_one_world_is_as_many_and_nothing_breaks(spec: BaseSpec, home: int, seed
 @settings(max_examples=6)
 @given(base_specs(("strict",)), st.integers(1, 2), st.integers(0, 2**32 - 1))
 def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> None:
-    """By the distance grid to its tolerance, and by FCL to that and the error of the grid."""
+    """By the distance grid to its tolerance; by FCL, a disc 2 mm smaller touches nothing (its depths are too great)."""
     scene, free = floor(home)
     rng = np.random.default_rng(seed)
     state = started(free, spec, 40, rng)
@@ -105,7 +104,7 @@ def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> Non
     low, high = 0.21, 1.41  # above what a robot climbs
     scenery = FclScene(scene)
     upright = np.array([0, 0, 0, 0, 0, 0, 1.0])
-    disc = MovingShapes([Cylinder(pose=upright, radius=spec.disc_radius_m, half_height=(high - low) / 2)])
+    disc = MovingShapes([Cylinder(pose=upright, radius=spec.disc_radius_m - DEEPEST_M, half_height=(high - low) / 2)])
     for k in range(60):
         actions = rng.uniform(-1, 1, (40, 11))
         actions[:, 0] = rng.choice([1.0, -1.0, 0.4], 40)
@@ -116,9 +115,7 @@ def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> Non
         assert clear.min() >= -spec.clearance_tolerance_m - 1e-9
         for x, z in centres[clear < 1e-3] if k % 10 == 9 else ():
             disc.set_transforms(np.array([[[1, 0, 0, x], [0, 1, 0, (low + high) / 2], [0, 0, 1, z], [0, 0, 0, 1.0]]]))
-            touched = contacts(scenery, disc)
-            for touch in touched[:1]:
-                assert touch.depth_m < spec.clearance_tolerance_m + GRID_ERROR_M, scenery.names[touch.index_a]
+            assert not collide(scenery, disc)
 
 
 @pytest.mark.parametrize("slide", ["strict", "habitat"])
