@@ -15,7 +15,7 @@ from benchmarks.render import blob, box, colored, textured
 from h3data.bodies.humanoid_file import load_humanoid
 from h3data.errors import InputError
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.gpu import GpuEngine, GpuRenderer, GpuScene, gpu_problem
+from h3data.render.gpu import AutoEngine, GpuEngine, GpuRenderer, GpuScene, gpu_problem
 from h3data.render.gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS, build_meshlets
 from h3data.render.gpu.packing import pack_scenes
 from h3data.render.gpu.views import choose_variant
@@ -218,6 +218,22 @@ def test_there_is_no_near_plane(make):
     compare(make, GpuScene(scene), cameras)
 
 
+def test_ids_are_those_of_the_scene(make):
+    """Two meshes of one thing share an id; things that stand still, move and deform."""
+    instances = [
+        RenderInstance(1, np.eye(4), id=40),
+        RenderInstance(0, placed(0.5, 0.6, 0.1, 0.5), semantic_id=4, id=7),
+        RenderInstance(2, placed(-0.6, 0.8, 0, 0.5), semantic_id=5, id=7),
+        RenderInstance(0, placed(0, 1.2, -1, 0.3)),
+    ]
+    scene = RenderScene([ball(), room(), ball(9)], instances, deformable=[2])
+    other = RenderScene([room()], [RenderInstance(0, np.eye(4))])
+    got = compare(make, GpuScene(scene, moving=[1]), ROOM_VIEWS)
+    assert set(np.unique(got["instance"])) == {3, 7, 40}
+    several = make([other, scene], width=WIDTH, height=HEIGHT, worlds=2)
+    assert (several.render(ROOM_VIEWS[0], outputs=["instance"])["instance"][1] == 40).any()
+
+
 def test_textures_and_smooth_edges(make):
     meshes = [textured(room(), 1), textured(ball(), 2)]
     scene = RenderScene(meshes, [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 0.8, 0))])
@@ -310,6 +326,40 @@ def test_one_renderer_for_both_back_ends(make):
         for k in range(3):
             assert_alike({n: t[k].cpu().numpy() for n, t in got.items()}, {n: a[k] for n, a in want.items()})
     assert list(gpu.poses(1).vertices) == [2]
+
+
+def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
+    """``backend="auto"``: orthographic cameras and shadows, with things moved before and after the CPU was first needed."""
+
+    class Engine(AutoEngine):
+        renderer_class = make
+
+        def _device(self) -> Any:
+            return "cuda" if make is GpuRenderer else "cpu"
+
+    scene = RenderScene(
+        [room(), ball(), ball(10)],
+        [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 1, 0)), RenderInstance(2, placed(0.5, 0.5, 0.5))],
+        deformable=[2],
+    )
+    light = Light(shadow_rays=4)
+    auto, cpu = Renderer(scene, worlds=2, light=light), Renderer(scene, worlds=2, light=light)
+    auto._engine = Engine(scene, light=light, worlds=2)
+    above = replace(ROOM_VIEWS[0], projection="orthographic", fx=30.0, fy=30.0)
+    for step in range(2):
+        for renderer in (auto, cpu):
+            renderer.set_transforms([1], placed(0.3 * step, 1.1, 0.2), world=1)
+            renderer.set_vertices(2, scene.meshes[2].vertices * np.float32(1 - 0.3 * step), world=step)
+            renderer.set_visible([1], bool(step), world=0)
+        for cameras, outputs in [([above, ROOM_VIEWS[1]], ("depth", "instance")), (ROOM_VIEWS, ("rgb",))]:
+            want = cpu.render_batch(cameras, worlds=[0, 1], outputs=outputs)
+            got = auto.render_batch(cameras, worlds=[0, 1], outputs=outputs)
+            for name in outputs:
+                assert (got[name].cpu().numpy() == want[name]).all(), name
+        want = cpu.render(ROOM_VIEWS[0], outputs=OUTPUTS[:5], world=1)
+        got = auto.render(ROOM_VIEWS[0], outputs=OUTPUTS[:5], world=1)
+        alike = got["instance"].cpu().numpy() == want["instance"]
+        assert alike.mean() > 0.99
 
 
 def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch):

@@ -61,7 +61,8 @@ class Renderer:
         threads: int = 1,
     ) -> None:
         """``backend``: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
-        (Embree, NumPy arrays) or ``auto``, which is ``gpu`` where there is one and else ``cpu``.
+        (Embree, NumPy arrays) or ``auto``, which is ``gpu`` where there is one and else ``cpu``; what the GPU does not
+        draw (cameras that are not perspective, shadows) is then drawn by the CPU and copied to the device.
 
         Raises:
             InputError: there is no such back end.
@@ -179,24 +180,26 @@ class Renderer:
         return f"Renderer({self.scene!r}, backend={self.backend!r}, worlds={self.world_count})"
 
 
-def _gpu_engine() -> tuple[Any, str]:
-    """The class of the GPU back end, or why there is none here."""
+def _gpu_engines() -> tuple[Any, str]:
+    """The module of the GPU back end, or why there is none here."""
     try:
-        from h3data.render.gpu import GpuEngine  # pyright: ignore[reportAttributeAccessIssue]
+        from h3data.render import gpu
     except ImportError as error:
         return None, f"it cannot be imported ({error})"
     import torch
 
-    return GpuEngine, "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
+    return gpu, "" if torch.cuda.is_available() else "PyTorch finds no CUDA device"
 
 
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
     if backend not in get_args(Backend):
         raise InputError(f"Unknown back end {backend!r}. There are: {', '.join(get_args(Backend))}.")
     if backend in ("auto", "gpu"):
-        gpu_engine, fault = _gpu_engine()
+        gpu, fault = _gpu_engines()
+        if not fault and backend == "auto":
+            return "gpu", gpu.AutoEngine(scene, light=light, worlds=worlds, threads=threads)
         if not fault:
-            return "gpu", gpu_engine(scene, light=light, worlds=worlds)
+            return "gpu", gpu.GpuEngine(scene, light=light, worlds=worlds)
         if backend == "gpu":
             raise MissingExtraError(f"The back end 'gpu' cannot be used: {fault}. Hint: backend='cpu'.")
     from h3data.render.hybrid import HybridEngine

@@ -62,15 +62,7 @@ class GpuEngine:
         out: Mapping[str, Any] | None,
     ) -> dict[str, Any]:  # fmt: skip
         renderer = self._posed(cameras[0].width, cameras[0].height)
-        results = dict(renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples))
-        for name, array in (out or {}).items():
-            if name not in results:
-                continue
-            tensor = results[name]
-            if getattr(array, "dtype", None) != tensor.dtype or tuple(array.shape) != tuple(tensor.shape):
-                raise InputError(f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.")
-            results[name] = array.copy_(tensor)
-        return results
+        return handed_out(renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples), out)
 
     def _posed(self, width: int, height: int) -> GpuRenderer:
         """A renderer of this size with everything where it is now. The one of the last size is kept."""
@@ -87,3 +79,16 @@ class GpuEngine:
             renderer.update_vertices(mesh, self._vertices[mesh])
         self._poses_stale, self._stale_meshes = False, set()
         return renderer
+
+
+def handed_out(results: Mapping[str, Any], out: Mapping[str, Any] | None) -> dict[str, Any]:
+    """``results``, those that ``out`` has a tensor for copied into it."""
+    handed = dict(results)
+    for name, array in (out or {}).items():
+        if name not in handed:
+            continue
+        tensor = handed[name]
+        if getattr(array, "dtype", None) != tensor.dtype or tuple(array.shape) != tuple(tensor.shape):
+            raise InputError(f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.")
+        handed[name] = array.copy_(tensor)
+    return handed

@@ -65,8 +65,8 @@ class Shade(Struct):
     _fields_ = [
         ("world", World),
         *_fields(
-            "depth words triangle_instances triangle_faces semantic_ids normals colors uv triangle_textures levels "
-            "first_level texels normal_groups group_first group_faces linear_of_byte byte_of_level surfaces occlusion "
+            "depth words triangle_instances triangle_faces instance_ids semantic_ids normals colors uv triangle_textures "
+            "levels first_level texels normal_groups group_first group_faces linear_of_byte byte_of_level surfaces occlusion "
             "instance semantic triangle normal rgb"
         ),
         ("light", ctypes.c_float * 27),

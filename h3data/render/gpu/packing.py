@@ -39,6 +39,7 @@ class Packed:
     triangle_instances: NDArray[np.int32]
     triangle_faces: NDArray[np.int32]
     triangle_textures: NDArray[np.int32]
+    instance_ids: NDArray[np.int32]
     semantic_ids: NDArray[np.int32]
     normals: NDArray[np.float32]
     colors: NDArray[np.uint8]
@@ -111,6 +112,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         pool.keep(
             items=items,
             places=places,
+            instance_ids=stage.scene.ids,
             semantic_ids=stage.scene.semantic_ids,
             texels=surface.textures.words,
             levels=levels,
@@ -128,6 +130,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         triangle_instances=pool.joined("triangle_instances", (0,), np.int32),
         triangle_faces=pool.joined("triangle_faces", (0,), np.int32),
         triangle_textures=pool.joined("triangle_textures", (0,), np.int32),
+        instance_ids=pool.joined("instance_ids", (0,), np.int32),
         semantic_ids=pool.joined("semantic_ids", (0,), np.int32),
         normals=pool.joined("normals", (0, 3), np.float32),
         colors=colors,

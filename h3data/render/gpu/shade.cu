@@ -16,6 +16,7 @@ struct Shade {
     const u32* words;
     const int* triangle_instances;
     const int* triangle_faces;
+    const int* instance_ids;     // as pictures show them; both by `Scene::first_instance` and instance
     const int* semantic_ids;
     const float* normals;        // per pool vertex; 0 = flat
     const uchar4* colors;        // sRGB; w = 1 in deformable meshes with smooth normals
@@ -261,7 +262,9 @@ extern "C" __global__ void __launch_bounds__(256) identify(Shade f) {
         instance = s.places[item].instance;
         if (instance < 0) instance = f.triangle_instances[number];
         if (f.triangle) triangle = f.triangle_faces[number];
-        if (f.semantic) semantic = f.semantic_ids[scene.first_instance + instance];
+        instance += scene.first_instance;
+        if (f.semantic) semantic = f.semantic_ids[instance];
+        instance = f.instance_ids[instance];
     }
     if (f.instance) f.instance[pixel] = instance;
     if (f.semantic) f.semantic[pixel] = semantic;

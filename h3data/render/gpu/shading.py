@@ -38,8 +38,8 @@ class Shader:
             **{
                 name: tensors[name]
                 for name in (
-                    "triangle_instances", "triangle_faces", "semantic_ids", "normals", "colors", "uv", "levels",
-                    "first_level", "texels", "normal_groups", "group_first", "group_faces",
+                    "triangle_instances", "triangle_faces", "instance_ids", "semantic_ids", "normals", "colors", "uv",
+                    "levels", "first_level", "texels", "normal_groups", "group_first", "group_faces",
                 )
             },
             triangle_textures=tensors["triangle_textures"] if packed.textured else None,

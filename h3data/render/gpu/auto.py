@@ -1,0 +1,77 @@
+"""The GPU behind `h3data.render.Renderer` with ``backend="auto"``: the CPU draws what the GPU does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.render.camera import Camera
+from h3data.render.gpu.cuda import chosen_device
+from h3data.render.gpu.engine import GpuEngine, handed_out
+from h3data.render.gpu.views import tensor_of
+from h3data.render.hybrid import HybridEngine
+from h3data.render.scene import RenderScene
+from h3data.render.shading import Light
+
+if TYPE_CHECKING:
+    import torch
+
+
+class AutoEngine(GpuEngine):
+    """A `GpuEngine` that leaves cast shadows, and cameras that are not perspective, to the CPU. All pictures are tensors on
+    the device. A batch with one such camera is drawn by the CPU as a whole."""
+
+    def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
+        super().__init__(scene, light=replace(light, shadow_rays=0), worlds=worlds)
+        self._cpu_light, self._threads = light, threads
+        self._cpu: HybridEngine | None = None
+
+    def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        super().set_transforms(world, instances, matrices)
+        if self._cpu:
+            self._cpu.set_transforms(world, instances, matrices)
+
+    def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        super().set_visible(world, instances, visible)
+        if self._cpu:
+            self._cpu.set_visible(world, instances, visible)
+
+    def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        super().set_vertices(world, mesh, vertices)
+        if self._cpu:
+            self._cpu.set_vertices(world, mesh, vertices)
+
+    def render(
+        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[Any], samples: Any,
+        out: Mapping[str, Any] | None,
+    ) -> dict[str, Any]:  # fmt: skip
+        shadows = "rgb" in outputs and self._cpu_light.shadow_rays > 0
+        if not shadows and all(camera.projection == "perspective" for camera in cameras):
+            return super().render(cameras, worlds, outputs, samples, out)
+        self._cpu = self._cpu or self._cpu_engine()
+        pictures = self._cpu.render(cameras, worlds, outputs, samples, None)
+        device = self._device()
+        return handed_out({name: tensor_of(array, device) for name, array in pictures.items()}, out)
+
+    def _device(self) -> torch.device:
+        return chosen_device(None)
+
+    def _cpu_engine(self) -> HybridEngine:
+        """The CPU with everything where it is now."""
+        scene, count = self.scene, self.world_count
+        engine = HybridEngine(scene, light=self._cpu_light, worlds=count, threads=self._threads)
+        for world in range(count):
+            now = self.poses(world)
+            same = np.isclose(now.matrix, scene.instance_matrix, rtol=0, atol=0, equal_nan=True).all((1, 2))
+            moved, gone = np.flatnonzero(~same), np.flatnonzero(~now.visible)
+            if len(moved):
+                engine.set_transforms(world, moved, now.matrix[moved])
+            if len(gone):
+                engine.set_visible(world, gone, now.visible[gone])
+            for mesh, vertices in now.vertices.items():
+                engine.set_vertices(world, mesh, vertices)
+        return engine
