@@ -42,6 +42,8 @@ _TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"
 _PERCENT = "\u00a0%"
 _LISTED = 5_000
 """At most so many episodes are listed one by one."""
+_BESIDE = 4
+"""With more partners than this, heat maps stand below each other."""
 _PARTNER_METRICS = {"social_nav": ("S", "F", "CR"), "rearrange": ("SR", "RE", "CR")}
 
 
@@ -159,7 +161,8 @@ def _task_sections(
     partners = partner_tables(runs, _PARTNER_METRICS[task])
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
-        parts.append(_section(f"{task}-partners", "Policies and partners", f'<div class="heats">{heats}</div>'))
+        css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"
+        parts.append(_section(f"{task}-partners", "Policies and partners", f'<div class="{css}">{heats}</div>'))
     else:
         missing.append(f"Policies by partner in {_TASKS[task]}: all episodes have the same partner.")
     lead = "<p class=quiet>Each bar counts episodes; the upright line is the mean.</p>"
@@ -232,8 +235,8 @@ def _findings(data: ReportData) -> list[str]:
 
         lines.append(
             f"{run.name} finds the person in {_percent(s['S'].mean)} of {len(run.episodes)} episodes"
-            f"{paper('S', 100, _PERCENT)}, follows at a rate F of {number(s['F'].mean)}{paper('F', 1, '')}, and touches her in "
-            f"{_percent(s['CR'].mean)}{paper('CR', 100, _PERCENT)}."
+            f"{paper('S', 100, _PERCENT)}, follows at a rate F of {number(s['F'].mean)}{paper('F', 1, '')}, and touches "
+            f"the person in {_percent(s['CR'].mean)}{paper('CR', 100, _PERCENT)}."
         )
     for run in data.of_task("rearrange"):
         s = run.table.summary()

@@ -23,7 +23,7 @@ from h3data.recording import Recording, open_recording
 
 GRID_S = 0.5
 """Distances are kept at this spacing."""
-TRACK_S = 0.2
+TRACK_S = 0.1
 """Tracks are kept at this spacing."""
 CURVES_FILE = "learning.csv"
 """In a dataset's folder: how its policy was trained. One row per logged update, a column ``step``."""

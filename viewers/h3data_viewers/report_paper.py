@@ -7,7 +7,7 @@ The paper's numbers and where they are printed: ``paper_results.toml`` in this f
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 
@@ -231,23 +231,18 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
     metrics = {m.name: m for m in runs[0].table.metrics}
     tables = []
     for name in names:
-        means = {
-            (run.name, partner): _mean(e.metrics.values[name] for e in run.episodes if e.partner == partner)
+        cells = {
+            (run.name, partner): _known(e.metrics.values[name] for e in run.episodes if e.partner == partner)
             for run in runs
             for partner in partners
         }
-        known = [v for v in means.values() if not np.isnan(v)]
-        if not known:
+        means = [float(np.mean(v)) for v in cells.values() if v]
+        if not means:
             continue
-        low, high = (0.0, max(1.0, *known)) if metrics[name].unit == "1" else (min(known), max(known))
+        low, high = (0.0, max(1.0, *means)) if metrics[name].unit == "1" else (min(means), max(means))
+        digits = _digits(metrics[name])
         rows = [
-            Row(
-                name=run.name,
-                cells=tuple(
-                    Cell(text=number(v, _digits(metrics[name])), value=v, heat=(v - low) / (high - low or 1.0))
-                    for v in (means[run.name, partner] for partner in partners)
-                ),
-            )
+            Row(name=run.name, cells=tuple(_heat_cell(cells[run.name, p], low, high, digits) for p in partners))
             for run in runs
         ]
         tables.append(
@@ -289,6 +284,14 @@ def _strong(cell: Cell, strong: bool) -> Cell:
     return Cell(text=cell.text, value=cell.value, small=cell.small, strong=bool(strong))
 
 
-def _mean(values) -> float:
-    known = [v for v in values if not np.isnan(v)]
-    return float(np.mean(known)) if known else NAN
+def _heat_cell(values: Sequence[float], low: float, high: float, digits: int) -> Cell:
+    if not values:
+        return Cell(text="–")
+    mean = float(np.mean(values))
+    return Cell(
+        text=number(mean, digits), value=mean, small=f"n = {len(values)}", heat=(mean - low) / ((high - low) or 1.0)
+    )
+
+
+def _known(values: Iterable[float]) -> list[float]:
+    return [v for v in values if not np.isnan(v)]
