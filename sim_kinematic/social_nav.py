@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,9 +125,9 @@ def simulate_social_nav(
     clip = world.human.clip_for_speed(world.spec.human.speed_mps)
     log = EpisodeLog(world, clip, sink(header) if sink is not None else None)
     try:
-        ended = _run(world, act, log, progress or (lambda _: None))
+        ended = play(world, act, log, progress=progress)
         columns = log.columns()
-        info = {"ended": ended, **_hindsight(world)}
+        info = {"ended": ended, **hindsight(world)}
         recording = finished(header, columns, info, log.events)
         if log.sink is not None:
             for span in recording.skills:
@@ -140,26 +140,71 @@ def simulate_social_nav(
     return recording
 
 
-def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable[[int], object]) -> str:
-    """Step to the end of the episode; returns what ended it."""
+class Posture(NamedTuple):
+    """What the person's body does: the clip that she plays, her place in it (0..1), and its weight over standing."""
+
+    clip: int
+    phase: float
+    blend: float
+
+
+class Human(Protocol):
+    """Who moves the person."""
+
+    goal: int
+    """Index of her current goal, -1 before the first."""
+    leg: int
+    """Index of the way point within the path to it."""
+
+    def advance(self, state: WorldState, step: int) -> Posture:
+        """Move her by one step, in place; returns what her body does then, in float32 as it is recorded."""
+        ...
+
+
+class ScriptedHuman(WaypointHuman):
+    """The way-point walker with a body: what `play` moves by default."""
+
+    def __init__(self, world: SocialNavWorld, clip: int) -> None:
+        super().__init__(world.free, world.seed, world.spec.human, world.goals)
+        self._world, self._clip = world, clip
+
+    def advance(self, state: WorldState, step: int) -> Posture:
+        """As `Human.advance`."""
+        del step  # she remembers where she goes
+        walk_humans(state, self.target(state.human_xz[0])[None], self.spec)
+        since = state.human_distance[0] - state.human_set_off[0]
+        phase = motion_phase(self._world, self._clip, since)
+        return Posture(self._clip, float(phase), float(np.float32(state.human_blend[0])))
+
+
+def play(
+    world: SocialNavWorld, act: Policy, log: EpisodeLog, *, human: Human | None = None, steps: int | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> str:  # fmt: skip
+    """Step to the end of the episode, or for ``steps`` at most, into ``log``; returns what ended it.
+
+    Commands are rounded to float32 before they act, so that the recorded ones are those that acted. ``human`` moves the
+    person (default: her script).
+    """
     spec, free, starts = world.spec, world.free, world.starts
     state = WorldState.zeros(1)
     state.robot_xz[0], state.robot_heading[0] = starts.robot_xz, starts.robot_heading
     state.human_xz[0], state.human_heading[0] = starts.human_xz, starts.human_heading
     robot_xz, human_xz = state.robot_xz[0], state.human_xz[0]  # views: they follow the state
-    human = WaypointHuman(free, world.seed, spec.human, world.goals)
+    human = human or ScriptedHuman(world, log.clip)
     contact = RobotHumanContact(world.robot, world.human)
     met = False
     geodesic = float(free.geodesic(robot_xz, human_xz))
-    for step in range(spec.max_steps):
+    for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
         heading = float(state.robot_heading[0])
         view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step)
         command = act(view, spec.robot)
+        action = np.array([command.forward, command.turn], np.float32)
         goal, walked = human.goal, float(state.human_distance[0])
-        walk_humans(state, human.target(human_xz)[None], spec.human)
-        drive_robots(state, free, np.array([[command.forward, command.turn]]), spec.robot)
+        posture = human.advance(state, step)
+        drive_robots(state, free, action[None], spec.robot)
         geodesic = float(free.geodesic(robot_xz, human_xz))
-        collision = _collides(world, state, contact, log.clip)
+        collision = _collides(world, state, contact, posture)
         log.add(
             Step(
                 robot_x=robot_xz[0],
@@ -174,15 +219,16 @@ def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable
                 human_skill=HUMAN_SKILLS.index("walk" if state.human_distance[0] > walked else "turn"),
                 human_goal=human.goal,
                 human_leg=human.leg,
-                forward=command.forward,
-                turn=command.turn,
+                forward=action[0],
+                turn=action[1],
                 robot_skill=ROBOT_SKILLS.index(command.skill),
                 geodesic=geodesic,
                 collision=collision,
             )
         )
-        progress(1)
-        if human.goal != goal:
+        if progress is not None:
+            progress(1)
+        if isinstance(human, WaypointHuman) and human.goal != goal:
             x, z = human.goals[-1]
             log.event(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
         if not met and spec.near_m <= geodesic <= spec.far_m:
@@ -196,7 +242,7 @@ def _run(world: SocialNavWorld, act: Policy, log: EpisodeLog, progress: Callable
     return "max_steps"
 
 
-def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanContact, clip: int) -> bool:
+def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanContact, posture: Posture) -> bool:
     """Whether robot and person touch in what is recorded: poses in float32."""
     if np.hypot(*(state.robot_xz[0] - state.human_xz[0])) > contact.gate_m + 1e-3:
         return False
@@ -204,12 +250,11 @@ def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanConta
     return contact.touching(
         ground_pose(state.robot_xz[0], state.robot_heading[0], floor).astype(np.float32),
         ground_pose(state.human_xz[0], state.human_heading[0], floor).astype(np.float32),
-        clip, float(motion_phase(world, clip, state.human_distance[0] - state.human_set_off[0])),
-        float(np.float32(state.human_blend[0])),
-    )  # fmt: skip
+        *posture,
+    )
 
 
-def _hindsight(world: SocialNavWorld) -> dict[str, Any]:
+def hindsight(world: SocialNavWorld) -> dict[str, Any]:
     """What follows from the person's whole plan, however long the episode lasted: her goals, and the oracle's ``l``."""
     starts, spec, free = world.starts, world.spec, world.free
     plan = human_plan(free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals)
@@ -222,4 +267,4 @@ def _hindsight(world: SocialNavWorld) -> dict[str, Any]:
 def require_task(task: str) -> None:
     """Refuse a task that does not exist."""
     if task != "social_nav":
-        raise InputError(f"Unknown task {task!r}. Expected: social_nav.")
+        raise InputError(f"Unknown task {task!r}. Expected: social_nav or rearrange.")

@@ -182,6 +182,8 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
         "scene_sha256": digest,
         "categories": list(CATEGORIES),
     }
+    if world.goals:  # known before the first step: what a crash leaves can be continued
+        info["human_goals"] = [list(goal) for goal in world.goals]
     told = f":{starts}:{world.goals}" if world.goals else ""  # else they follow from the seed
     what = f"h3data:social_nav:{digest}:{bodies_of}:{world.seed}:{policy}:{spec}{told}"
     episode = Episode(

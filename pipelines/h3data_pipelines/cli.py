@@ -25,6 +25,7 @@ from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.motion import MotionCommand
 from h3data_pipelines.recovering import Recover
+from h3data_pipelines.replaying import ReplayCommand
 from h3data_pipelines.report import ReportCommand
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.robots import Robots
@@ -43,6 +44,7 @@ COMMANDS: dict[str, type[Command]] = {
     "bodies": Bodies,
     "motion": MotionCommand,
     "robots": Robots,
+    "replay": ReplayCommand,
     "recover": Recover,
     "doctor": Doctor,
 }
