@@ -41,6 +41,8 @@ class ReportCommand:
     """Write the tables to this LaTeX file too (needs booktabs)."""
     pictures: int = 6
     """Episodes of each task that are shown with key frames."""
+    assets: tuple[Path, ...] = ()
+    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -56,7 +58,7 @@ class ReportCommand:
             raise InputError("-o, --markdown and --latex must be different files.")
         for path in wanted:
             claim_file(path, force=self.force)
-        report = write_report(self.datasets, self.out, title=self.title, pictures=self.pictures)
+        report = write_report(self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets)
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:

@@ -118,18 +118,21 @@ def time_charts(runs: Sequence[Run]) -> list[str]:
     if not kept:
         return []
     longest = _longest(kept)
-    aim = ("Task done by then", _row_done) if runs[0].task == "rearrange" else ("Person found by then", _row_found)
+    if runs[0].task == "rearrange":
+        aim = ("Task done by then", "SR", _row_done)
+    else:
+        aim = ("Person found by then", "S", lambda e: e.metrics.encounter_row)
     charts = [_distance(kept, longest, zone=runs[0].task == "social_nav")]
-    for title, row_of in (aim, ("Person touched by then", lambda e: e.metrics.contact_row)):
+    for title, decides, row_of in (aim, ("Person touched by then", "CR", lambda e: e.metrics.contact_row)):
+        known = [(k, run, [e for e in run.episodes if not np.isnan(e.metrics.values[decides])]) for k, run in kept]
         times = [
-            (k, run, [e.seconds(row_of(e)) if row_of(e) >= 0 else np.inf for e in run.episodes]) for k, run in kept
+            (k, run, [e.seconds(row_of(e)) if row_of(e) >= 0 else np.inf for e in episodes])
+            for k, run, episodes in known
+            if episodes
         ]
-        charts.append(_share(title, times, longest))
+        if times:
+            charts.append(_share(title, times, longest))
     return charts
-
-
-def _row_found(episode: ReportEpisode) -> int:
-    return episode.metrics.encounter_row
 
 
 def _row_done(episode: ReportEpisode) -> int:

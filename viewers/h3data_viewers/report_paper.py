@@ -28,6 +28,7 @@ from h3data_viewers.report_tables import (
     Row,
     Section,
     Table,
+    counted,
     mean_cell,
     number,
     p_text,
@@ -96,7 +97,7 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
             beside = spread_cell(published.values.get(metric.name, ())).text if published else ""
             cell = mean_cell(s.mean, s.low, s.high, small=f"paper {beside}" if beside else "")
             cells.append(_strong(cell, k in best[metric.name]))
-        ours.append(Row(name=run.name, cells=tuple(cells), small=f"{len(run.episodes)} episodes"))
+        ours.append(Row(name=run.name, cells=tuple(cells), small=counted(len(run.episodes), "episode")))
     published = [
         Row(name=row.name, cells=tuple(spread_cell(row.values.get(m.name, ())) for m in metrics)) for row in paper.rows
     ]
@@ -141,7 +142,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
                     mean_cell(factor * s.mean, factor * s.low, factor * s.high, digits=digits) if s else Cell(text="")
                 )
         partners = len({e.partner for e in run.episodes})
-        small = f"{len(run.episodes)} episodes, {partners} partner{'s' if partners != 1 else ''}"
+        small = f"{counted(len(run.episodes), 'episode')}, {counted(partners, 'partner')}"
         ours.append(Row(name=run.name, cells=tuple(cells), small=small))
     published = [
         Row(

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from h3data.errors import H3DataError
 from h3data_viewers.report_charts import series_class
 from h3data_viewers.report_data import GRID_S, ReportEpisode, Run, Track, read_whole
 from h3data_viewers.report_svg import Svg, linear
-from h3data_viewers.report_tables import number
+from h3data_viewers.report_tables import counted, number
 
 if TYPE_CHECKING:
     from h3data.scene import Scene
@@ -152,7 +153,7 @@ def trajectory_figures(runs: Sequence[Run], plans: Plans) -> list[str]:
                             svg.circle(x, y, 3, f"end {series_class(k)}")
         _scale_bar(svg, plan)
         drawn = sum(map(len, chosen))
-        what = f"{count} episodes" if drawn == count else f"{drawn} of {count} episodes"
+        what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
         figures.append(f"<figure><figcaption>{escape(scene)}: {what}</figcaption>{svg.to_html()}</figure>")
     return figures
 
@@ -217,15 +218,19 @@ def _score(episode: ReportEpisode, task: str) -> tuple[float, ...]:
     return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
 
 
-def highlight_card(highlight: Highlight, plans: Plans) -> str:
-    """Plan with both tracks, key frames, distance over time and the metrics of one episode."""
+def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Path] = ()) -> str:
+    """Plan with both tracks, key frames, distance over time and the metrics of one episode.
+
+    ``assets`` are folders of the files that a foreign recording names.
+    """
     from h3data.replay import Replay
 
     episode = highlight.episode
+    tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
     rows = key_rows(episode)
     scene, frames, missing = None, [], ""
     try:
-        replay = Replay(read_whole(episode))
+        replay = Replay(read_whole(episode), assets=assets)
         scene = replay.scene
         if replay.drawables:
             frames = _frames(replay, [row for row, _ in rows])
@@ -253,7 +258,7 @@ def highlight_card(highlight: Highlight, plans: Plans) -> str:
         f"<li><b>{escape(name)}</b> {number(value)}</li>" for name, value in episode.metrics.values.items()
     )
     return (
-        f'<article class="card"><h3><span class="tag {highlight.kind}">{highlight.kind}</span> '
+        f'<article class="card"><h3><span class="tag {highlight.kind}">{tag}</span> '
         f'<span class="chip {series_class(highlight.place)}"></span>{escape(highlight.run.name)}: episode '
         f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
         f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"

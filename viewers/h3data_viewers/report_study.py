@@ -20,7 +20,19 @@ from h3data.metrics import (
 )
 from h3data_viewers.report_data import ReportData, ReportEpisode, Run
 from h3data_viewers.report_paper import metric_column, paper_results
-from h3data_viewers.report_tables import NAN, Cell, Column, Row, Section, Table, mean_cell, number, p_text, spread_cell
+from h3data_viewers.report_tables import (
+    NAN,
+    Cell,
+    Column,
+    Row,
+    Section,
+    Table,
+    counted,
+    mean_cell,
+    number,
+    p_text,
+    spread_cell,
+)
 
 Estimates = dict[str, tuple[float, float, float]]
 """Mean with the ends of its interval, by condition."""
@@ -118,7 +130,7 @@ def _study_table(
             cells=tuple(
                 mean_cell(*estimates[name].get(condition, (NAN, NAN, NAN)), digits=n) for name, n in digits.items()
             ),
-            small=f"{sum(e.condition == condition for e in episodes)} episodes",
+            small=counted(sum(e.condition == condition for e in episodes), "episode"),
         )
         for condition in conditions
     ]

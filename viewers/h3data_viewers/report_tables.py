@@ -99,6 +99,11 @@ def number(value: float, digits: int = 2) -> str:
     return text.replace("-", "−" if float(text) else "")
 
 
+def counted(count: int, noun: str) -> str:
+    """``1 episode``, ``2 episodes``."""
+    return f"{count:,} {noun}{'s' if count != 1 else ''}"
+
+
 def mean_cell(mean: float, low: float = NAN, high: float = NAN, *, digits: int = 2, small: str = "") -> Cell:
     """``mean [low, high]``; without the bracket if there is no interval."""
     interval = "" if math.isnan(low) else f" [{number(low, digits)}, {number(high, digits)}]"
