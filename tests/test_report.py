@@ -283,6 +283,18 @@ def test_recordings_that_cannot_be_measured_are_counted(runs: dict[str, Path], t
     assert "1 not measured" in Page(report.html).text
 
 
+def test_charts_show_only_what_is_known(runs: dict[str, Path], tmp_path: Path) -> None:
+    good = open_recording(runs["stand_still"])[0]  # type: ignore[index]
+    assert isinstance(good, Recording)
+    columns = {k: v for k, v in good.columns.items() if k != "metrics.collision"}
+    report = make_report([write(tmp_path / "ds", [replace(good, columns=columns)])], pictures=0)
+    said = Page(report.html).text
+    assert "Person found by then" in said
+    assert "Person touched by then" not in said
+    assert "touches the person in" not in said
+    assert report.tables[0].sections[0].rows[0].cells[3].text == "–"
+
+
 def test_recordings_without_a_scene_still_have_plans(tmp_path: Path) -> None:
     report = make_report([write(tmp_path / "ds", [tidy(30, policy="x")])], pictures=2)
     assert 'class="floor"' in report.html
