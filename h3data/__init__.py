@@ -19,7 +19,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.api import open, render_frame
+    from h3data.api import make, open, render_frame
     from h3data.errors import H3DataError
     from h3data.metrics import measure
     from h3data.recording import Dataset, Recording
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from h3data.scene import HomeSpec, Scene, build_home
 
 _HOMES = {
+    "make": "h3data.api",
     "open": "h3data.api",
     "render_frame": "h3data.api",
     "measure": "h3data.metrics",
@@ -47,6 +48,7 @@ __all__ = [
     "Replay",
     "Scene",
     "build_home",
+    "make",
     "measure",
     "open",
     "render_frame",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError
+from h3data.errors import FormatError, InputError
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.render import Output
 from h3data.replay import Replay, camera_track
@@ -80,3 +81,21 @@ def render_frame(
     row = replay.row(step)
     track = camera_track(replay, camera)
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
+
+
+def make(task: str, **options: Any) -> Any:
+    """A training environment of a task: ``make("social_nav")``, ``make("social_nav", worlds=64)`` (docs/environments.md).
+
+    Tasks are the entry points of the group ``h3data.tasks``, so installed packages may bring their own; ``options`` go to
+    the task.
+
+    Raises:
+        InputError: no such task is installed.
+        MissingExtraError: Gymnasium or PettingZoo are not installed.
+    """
+    tasks = {entry.name: entry for entry in importlib.metadata.entry_points(group="h3data.tasks")}
+    if task not in tasks:
+        raise InputError(
+            f"Unknown task {task!r}. Expected one of: {', '.join(sorted(tasks)) or '(none is installed)'}."
+        )
+    return tasks[task].load()(**options)

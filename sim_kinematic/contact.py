@@ -38,12 +38,25 @@ class RobotHumanContact:
         self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float
     ) -> bool:
         """Whether they touch: base poses [7], and the frame of the clip that the person plays."""
-        if np.hypot(*(robot_base[[0, 2]] - human_base[[0, 2]])) > self.gate_m:
-            return False
-        start, end, _ = _clip_capsules(self._human, np.array([clip]), np.array([phase]), np.array([blend]), human_base)
-        links = pose_to_matrix(robot_base.astype(np.float64)) @ self._shapes_at
-        self._pair.update(links, start[0], end[0])
-        return self._pair.collides()
+        at = np.array([clip]), np.array([phase]), np.array([blend])
+        return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
+
+    def touching_many(
+        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: NDArray, phase: NDArray,
+        blend: NDArray,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Whether they touch in each of N cases, [N]: base poses [N, 7], frames [N] of clips. Poses the people together."""
+        gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
+        near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
+        result = np.zeros(len(gap), np.bool_)
+        if not len(near):
+            return result
+        start, end, _ = _clip_capsules(self._human, clip[near], phase[near], blend[near], human_base[near])
+        bases = pose_to_matrix(robot_base[near].astype(np.float64))
+        for n, base, starts, ends in zip(near, bases, start, end, strict=True):
+            self._pair.update(base @ self._shapes_at, starts, ends)
+            result[n] = self._pair.collides()
+        return result
 
 
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
@@ -95,7 +108,7 @@ def clip_reach(human: Humanoid) -> float:
 
 
 def _clip_capsules(
-    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE
+    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None]
 ) -> tuple[Array, Array, Array]:
-    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [7]."""
-    return human.capsules_world(human.joint_matrices(base[None], *human.clip_pose(clip, phase, blend)))
+    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [T or 1, 7]."""
+    return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend)))

@@ -1,0 +1,152 @@
+"""Social navigation as a Gymnasium environment: one world, one agent, the robot. Needs the extra ``env``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.render import look_at, pinhole
+from h3data.scene import Scene
+from sim_kinematic.observations import STATE_OBSERVATIONS, Observation, Observer, gymnasium
+from sim_kinematic.rewards import RewardProfile
+from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch, checked_actions
+from sim_kinematic.spec import STEP_S, SocialNavSpec
+
+Observations = dict[str, NDArray[np.float32]]
+
+
+class SocialNavEnv(gymnasium.Env[Any, Any]):
+    """A robot must find a walking person and follow her at 1-2 m, facing her (paper section 4.1 and appendix).
+
+    Action: forward and left turn in -1..1 of 2.5 m/s and 2.5 rad/s, clipped. The episode is terminated when the two touch,
+    truncated after ``spec.max_steps`` (1,500). ``info`` has ``geodesic_m``, ``found``, ``success``, ``followed`` (steps),
+    ``collides``, ``robot_contact``; `reset` adds ``scene`` and ``episode_seed``.
+
+    ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
+    seed gives the same scenes, starts and way points on every machine.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        *,
+        observations: Sequence[Observation] = STATE_OBSERVATIONS,
+        spec: SocialNavSpec = TRAINING,
+        reward: RewardProfile = "paper",
+        end_on_success: bool = False,
+        depth_size: tuple[int, int] | None = None,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+        render_mode: str | None = None,
+    ) -> None:
+        """
+        Args:
+            scenes: As `SocialNavBatch`.
+            observations: Names of `sim_kinematic.observations.Observer`; `PAPER_OBSERVATIONS` are the paper's.
+            spec: The rules; by default those of the paper's training.
+            reward: ``paper`` or ``habitat``.
+            end_on_success: Whether having followed long enough terminates the episode too.
+            depth_size: Width and height of pictures [pixels].
+            robot: Name of a built-in robot.
+            human: Name of a built-in body.
+            render_mode: ``rgb_array`` for `render`, or None.
+        """
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(f"Unknown render mode {render_mode!r}. Expected rgb_array or None.")
+        self.render_mode = render_mode
+        self.batch = SocialNavBatch(scenes, spec=spec, reward=reward, robot=robot, human=human)
+        self._observer = Observer(self.batch, observations, depth_size=depth_size)
+        self._end_on_success = end_on_success
+        self._seed, self._episode = 0, -1
+        self.observation_space = self._observer.space()
+        self.action_space = action_space(self.batch)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin the next episode, or with ``seed`` the first of another run. There are no ``options``."""
+        super().reset(seed=seed)
+        if seed is not None or self._episode < 0:
+            self._seed, self._episode = run_seed(seed, self.np_random), -1
+        self._episode += 1
+        self.batch.begin(self._seed, self._episode)
+        return _first(self._observer.observe()), {**_first(infos(self.batch)), **_first(episodes(self.batch))}
+
+    def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Move by ``action`` [2].
+
+        Raises:
+            InputError: it has another shape or is not finite; then nothing has moved.
+        """
+        worth = self.batch.step(checked_actions(action, (self.batch.action_width,))[None])
+        terminated = worth.ends | (self._end_on_success & self.batch.success)
+        observed = _first(self._observer.observe())
+        info = _first(infos(self.batch))
+        return observed, float(worth.reward[0]), bool(terminated[0]), bool(self.batch.out_of_time[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The robot from above, uint8 [480, 640, 3]; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return picture_from_above(self.batch, self._observer)
+
+
+def action_space(batch: SocialNavBatch) -> gymnasium.spaces.Box:
+    """Base velocity of one robot in -1..1 of its limits, [2], or [3] where it can move sideways."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (batch.action_width,), np.float32)
+
+
+def run_seed(seed: int | None, rng: np.random.Generator) -> int:
+    """The seed that was given, else one from Gymnasium's generator."""
+    return int(rng.integers(2**63)) if seed is None else int(seed)
+
+
+def infos(batch: SocialNavBatch) -> dict[str, NDArray[Any]]:
+    """What is known beyond the observations, [W] each."""
+    return {
+        "geodesic_m": batch.geodesic.copy(),
+        "found": batch.found.copy(),
+        "success": batch.success.copy(),
+        "followed": batch.rewards.followed.copy(),
+        "collides": batch.collides.copy(),
+        "robot_contact": batch.state.robot_contact.copy(),
+    }
+
+
+def episodes(batch: SocialNavBatch) -> dict[str, NDArray[Any]]:
+    """Which episode each world plays, [W] each."""
+    return {
+        "scene": np.array([e.scene.name for e in batch.episodes], object),
+        "episode_seed": np.array([e.seed for e in batch.episodes], np.int64),
+    }
+
+
+def picture_from_above(batch: SocialNavBatch, observer: Observer) -> NDArray[np.uint8]:
+    """What is around the robot of world 0, which faces upwards in it: 9 m across, uint8 [480, 640, 3], without ceilings."""
+    if not batch.episodes:
+        raise InputError("No episode has begun. Hint: call reset() first.")
+    drawn, state = observer.renderer(int(batch.place[0])), batch.state
+    floor = batch.episodes[0].free.floor_y
+    drawn.pose(state, floor_y=floor)
+    x, z = state.robot_xz[0]
+    c, s = np.cos(state.robot_heading[0]), np.sin(state.robot_heading[0])
+    pose = look_at((x, floor + 6, z), (x, floor, z), up=(c, 0, -s))
+    camera = pinhole(640, 480, hfov_deg=75, name="above", pose=pose, hidden_layers=("ceiling",))
+    return drawn.picture([camera], ("rgb",))["rgb"][0]
+
+
+def _first(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    return {name: array[0] for name, array in arrays.items()}
+
+
+gymnasium.register(
+    "h3data/SocialNav-v0",
+    entry_point="sim_kinematic.env:SocialNavEnv",
+    vector_entry_point="sim_kinematic.vector_env:SocialNavVectorEnv",
+)

@@ -1,0 +1,44 @@
+"""What `h3data.make` calls: one function per task, named in the entry points of the group ``h3data.tasks``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from h3data.errors import InputError
+from h3data.scene import Scene
+
+if TYPE_CHECKING:
+    from sim_kinematic.env import SocialNavEnv
+    from sim_kinematic.parallel_env import SocialNavParallelEnv
+    from sim_kinematic.vector_env import SocialNavVectorEnv
+
+
+def social_nav(
+    scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+    *,
+    worlds: int | None = None,
+    agents: Sequence[str] = ("robot",),
+    **options: Any,
+) -> SocialNavEnv | SocialNavVectorEnv | SocialNavParallelEnv:
+    """Social navigation: `SocialNavEnv`; with ``worlds`` `SocialNavVectorEnv`; with ``agents=("robot", "human")``
+    `SocialNavParallelEnv`, which has one world.
+
+    Raises:
+        InputError: scenes, agents or an option are none that we know, or both ``worlds`` and two agents are wanted.
+    """
+    if sorted(agents) not in (["robot"], ["human", "robot"]):
+        raise InputError(f"Expected agents ('robot',) or ('robot', 'human'), got {agents!r}.")
+    if len(agents) == 2:
+        if worlds is not None:
+            raise InputError("An environment of two agents has one world. Hint: leave out worlds.")
+        from sim_kinematic.parallel_env import SocialNavParallelEnv
+
+        return SocialNavParallelEnv(scenes, **options)
+    if worlds is not None:
+        from sim_kinematic.vector_env import SocialNavVectorEnv
+
+        return SocialNavVectorEnv(worlds, scenes, **options)
+    from sim_kinematic.env import SocialNavEnv
+
+    return SocialNavEnv(scenes, **options)

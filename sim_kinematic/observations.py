@@ -1,0 +1,175 @@
+"""What a learning agent is shown of a `SocialNavBatch`: named observations as Gymnasium spaces and arrays, worlds first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError, MissingExtraError
+from sim_kinematic.sensors import DETECTED_PIXELS, detect_humanoids, egomotion, gps_compass, localization
+from sim_kinematic.social_nav_batch import SocialNavBatch
+from sim_kinematic.state import WorldState
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict
+
+    from sim_kinematic.camera_sensor import StateRenderer
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise MissingExtraError(
+        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
+    ) from error
+
+Observation = Literal["arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization"]
+PAPER_OBSERVATIONS: tuple[Observation, ...] = ("arm_depth", "humanoid_detector", "humanoid_gps")
+"""What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
+STATE_OBSERVATIONS: tuple[Observation, ...] = ("humanoid_gps", "egomotion")
+"""What costs no picture."""
+CAMERA = "robot_arm"
+DEPTH_RANGE_M = (0.0, 10.0)
+"""Depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
+FAR_M = 1000.0
+"""Bound of places and distances, which no home reaches."""
+FAST = 10.0
+"""Bound of egomotion [m/s, rad/s]: four times the robot's limits."""
+
+
+class Observer:
+    """The robots' observations of a batch; each array is [W, ...] float32 and within its space.
+
+    ``arm_depth``: depth of the arm's camera, [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, 0 = nothing hit.
+    ``humanoid_detector``: 1 when more than 1,000 pixels of that picture show the person, [1]; with ``depth_size`` as many
+    as are the same part of it. ``humanoid_gps``: distance [m] and angle [rad] to her, positive to the right, [2].
+    ``egomotion``: forward, left [m/s] and turn [rad/s] of the last step, [3]. ``localization``: x, y, z [m] and heading
+    [rad] in the world, [4].
+    """
+
+    def __init__(
+        self, batch: SocialNavBatch, names: Sequence[Observation], *, depth_size: tuple[int, int] | None = None,
+        threads: int = 1,
+    ) -> None:  # fmt: skip
+        """``depth_size``: width and height of pictures [pixels], None for the camera's own 224 x 171.
+
+        Raises:
+            InputError: there are no such observations.
+        """
+        self.names = _checked_names(names)
+        self._batch, self._threads = batch, threads
+        camera = batch.robot.camera(CAMERA)
+        self._own_size = camera.width, camera.height
+        self._size = depth_size or self._own_size
+        if min(self._size) < 1:
+            raise InputError(f"Expected a picture of at least 1 x 1 pixels, got {self._size}.")
+        self._pictured = tuple(n for n in self.names if n in ("arm_depth", "humanoid_detector"))
+        self._drawn: dict[int, StateRenderer] = {}
+
+    def space(self) -> Dict:
+        """The space of one world's observations."""
+        return gymnasium.spaces.Dict({name: self._box(name) for name in self.names})
+
+    def _box(self, name: Observation) -> gymnasium.spaces.Box:
+        low, high = {
+            "arm_depth": (np.zeros((*self._size[::-1], 1)), np.ones((*self._size[::-1], 1))),
+            "humanoid_detector": ([0.0], [1.0]),
+            "humanoid_gps": ([0.0, -np.pi], [FAR_M, np.pi]),
+            "egomotion": ([-FAST] * 3, [FAST] * 3),
+            "localization": ([-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]),
+        }[name]
+        return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+
+    def observe(self) -> dict[str, NDArray[np.float32]]:
+        """What the robots see now, [W, ...] each."""
+        batch = self._batch
+        now, before = batch.state, batch.before
+        pictures = self._pictures() if self._pictured else {}
+        return {
+            name: pictures[name] if name in pictures else _of_robot(name, now, before, batch) for name in self.names
+        }
+
+    def observe_people(self) -> dict[str, NDArray[np.float32]]:
+        """The same for the people, who look for the robot, without pictures."""
+        swapped = _swapped(self._batch.state), _swapped(self._batch.before)
+        return {n: _of_robot(n, *swapped, self._batch) for n in self.names if n not in self._pictured}
+
+    def people_space(self) -> Dict:
+        """The space of one person's observations."""
+        return gymnasium.spaces.Dict({n: self._box(n) for n in self.names if n not in self._pictured})
+
+    # --- pictures -----------------------------------------------------------------------------------------------------
+    def _pictures(self) -> dict[str, NDArray[np.float32]]:
+        from h3data.render import Output
+        from sim_kinematic.camera_sensor import CameraSensor
+
+        wanted: list[Output] = []
+        if "arm_depth" in self._pictured:
+            wanted.append("depth")
+        if "humanoid_detector" in self._pictured:
+            wanted.append("semantic")
+        sensor = CameraSensor(camera=CAMERA, outputs=tuple(wanted), depth_range_m=DEPTH_RANGE_M, size=self._size)
+        width, height = self._size
+        share = width * height / (self._own_size[0] * self._own_size[1])
+        result: dict[str, NDArray[np.float32]] = {}
+        if "depth" in wanted:
+            result["arm_depth"] = np.zeros((self._batch.worlds, height, width, 1), np.float32)
+        if "semantic" in wanted:
+            result["humanoid_detector"] = np.zeros((self._batch.worlds, 1), np.float32)
+        for k in np.unique(self._batch.place):
+            drawn = self.renderer(int(k))
+            rows = np.flatnonzero(self._batch.place == k)
+            for part in rows.reshape(-1, drawn.worlds):
+                drawn.pose(rows_of(self._batch.state, part), floor_y=self._batch.episodes[part[0]].free.floor_y)
+                seen = sensor.observe(drawn)
+                if "depth" in wanted:
+                    result["arm_depth"][part] = seen["depth"].reshape(len(part), height, width, 1)
+                if "semantic" in wanted:
+                    found = detect_humanoids(seen["semantic"], more_than_pixels=int(DETECTED_PIXELS * share)).found
+                    result["humanoid_detector"][part, 0] = found
+        return result
+
+    def renderer(self, place: int) -> StateRenderer:
+        """What draws a scene: all worlds at once where there is only one scene, else world by world."""
+        from sim_kinematic.camera_sensor import StateRenderer
+
+        if place not in self._drawn:
+            batch = self._batch
+            self._drawn[place] = StateRenderer(
+                batch.places[place].world.scene, batch.robot, batch.human, threads=self._threads,
+                worlds=batch.worlds if len(batch.places) == 1 else 1, speed_mps=batch.spec.human.speed_mps,
+            )  # fmt: skip
+        return self._drawn[place]
+
+
+def rows_of(state: WorldState, rows: NDArray[np.intp]) -> WorldState:
+    """Some worlds of a state, in arrays of their own."""
+    return WorldState(**{name: array[rows] for name, array in vars(state).items()})
+
+
+def _swapped(state: WorldState) -> WorldState:
+    """The state with robot and person in each other's place."""
+    own = dict(vars(state))
+    own |= {"robot_xz": state.human_xz, "robot_heading": state.human_heading}
+    return WorldState(**{**own, "human_xz": state.robot_xz, "human_heading": state.robot_heading})
+
+
+def _of_robot(name: Observation, now: WorldState, before: WorldState, batch: SocialNavBatch) -> NDArray[np.float32]:
+    if name == "humanoid_gps":
+        return _within(gps_compass(now.robot_xz, now.robot_heading, now.human_xz), FAR_M)
+    if name == "egomotion":
+        return _within(egomotion(before.robot_xz, before.robot_heading, now.robot_xz, now.robot_heading), FAST)
+    return _within(localization(now.robot_xz, now.robot_heading, batch.floor_y), FAR_M)
+
+
+def _within(values: NDArray[Any], bound: float) -> NDArray[np.float32]:
+    return np.clip(values, -bound, bound).astype(np.float32)
+
+
+def _checked_names(names: Sequence[Observation]) -> tuple[Observation, ...]:
+    known = get_args(Observation)
+    if isinstance(names, str) or not names or not set(names) <= set(known):
+        raise InputError(f"Expected a list of observations, some of: {', '.join(known)}. Got {names!r}.")
+    return tuple(dict.fromkeys(names))

@@ -1,0 +1,331 @@
+"""W episodes of social navigation side by side, each begun anew when wanted: what the training interfaces step.
+
+An episode is the one that `sim_kinematic.social_nav.simulate_social_nav` plays with the same scene, seed and actions, bit
+for bit, whatever W is. Worlds in one home are stepped together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose
+from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.scene_sets import SceneSource
+from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
+from sim_kinematic.predicates import is_found
+from sim_kinematic.randomness import episode_seed, generator
+from sim_kinematic.rewards import Encounter, RewardProfile, RewardStep, SocialNavReward
+from sim_kinematic.sensors import facing
+from sim_kinematic.social_nav import SocialNavWorld, draw_starts
+from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec
+from sim_kinematic.state import WorldState
+from sim_kinematic.step import drive_robots, walk_humans
+from sim_kinematic.waypoint_human import WaypointHuman
+
+TRAINING = SocialNavSpec(spawn_distance_m=3.0)
+"""The paper's rules for training: they start at least 3 m apart (appendix, social navigation)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """A scene to play in. What it takes to do so is made at first use and kept."""
+
+    source: Scene | SceneSource
+    spec: SocialNavSpec
+    robot_name: str
+    human_name: str
+
+    @cached_property
+    def world(self) -> SocialNavWorld:
+        """An episode here, of which `episode` makes the others."""
+        spec, source = self.spec, self.source
+        if isinstance(source, Scene):
+            scene, free = (
+                source,
+                FreeSpace.from_scene(source, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m),
+            )
+        else:
+            scene, free = open_scene(source), open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
+        return SocialNavWorld.create(
+            scene, seed=0, spec=spec, free=free, human=self.human_name, robot=self.robot_name
+        )  # fmt: skip
+
+    @cached_property
+    def _is_clear(self) -> Callable[[Array], bool]:
+        return clear_of_furniture(self.world.scene, self.world.robot)
+
+    def episode(self, seed: int) -> SocialNavWorld:
+        """The episode that `SocialNavWorld.create` draws from ``seed``."""
+        starts = draw_starts(self.world.free, seed, self.spec, stands_free=self._is_clear)
+        return replace(self.world, seed=seed, starts=starts)
+
+
+class SocialNavBatch:
+    """W worlds, each in one episode of its own."""
+
+    def __init__(
+        self,
+        scenes: str | Scene | Sequence[str | Scene],
+        *,
+        worlds: int = 1,
+        spec: SocialNavSpec = TRAINING,
+        reward: RewardProfile = "paper",
+        robot: str = "quad_arm",
+        human: str = "female_0",
+        driven_human: bool = False,
+    ) -> None:
+        """
+        Args:
+            scenes: Where to play: what the command line takes (`h3data.interop.scene_names.named_scenes`), such as
+                ``h3-homes/train`` or ``small:3``, a `Scene`, or several of these. Every episode draws one of them.
+            worlds: W.
+            spec: The rules.
+            reward: Which reward (`sim_kinematic.rewards`).
+            robot: Name of a built-in robot.
+            human: Name of a built-in body.
+            driven_human: The person is moved by actions; else she walks to random points.
+
+        Raises:
+            InputError: there are no such scenes, bodies or rewards, or W is not at least 1.
+        """
+        if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
+            raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
+        sources = _sources(scenes)
+        self.spec, self.worlds = spec, int(worlds)
+        self.robot, self.human = load_robot(robot), load_humanoid(human)
+        self.places = tuple(Place(source=s, spec=spec, robot_name=robot, human_name=human) for s in sources)
+        self.clip = self.human.clip_for_speed(spec.human.speed_mps)
+        self.rewards = SocialNavReward(self.worlds, profile=reward, rules=spec)
+        self.state = WorldState.zeros(self.worlds)
+        self.before = self.state.copy()
+        """The state before the last step."""
+        self.place = np.full(self.worlds, -1)
+        """Index of the scene that each world is in, [W]."""
+        self.episodes: list[SocialNavWorld] = []
+        """What each world plays; empty before the first `begin`."""
+        self.steps = np.zeros(self.worlds, np.int64)
+        """Steps of the episode so far, [W]."""
+        self.geodesic = np.zeros(self.worlds)
+        """Shortest way from robot to person [m], inf where there is none, [W]."""
+        self.collides = np.zeros(self.worlds, np.bool_)
+        """Robot and person touch, [W]."""
+        self.found = np.zeros(self.worlds, np.bool_)
+        """The robot has found the person in this episode, [W]."""
+        self.success = np.zeros(self.worlds, np.bool_)
+        """The robot has followed the person long enough, [W]."""
+        self.action_width = 3 if spec.robot.max_lateral_mps else 2
+        self._driven = driven_human
+        self._contact = RobotHumanContact(self.robot, self.human)
+        self._walkers: list[WaypointHuman] = []
+        self._targets = np.zeros((self.worlds, 2))
+        self._collisions = np.zeros(self.worlds, np.int64)
+        self._groups: list[tuple[FreeSpace, NDArray[np.intp]]] = []
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def begin(self, seeds: ArrayLike, indices: ArrayLike, *, where: ArrayLike = True) -> None:
+        """Begin episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W].
+
+        Scene and episode follow from these two numbers alone.
+
+        Raises:
+            SceneError: the scene has no two starts as far apart as the rules say.
+        """
+        fresh = np.broadcast_to(np.asarray(where, np.bool_), self.worlds)
+        seeds, indices = np.broadcast_to(seeds, self.worlds), np.broadcast_to(indices, self.worlds)
+        if not self.episodes:
+            fresh = np.ones(self.worlds, np.bool_)
+        rows = np.flatnonzero(fresh)
+        drawn = []
+        for w in rows:  # all of them first: when one fails, no world has changed
+            seed, index = int(seeds[w]), int(indices[w])
+            k = int(generator(seed, "scene", step=index).integers(len(self.places)))
+            drawn.append((k, self.places[k].episode(episode_seed(seed, index))))
+        if not self.episodes:
+            self.episodes = [episode for _, episode in drawn]
+            self._walkers = [_walker(episode) for episode in self.episodes]
+        blank = WorldState.zeros(1)
+        for w, (k, episode) in zip(rows, drawn, strict=True):
+            for name, array in vars(self.state).items():
+                array[w] = vars(blank)[name][0]
+            starts = episode.starts
+            self.state.robot_xz[w], self.state.robot_heading[w] = starts.robot_xz, starts.robot_heading
+            self.state.human_xz[w], self.state.human_heading[w] = starts.human_xz, starts.human_heading
+            self.place[w], self.episodes[w], self._walkers[w] = k, episode, _walker(episode)
+            if not self._driven:
+                self._targets[w] = self._walkers[w].target(starts.human_xz)
+        self.steps[fresh] = self._collisions[fresh] = 0
+        self.found[fresh] = self.success[fresh] = self.collides[fresh] = False
+        self._groups = [(self.episodes[g[0]].free, g) for g in _runs(self.place)]
+        self._look(rows)
+        for name, array in vars(self.before).items():
+            array[rows] = vars(self.state)[name][rows]
+        worth = self.rewards.reset(self._encounter(), where=fresh)
+        self.success[fresh] |= worth.success[fresh]
+
+    def step(self, actions: ArrayLike, human_actions: ArrayLike | None = None) -> RewardStep:
+        """Move all worlds one step and say what that was worth.
+
+        Args:
+            actions: Forward and left turn of each robot in -1..1 of its limits, which they are clipped to, [W, 2]; [W, 3]
+                with sideways, where the rules allow it.
+            human_actions: The same for driven people, [W, 2]. They do not walk backwards.
+
+        Raises:
+            InputError: actions have another shape or are not finite; then nothing has moved.
+        """
+        if not self.episodes:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        moves = checked_actions(actions, (self.worlds, self.action_width))
+        walks = checked_actions(human_actions, (self.worlds, 2)) if human_actions is not None else None
+        if (walks is not None) != self._driven:
+            raise InputError("Expected actions of people if, and only if, they are driven (driven_human=True).")
+        for name, array in vars(self.before).items():
+            array[:] = vars(self.state)[name]
+        if walks is None:
+            self._next_targets()
+            walk_humans(self.state, self._targets, self.spec.human)
+        for free, rows in self._groups:
+            alone = len(rows) == self.worlds
+            part = self.state if alone else WorldState(**{n: a[rows] for n, a in vars(self.state).items()})
+            if walks is not None:
+                self._drive_people(part, free, walks[rows])
+            drive_robots(part, free, moves[rows], self.spec.robot)
+            if not alone:
+                for name, array in vars(self.state).items():
+                    array[rows] = vars(part)[name]
+        self.steps += 1
+        self._look(np.arange(self.worlds))
+        self._collisions += self.collides | self.state.robot_contact
+        worth = self.rewards.step(self._encounter())
+        self.success |= worth.success
+        return worth
+
+    @property
+    def out_of_time(self) -> NDArray[np.bool_]:
+        """Worlds whose episode has had all its steps, [W]."""
+        return self.steps >= self.spec.max_steps
+
+    @property
+    def floor_y(self) -> Array:
+        """Height of the floor in each world [m], [W]."""
+        return np.array([episode.free.floor_y for episode in self.episodes])
+
+    # --- parts of a step ----------------------------------------------------------------------------------------------
+    def _next_targets(self) -> None:
+        """Way points of those who have arrived; the others keep theirs."""
+        gap = self._targets - self.state.human_xz
+        for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
+            self._targets[w] = self._walkers[w].target(self.state.human_xz[w])
+
+    def _drive_people(self, state: WorldState, free: FreeSpace, actions: Array) -> None:
+        """Move people as bases of one disc, and their walking cycle with them."""
+        walker = self.spec.human
+        body = BaseSpec(
+            max_speed_mps=walker.speed_mps, max_turn_rad_s=walker.turn_rad_s, allow_back=False, disc_offsets_m=(0.0,),
+            disc_radius_m=self.spec.agent_radius_m,
+        )  # fmt: skip
+        touched = np.zeros(len(actions), np.bool_)
+        was = state.human_xz.copy()
+        drive_robots(
+            replace(state, robot_xz=state.human_xz, robot_heading=state.human_heading, robot_contact=touched),
+            free, actions, body,
+        )  # fmt: skip
+        walked = np.hypot(*(state.human_xz - was).T)
+        goes, rate = walked > 0, STEP_S / walker.blend_s
+        begins = goes & (state.human_blend == 0)
+        state.human_set_off[begins] = state.human_distance[begins]
+        state.human_distance[:] += walked
+        state.human_blend[:] = np.where(
+            goes, np.minimum(np.maximum(state.human_blend, 0.5) + rate, 1), np.maximum(state.human_blend - rate, 0)
+        )
+
+    def _look(self, rows: NDArray[np.intp]) -> None:
+        """What the rules ask of the state of some worlds: distances, contact, whether she is found."""
+        state = self.state
+        wanted = np.zeros(self.worlds, np.bool_)
+        wanted[rows] = True
+        for free, group in self._groups:
+            some = group[wanted[group]]
+            self.geodesic[some] = free.geodesic(state.robot_xz[some], state.human_xz[some])
+        gap = state.robot_xz - state.human_xz
+        near = np.hypot(gap[:, 0], gap[:, 1]) <= self._contact.gate_m + 1e-3
+        near = rows[near[rows]]
+        self.collides[rows] = False
+        if len(near):
+            self.collides[near] = self._touching(near)
+        if len(rows):
+            faces = facing(state.robot_xz[rows], state.robot_heading[rows], state.human_xz[rows])
+            began = self.steps[rows] > 0  # the start itself is no step
+            self.found[rows] |= is_found(self.geodesic[rows], faces, self.spec) & began
+
+    def _touching(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Whether robot and person touch in what would be recorded, poses in float32, in some worlds [n]."""
+        state, walk = self.state, self.human.clips[self.clip]
+        floor = np.array([self.episodes[w].free.floor_y for w in rows])
+        phase = (walk.start_phase + (state.human_distance[rows] - state.human_set_off[rows]) / walk.stride_m) % 1.0
+        return self._contact.touching_many(
+            ground_pose(state.robot_xz[rows], state.robot_heading[rows], floor).astype(np.float32),
+            ground_pose(state.human_xz[rows], state.human_heading[rows], floor).astype(np.float32),
+            np.full(len(rows), self.clip), _recorded(phase), _recorded(state.human_blend[rows]),
+        )  # fmt: skip
+
+    def _encounter(self) -> Encounter:
+        s = self.state
+        return Encounter(
+            robot_xz=s.robot_xz, robot_heading=s.robot_heading, human_xz=s.human_xz, geodesic=self.geodesic,
+            collides=self.collides, collisions=self._collisions,
+        )  # fmt: skip
+
+
+def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Actions as float64 of this shape.
+
+    Raises:
+        InputError: they are no numbers, have another shape, or one is not finite.
+    """
+    try:
+        checked = np.asarray(actions, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.") from None
+    if checked.shape != shape:
+        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.")
+    if not np.isfinite(checked).all():
+        raise InputError(f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.")
+    return checked
+
+
+def _recorded(values: Array) -> Array:
+    """Numbers as they are after having been written in float32."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _walker(episode: SocialNavWorld) -> WaypointHuman:
+    return WaypointHuman(episode.free, episode.seed, episode.spec.human, episode.goals)
+
+
+def _runs(place: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Rows with the same number, one array for each number."""
+    return [np.flatnonzero(place == k) for k in np.unique(place)]
+
+
+def _sources(scenes: str | Scene | Sequence[str | Scene]) -> list[Scene | SceneSource]:
+    listed = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
+    found: list[Scene | SceneSource] = []
+    for one in listed:
+        if isinstance(one, Scene):
+            found.append(one)
+        elif isinstance(one, str):
+            found += [named.source for named in named_scenes(one)]
+        else:
+            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.")
+    if not found:
+        raise InputError("Expected at least one scene, got none.")
+    return found

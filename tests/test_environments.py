@@ -1,0 +1,407 @@
+"""Training environments: Gymnasium, single and vector, and PettingZoo."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import h3data
+from h3data.errors import InputError, MissingExtraError, SceneError
+from sim_kinematic.env import SocialNavEnv
+from sim_kinematic.observations import PAPER_OBSERVATIONS
+from sim_kinematic.parallel_env import SocialNavParallelEnv
+from sim_kinematic.policies import Command, View, heuristic_expert
+from sim_kinematic.social_nav import simulate_social_nav
+from sim_kinematic.social_nav_batch import SocialNavBatch
+from sim_kinematic.spec import BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.step import least_clearance
+from sim_kinematic.vector_env import SocialNavVectorEnv
+
+HOME = "small:1"
+SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
+SIZE = (48, 36)
+EVERYTHING = (*PAPER_OBSERVATIONS, "egomotion", "localization")
+
+
+def expert(batch: SocialNavBatch, w: int = 0) -> np.ndarray:
+    """What the expert does in one world, float32 [2]."""
+    s, episode = batch.state, batch.episodes[w]
+    view = View(episode.free, s.robot_xz[w], float(s.robot_heading[w]), s.human_xz[w], float(batch.geodesic[w]), False)
+    return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
+
+
+def ram(batch: SocialNavBatch) -> np.ndarray:
+    """Drives at the person until they touch."""
+    s, geodesic = batch.state, 100.0
+    view = View(batch.episodes[0].free, s.robot_xz[0], float(s.robot_heading[0]), s.human_xz[0], geodesic, False)
+    return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
+
+
+def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+# --- the checkers of others ---------------------------------------------------------------------------------------------
+def test_gymnasium_accepts_the_environment() -> None:
+    env = gymnasium.make("sim_kinematic.env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, depth_size=SIZE)
+    check_env(env.unwrapped)
+
+
+def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
+    env = gymnasium.make_vec("sim_kinematic.env:h3data/SocialNav-v0", num_envs=3, scenes=HOME, spec=SHORT)
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    ends = [env.step(env.action_space.sample())[4] for _ in range(42)]
+    assert ends[39]["episode"]["l"].tolist() == [40, 40, 40]
+    assert env.observation_space["humanoid_gps"].shape == (3, 2)
+
+
+def test_pettingzoo_accepts_the_environment() -> None:
+    parallel_api_test(SocialNavParallelEnv(HOME, spec=SHORT, observations=EVERYTHING, depth_size=SIZE), num_cycles=100)
+    parallel_seed_test(lambda: SocialNavParallelEnv(HOME, spec=SHORT), num_cycles=30)
+
+
+# --- the same episodes everywhere ---------------------------------------------------------------------------------------
+def test_it_is_the_episode_that_the_simulator_plays() -> None:
+    env = SocialNavEnv(HOME, spec=SocialNavSpec(max_steps=200, spawn_distance_m=3.0))
+    _, info = env.reset(seed=4)
+    played: list[np.ndarray] = []
+
+    def again(view: View, spec: BaseSpec) -> Command:
+        del spec
+        return Command(float(played[view.step][0]), float(played[view.step][1]), "find")
+
+    track, ended = [], ""
+    while not ended:
+        played.append(expert(env.batch))
+        _, _, terminated, truncated, info = env.step(played[-1])
+        s = env.batch.state
+        track.append([*s.robot_xz[0], *s.human_xz[0], info["geodesic_m"]])
+        ended = "collision" if terminated else "max_steps" if truncated else ""
+    recording = simulate_social_nav(env.batch.episodes[0], policy=again)
+    assert recording.episode.info["ended"] == ended
+    columns = recording.columns
+    robot, human = columns["agent_0.base_pose"][:, [0, 2]], columns["agent_1.base_pose"][:, [0, 2]]
+    recorded = np.column_stack([robot, human, columns["metrics.geodesic_agents"]])
+    np.testing.assert_array_equal(np.array(track, np.float32), recorded)
+    assert info["found"] == any(e.kind == "found" for e in recording.events)
+
+
+def test_a_world_of_many_is_a_world_alone() -> None:
+    scenes, worlds = [HOME, "small:2"], 64
+    many = SocialNavVectorEnv(worlds, scenes, spec=SHORT)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.3, 1.3, (95, worlds, 2)).astype(np.float32)  # two autoresets
+    first, told = many.reset(seed=7)
+    assert len(set(told["scene"])) == 2
+    steps = [many.step(a) for a in actions]
+    for w in (0, 1, 17, 63):
+        one = SocialNavEnv(scenes, spec=SHORT)
+        seen, info = one.reset(seed=7 + w)
+        assert (info["scene"], info["episode_seed"]) == (told["scene"][w], told["episode_seed"][w])
+        assert_same(seen, {k: v[w] for k, v in first.items()})
+        over = False
+        for action, (all_seen, rewards, terminated, truncated, all_info) in zip(actions, steps, strict=True):
+            if over:
+                (seen, info), reward, ends, runs_out = one.reset(), 0.0, False, False
+            else:
+                seen, reward, ends, runs_out, info = one.step(action[w])
+            over = ends or runs_out
+            assert_same(seen, {k: v[w] for k, v in all_seen.items()})
+            assert (reward, ends, runs_out) == (rewards[w], terminated[w], truncated[w])
+            assert all(all_info[name][w] == value for name, value in info.items())
+
+
+def test_pictures_of_many_worlds_are_those_of_each() -> None:
+    many = SocialNavVectorEnv(3, HOME, observations=EVERYTHING, depth_size=SIZE)
+    seen = [many.reset(seed=2)[0]]
+    actions = np.random.default_rng(1).uniform(-1, 1, (6, 3, 2)).astype(np.float32)
+    seen += [many.step(a)[0] for a in actions]
+    mixed = SocialNavVectorEnv(3, [HOME, HOME], observations=EVERYTHING, depth_size=SIZE)  # drawn world by world
+    again = [mixed.reset(seed=2)[0], *(mixed.step(a)[0] for a in actions)]
+    one = SocialNavEnv(HOME, observations=EVERYTHING, depth_size=SIZE)
+    alone = [one.reset(seed=4)[0], *(one.step(a[2])[0] for a in actions)]
+    for k, all_seen in enumerate(seen):
+        assert_same({n: v[2] for n, v in all_seen.items()}, alone[k])
+        assert 0 < all_seen["arm_depth"].max() <= 1
+    assert again[0]["arm_depth"].shape == seen[0]["arm_depth"].shape == (3, 36, 48, 1)
+
+
+def test_seeds_decide_everything() -> None:
+    a, b = SocialNavEnv(HOME, spec=SHORT), SocialNavEnv(HOME, spec=SHORT)
+    a.reset(seed=1)  # episodes before a seed do not matter
+    a.reset()
+    assert_same(a.reset(seed=9)[0], b.reset(seed=9)[0])
+    second, same = a.reset(), b.reset()
+    assert_same(second[0], same[0])
+    assert second[1]["episode_seed"] == same[1]["episode_seed"] != a.reset(seed=9)[1]["episode_seed"]
+    c = SocialNavEnv(HOME, spec=SHORT)
+    assert c.reset()[1]["episode_seed"] != SocialNavEnv(HOME, spec=SHORT).reset()[1]["episode_seed"]
+    vector = SocialNavVectorEnv(2, HOME, spec=SHORT)
+    told = vector.reset(seed=[9, 9])[1]["episode_seed"]
+    assert told[0] == told[1] == a.reset(seed=9)[1]["episode_seed"]
+
+
+# --- rules --------------------------------------------------------------------------------------------------------------
+def test_touching_terminates_and_time_truncates() -> None:
+    env = SocialNavEnv(HOME, spec=SocialNavSpec(max_steps=900, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=0.8)))
+    env.reset(seed=3)
+    result = next(r for r in iter(lambda: env.step(ram(env.batch)), None) if r[2] or r[3])
+    assert result[2]
+    assert result[4]["collides"]
+    assert not result[3]
+    env = SocialNavEnv(HOME, spec=SHORT)
+    env.reset(seed=3)
+    ends = [env.step(np.zeros(2))[2:4] for _ in range(40)]
+    assert ends == [(False, False)] * 39 + [(False, True)]
+
+
+def test_following_long_enough_is_success() -> None:
+    spec = SocialNavSpec(max_steps=1500, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=0.5))
+    env = SocialNavEnv(HOME, spec=spec, end_on_success=True)
+    env.reset(seed=1)
+    rewards = []
+    for _ in range(1500):
+        _, reward, terminated, _, info = env.step(expert(env.batch))
+        rewards.append(reward)
+        if terminated:
+            break
+    assert info["success"]
+    assert info["found"]
+    assert info["followed"] == 400
+    assert not info["collides"]
+    assert rewards[-1] - rewards[-2] == pytest.approx(10, abs=1.0)
+
+
+def test_far_away_the_reward_is_the_way_gained() -> None:
+    env = SocialNavEnv(HOME, spec=SocialNavSpec(spawn_distance_m=6.0))
+    _, info = env.reset(seed=5)
+    for _ in range(15):
+        before = info["geodesic_m"]
+        _, reward, _, _, info = env.step(expert(env.batch))
+        assert reward == pytest.approx(before - info["geodesic_m"] - 0.1)
+
+
+def test_observations_are_of_the_state() -> None:
+    env = SocialNavEnv(HOME, observations=EVERYTHING)
+    env.reset(seed=5)
+    s = env.batch.state
+    free = env.batch.episodes[0].free
+    rng = np.random.default_rng(2)
+    while True:  # a person 2.5 m ahead in plain sight, about to stand there: the camera sees her
+        a, b = free.sample(rng, 2)
+        if 2.4 < np.hypot(*(a - b)) < 2.6 and free.geodesic(a, b) < np.hypot(*(a - b)) + 1e-9:
+            break
+    s.robot_xz[0], s.human_xz[0] = a, b
+    towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
+    detected = []
+    for turned in (0.0, np.pi):
+        s.robot_heading[0] = towards + turned
+        seen = env._observer.observe()
+        detected.append(seen["humanoid_detector"][0, 0])
+        np.testing.assert_allclose(seen["humanoid_gps"][0, 0], np.hypot(*(a - b)), rtol=1e-6)
+        assert abs(seen["humanoid_gps"][0, 1]) == pytest.approx(turned, abs=1e-5)
+    assert detected == [1.0, 0.0]
+    env.reset(seed=5)
+    heading = float(s.robot_heading[0])
+    seen = env.step(np.array([0.0, 1.0]))[0]
+    np.testing.assert_allclose(seen["egomotion"], [0, 0, 2.5], atol=1e-5)
+    np.testing.assert_allclose(np.sin(seen["localization"][3] - heading - 2.5 / 30), 0, atol=1e-5)
+
+
+def test_a_picture_from_above() -> None:
+    env = SocialNavEnv(HOME, render_mode="rgb_array")
+    env.reset(seed=5)
+    picture = env.render()
+    assert picture is not None
+    assert picture.shape == (480, 640, 3)
+    assert picture.std() > 20
+    assert SocialNavEnv(HOME).render() is None
+
+
+# --- two agents ---------------------------------------------------------------------------------------------------------
+def test_a_driven_person_walks_where_she_can() -> None:
+    env = SocialNavParallelEnv(HOME, spec=SocialNavSpec(max_steps=400, end_on_collision=False))
+    env.reset(seed=1)
+    s, free = env.batch.state, env.batch.episodes[0].free
+    rng = np.random.default_rng(3)
+    turns = np.repeat(rng.uniform(-1, 1, 20), 20)
+    for turn in turns:
+        before, heading = s.human_xz[0].copy(), float(s.human_heading[0])
+        seen, rewards, _, _, _ = env.step({"robot": rng.uniform(-1, 1, 2), "human": np.array([1.0, turn])})
+        assert free.signed_distance(s.human_xz[0]) >= 0.25 - 2e-3
+        assert (s.human_xz[0] - before) @ (np.cos(heading), -np.sin(heading)) > -0.01
+        assert rewards["robot"] == rewards["human"]
+        assert seen["robot"]["humanoid_gps"][0] == pytest.approx(seen["human"]["humanoid_gps"][0])
+    assert s.human_distance[0] > 3
+    still = s.human_xz[0].copy()
+    env.reset(seed=1)
+    for _ in range(10):
+        env.step({"robot": np.zeros(2), "human": np.array([-1.0, 0.0])})
+    np.testing.assert_array_equal(s.human_xz[0], env.batch.episodes[0].starts.human_xz)
+    assert s.human_blend[0] == s.human_distance[0] == 0
+    assert not np.array_equal(still, s.human_xz[0])
+
+
+# --- anything goes ------------------------------------------------------------------------------------------------------
+configurations = st.fixed_dictionaries(
+    {
+        "seed": st.integers(0, 2**63 - 1),
+        "scenes": st.sampled_from([HOME, "small:2", ("small:1", "small:3")]),
+        "worlds": st.integers(1, 5),
+        "steps": st.integers(1, 60),
+        "speed": st.sampled_from([0.5, 1.3, 2.5]),
+        "profile": st.sampled_from(["paper", "habitat"]),
+        "driven": st.booleans(),
+        "lateral": st.sampled_from([0.0, 1.0]),
+        "habit": st.floats(-1, 1),
+        "body": st.sampled_from([("quad_arm", "female_0"), ("lift_arm", "male_2")]),
+    }
+)
+
+
+def play_at_random(c: dict[str, Any], episodes: int) -> int:
+    """Plays at least so many episodes of a configuration; returns how many."""
+    spec = SocialNavSpec(
+        max_steps=c["steps"], spawn_distance_m=3.0, human=WalkerSpec(speed_mps=c["speed"]),
+        robot=BaseSpec(max_lateral_mps=c["lateral"]),
+    )  # fmt: skip
+    robot, human = c["body"]
+    batch = SocialNavBatch(
+        c["scenes"], worlds=c["worlds"], spec=spec, reward=c["profile"], driven_human=c["driven"], robot=robot,
+        human=human,
+    )  # fmt: skip
+    rng = np.random.default_rng(c["seed"])
+    index, over, ended = np.zeros(c["worlds"], int), np.ones(c["worlds"], bool), 0
+    offsets = np.array(spec.robot.disc_offsets_m)
+    while ended < episodes:
+        batch.begin(c["seed"] + np.arange(c["worlds"], dtype=object), index, where=over)
+        actions = rng.uniform(-2, 2, (c["worlds"], batch.action_width)) + c["habit"]  # some of them always turn or push
+        worth = batch.step(actions, rng.uniform(-2, 2, (c["worlds"], 2)) + c["habit"] if c["driven"] else None)
+        s = batch.state
+        assert all(np.isfinite(array).all() for array in vars(s).values())
+        assert np.isfinite(worth.reward).all()
+        for w, episode in enumerate(batch.episodes):
+            free = episode.free
+            grid = free.sdf, free.origin, free.cell_m
+            clearance = least_clearance(*grid, *s.robot_xz[w], s.robot_heading[w], offsets)
+            assert clearance >= spec.robot.disc_radius_m - 2e-3 - 1e-9
+            assert np.hypot(*(free.snap(s.human_xz[w]) - s.human_xz[w])) <= 2e-3
+        over = worth.ends | batch.out_of_time
+        index, ended = index + over, ended + int(over.sum())
+    return ended
+
+
+@given(c=configurations)
+@settings(max_examples=15)
+def test_random_actions_do_no_harm(c: dict[str, Any]) -> None:
+    play_at_random(c, episodes=2)
+
+
+@pytest.mark.slow
+def test_a_thousand_random_episodes_do_no_harm() -> None:
+    ended = 0
+
+    @given(c=configurations)
+    @settings(max_examples=200)
+    def run(c: dict[str, Any]) -> None:
+        nonlocal ended
+        ended += play_at_random(c, episodes=5)
+
+    run()
+    assert ended >= 1000
+
+
+# --- bad input ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("action", [[0.0], [[0.0, 0.0]], 0.0, [0.0, np.nan], [np.inf, 0.0], ["a", "b"], [[1], [2, 3]]])
+def test_bad_actions_move_nothing(action: Any) -> None:
+    env = SocialNavEnv(HOME, spec=SHORT)
+    env.reset(seed=1)
+    before = env.batch.state.copy()
+    with pytest.raises(InputError, match=r"[Aa]ctions"):
+        env.step(action)
+    assert_same(vars(before), vars(env.batch.state))
+    vector = SocialNavVectorEnv(2, HOME, spec=SHORT)
+    vector.reset(seed=1)
+    with pytest.raises(InputError, match=r"[Aa]ctions"):
+        vector.step([action, action])
+
+
+def test_actions_are_clipped() -> None:
+    a, b = SocialNavEnv(HOME, spec=SHORT), SocialNavEnv(HOME, spec=SHORT)
+    a.reset(seed=1)
+    b.reset(seed=1)
+    assert_same(a.step(np.array([5.0, -7.0]))[0], b.step(np.array([1.0, -1.0]))[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"task": "chess"}, "Expected one of: .*social_nav"),
+        ({"scenes": "castle"}, "small, medium, large"),
+        ({"scenes": []}, "at least one scene"),
+        ({"scenes": 3}, "names or Scene"),
+        ({"worlds": 0}, "at least 1 world"),
+        ({"observations": ["smell"]}, "humanoid_gps"),
+        ({"observations": "arm_depth"}, "Expected a list"),
+        ({"observations": ["arm_depth"], "depth_size": (0, 3)}, "1 x 1"),
+        ({"robot": "tank"}, "quad_arm"),
+        ({"human": "ghost"}, "female_0"),
+        ({"reward": "gold"}, "paper, habitat"),
+        ({"render_mode": "human"}, "rgb_array"),
+        ({"agents": ("robot", "robot")}, "agents"),
+        ({"agents": ("robot", "human"), "worlds": 2}, "leave out worlds"),
+    ],
+)
+def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        h3data.make(**{"task": "social_nav", "scenes": HOME, **options})
+
+
+def test_reset_and_agents_come_first() -> None:
+    with pytest.raises(InputError, match="reset"):
+        SocialNavEnv(HOME).step(np.zeros(2))
+    with pytest.raises(InputError, match="reset"):
+        SocialNavEnv(HOME, render_mode="rgb_array").render()
+    pair = SocialNavParallelEnv(HOME)
+    with pytest.raises(InputError, match="reset"):
+        pair.step({"robot": np.zeros(2), "human": np.zeros(2)})
+    pair.reset(seed=1)
+    with pytest.raises(InputError, match="robot, human"):
+        pair.step({"robot": np.zeros(2)})
+    with pytest.raises(InputError, match="each of 3 worlds"):
+        SocialNavVectorEnv(3, HOME).reset(seed=[1, 2])
+    with pytest.raises(SceneError, match="farthest"):
+        SocialNavEnv(HOME, spec=SocialNavSpec(spawn_distance_m=500.0)).reset(seed=1)
+
+
+# --- make ---------------------------------------------------------------------------------------------------------------
+def test_make_finds_tasks_without_knowing_them() -> None:
+    assert isinstance(h3data.make("social_nav", scenes=HOME), SocialNavEnv)
+    vector = h3data.make("social_nav", scenes=HOME, worlds=3)
+    assert isinstance(vector, SocialNavVectorEnv)
+    assert vector.num_envs == 3
+    assert isinstance(h3data.make("social_nav", scenes=HOME, agents=("robot", "human")), SocialNavParallelEnv)
+    code = "import sys, h3data; assert callable(h3data.make); print([m for m in sys.modules if 'sim_kin' in m or 'gymn' in m])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+
+
+def test_without_gymnasium_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("observations", "env", "vector_env", "parallel_env"):
+        monkeypatch.delitem(sys.modules, f"sim_kinematic.{module}", raising=False)
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(MissingExtraError, match=r"h3data\[env\]"):
+        h3data.make("social_nav", scenes=HOME)
