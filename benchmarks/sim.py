@@ -40,7 +40,7 @@ def run(emit: Emit) -> None:
     spec = SocialNavSpec(end_on_collision=False)
     worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
     recordings = [simulate_social_nav(world) for world in worlds]
-    seconds = median(_cpu_s(lambda w=world: simulate_social_nav(w)) for world in worlds)
+    seconds = median(cpu_s(lambda w=world: simulate_social_nav(w)) for world in worlds)
     emit("sim.social_nav.steps_per_cpu_s", spec.max_steps / seconds, "steps/s")
     replay = Replay(recordings[0])
     track, steps = camera_track(replay, "robot_arm"), range(0, len(replay), 5)
@@ -50,7 +50,7 @@ def run(emit: Emit) -> None:
             pass
 
     draw()
-    frame_s = median(_cpu_s(draw) for _ in range(3)) / len(steps)
+    frame_s = median(cpu_s(draw) for _ in range(3)) / len(steps)
     size = f"{track.camera.width}x{track.camera.height}"
     assert size == "224x171", size
     emit("sim.human_robot.w1_depth_fps", 1 / (frame_s + seconds / spec.max_steps), "frames/s")
@@ -71,7 +71,7 @@ def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None
             drive_robots(state, free, actions[(k // 10) % 64], spec.robot)
 
     go(10)
-    return steps / median(_cpu_s(lambda: go(steps)) for _ in range(5))
+    return steps / median(cpu_s(lambda: go(steps)) for _ in range(5))
 
 
 def _arm_steps(worlds: int, steps: int) -> float:
@@ -88,10 +88,11 @@ def _arm_steps(worlds: int, steps: int) -> float:
             grip_objects(state, robot_hands(state, robot), grip, spec)
 
     go(3)
-    return steps / median(_cpu_s(lambda: go(steps)) for _ in range(5))
+    return steps / median(cpu_s(lambda: go(steps)) for _ in range(5))
 
 
-def _cpu_s(work: Callable[[], object]) -> float:
+def cpu_s(work: Callable[[], object]) -> float:
+    """CPU seconds, user and system, of this process for ``work``."""
     before = resource.getrusage(resource.RUSAGE_SELF)
     work()
     after = resource.getrusage(resource.RUSAGE_SELF)

@@ -29,3 +29,15 @@ def test_measure_policies(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert "heuristic_expert" in out
     assert out.count("Finding success") >= 2
+
+
+def test_random_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "p.png")])
+    runpy.run_path(str(EXAMPLES / "random_agent.py"))
+    assert "100 steps" in capsys.readouterr().out
+    assert (tmp_path / "p.png").stat().st_size > 20_000
+
+
+def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "vector_env.py"))
+    assert "% of the worlds found her" in capsys.readouterr().out
