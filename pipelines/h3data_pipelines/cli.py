@@ -30,6 +30,7 @@ from h3data_pipelines.report import ReportCommand
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.robots import Robots
 from h3data_pipelines.scenes import Scenes
+from h3data_pipelines.validating import Validate
 from h3data_pipelines.viewing import View
 
 COMMANDS: dict[str, type[Command]] = {
@@ -45,6 +46,7 @@ COMMANDS: dict[str, type[Command]] = {
     "motion": MotionCommand,
     "robots": Robots,
     "replay": ReplayCommand,
+    "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
 }

@@ -1,0 +1,331 @@
+"""What is wrong with a recording: names and kinds of columns, time, values, rotations, the hash, jumps, feet, walls, files.
+
+Errors are things that no sound recording has. Warnings are things that a recording may have, and that its user should
+know of: a teleport, a foot that slides, an asset that is not at hand.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Humanoid
+from h3data.bodies.foot_planting import LEG_JOINTS, runs, sole_points
+from h3data.errors import H3DataError
+from h3data.interop import AssetLibrary
+from h3data.recording import Recording, state_hash
+from h3data.replay.replay import Replay
+from h3data.scene import FreeSpace
+
+Check = Literal[
+    "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets"
+]
+Severity = Literal["error", "warning"]
+
+GAP_STEPS = 1.5
+"""A step longer than this many usual ones is a gap."""
+UNIT_WARNING, UNIT_ERROR = 1e-3, 1e-2
+"""How far the length of a quaternion may be from 1: files that round to five digits are off by 1e-5."""
+AGENT_MPS, OBJECT_MPS = 10.0, 25.0
+"""Nobody runs and nothing is carried faster [m/s]; what is faster was put there."""
+TURN_RAD, JOINT_RAD = 2.1, 1.6
+"""Most that a thing or an agent turns, and that a joint turns, from one step to the next [rad]."""
+WALL_M = 0.02
+"""An agent's root may be this far inside an obstacle: the error of the distance grid [m]."""
+APART_M = 0.15
+"""Roots of two agents nearer than this are inside each other [m]."""
+SINK_M = 0.05
+"""A sole lower than this under its root's floor is in the floor [m]."""
+LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.1, 0.10
+"""A foot within LOW_M of the floor can carry. Feet slide where none that can carry is slower than SLIDE_MPS, for SLIDE_S or
+longer: shorter is a foot that lands. Told of from this share of the steps on."""
+_FEET_CHUNK = 512
+
+_AGENT = re.compile(r"agent_(\d+)\.(\w+)$")
+_POSES = ("base_pose", "root_pose")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong."""
+
+    check: Check
+    severity: Severity
+    subject: str
+    """A column, body, agent or file."""
+    text: str
+    """What is wrong, with numbers."""
+    step: int = -1
+    """The first step of it; -1 = none in particular."""
+    count: int = 1
+    """At how many steps."""
+
+    def __str__(self) -> str:
+        at = f", step {self.step}" if self.step >= 0 else ""
+        many = f" ({self.count} steps)" if self.count > 1 else ""
+        return f"{self.severity:<7} {self.check:<11} {self.subject}{at}: {self.text}{many}"
+
+
+def validate_recording(recording: Recording, *, assets: AssetLibrary | None = None) -> list[Finding]:
+    """Everything that is wrong with a recording, errors first. Without findings it can be relied on.
+
+    ``assets`` finds files that a foreign recording names.
+    """
+    found = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]
+    if not any(f.severity == "error" and f.check in ("schema", "values") for f in found):  # else nothing can be posed
+        found += [*_jumps(recording), *_seen(recording, assets or AssetLibrary())]
+    return sorted(found, key=lambda f: f.severity != "error")
+
+
+# --- names and kinds --------------------------------------------------------------------------------------------------
+def _schema(rec: Recording) -> Iterator[Finding]:
+    wrong = partial(_error, "schema")
+    moving = len(rec.moving_bodies)
+    for name, kind, shape in (("object_pose", "float32", (moving, 7)), ("state_hash", "uint64", ())):
+        if name in rec.columns and not _is(rec.columns[name], kind, shape):
+            yield wrong(name, _expected(rec.columns[name], kind, shape))
+    for name, array in rec.columns.items():
+        match = _AGENT.match(name)
+        if match is None:
+            continue
+        if int(match[1]) >= len(rec.agents):
+            yield wrong(name, f"there are {len(rec.agents)} agents")
+            continue
+        agent = rec.agents[int(match[1])]
+        kinds: dict[str, tuple[str, tuple[int | None, ...], tuple[float, float] | None]] = {
+            "base_pose": ("float32", (7,), None),
+            "root_pose": ("float32", (7,), None),
+            "joint_quat": ("float32", (54, 4), None),
+            "joint_pos": ("float32", (len(agent.joint_names) or None,), None),
+            "action": ("float32", (len(agent.action_names) or None,), None),
+            "grasp_body": ("int32", (), (-1, len(rec.bodies) - 1)),
+            "skill": ("int32", (), (-1, len(agent.skill_names) - 1)),
+            "motion_id": ("int32", (), (-1, len(agent.motion_names) - 1)),
+            "motion_phase": ("float32", (), (0, 1)),
+            "motion_blend": ("float32", (), (0, 1)),
+        }
+        kind, shape, limits = kinds.get(match[2], (array.dtype.name, array.shape[1:], None))
+        if not _is(array, kind, shape):
+            yield wrong(name, _expected(array, kind, shape))
+        elif limits is not None and len(array) and (outside := (array < limits[0]) | (array > limits[1])).any():
+            yield wrong(name, f"{array[np.argmax(outside)]} is not in {limits[0]}..{limits[1]}", at=outside)
+    for body in rec.bodies:
+        if not np.isfinite(body.scale).all() or not (np.isfinite(body.pose).all() or body.moving >= 0):
+            yield wrong(body.name, f"pose {body.pose.tolist()} and scale {body.scale.tolist()} must be finite")
+        if not -1 <= body.agent < len(rec.agents):
+            yield wrong(body.name, f"is a part of agent {body.agent}; there are {len(rec.agents)}")
+    last = len(rec) - 1
+    for event in rec.events:
+        if not (0 <= event.step <= last and -1 <= event.agent < len(rec.agents)):
+            yield wrong(f"event {event.kind}", f"step {event.step} of agent {event.agent} is not in this recording")
+    for span in rec.skills:
+        if not (0 <= span.start_step <= span.end_step <= last and 0 <= span.agent < len(rec.agents)):
+            yield wrong(
+                f"skill {span.name}",
+                f"steps {span.start_step} to {span.end_step} of agent {span.agent} are not in this recording",
+            )
+
+
+def _is(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> bool:
+    fits = len(array.shape) == len(shape) + 1
+    return (
+        array.dtype.name == kind and fits and all(n in (None, m) for n, m in zip(shape, array.shape[1:], strict=True))
+    )
+
+
+def _expected(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> str:
+    rows = ", ".join(["T", *("any" if n is None else str(n) for n in shape)])
+    return f"expected {kind} [{rows}], is {array.dtype} {list(array.shape)}"
+
+
+# --- time and numbers -------------------------------------------------------------------------------------------------
+def _time(rec: Recording) -> Iterator[Finding]:
+    """That time increases is checked when a recording is opened."""
+    steps = np.diff(rec.columns["time_ns"])
+    if not len(steps):
+        return
+    usual = float(np.median(steps))
+    gaps = steps > GAP_STEPS * usual
+    if gaps.any():
+        text = f"{steps[np.argmax(gaps)] * 1e-9:.3f} s pass, usually {usual * 1e-9:.3f} s"
+        yield _warning("time", "time_ns", text, at=np.append(False, gaps))
+    if abs(usual - rec.episode.dt_ns) > 0.05 * rec.episode.dt_ns:
+        yield _warning("time", "dt_ns", f"says {rec.episode.dt_ns} ns per step, rows are {usual:.0f} ns apart")
+
+
+def _values(rec: Recording) -> Iterator[Finding]:
+    for name, array in rec.columns.items():
+        if array.dtype.kind != "f" or not array.size:
+            continue
+        match = _AGENT.match(name)
+        rows = array.reshape(len(array), -1)
+        part = rows.reshape(len(rows), -1, 7) if _holds_poses(name, array) else None
+        infinite = np.isinf(rows).any(axis=1) & (not name.startswith("metrics."))
+        if infinite.any():
+            yield _error("values", name, "is infinite", at=infinite)
+        if part is not None:
+            missing = np.isnan(part)
+            torn = np.any(missing.any(axis=2) & ~missing.all(axis=2), axis=1)
+            if torn.any():
+                yield _error("values", name, "a pose is NaN in part; absent things are NaN throughout", at=torn)
+            yield from _unit(name, part[..., 3:])
+        elif match is not None and np.isnan(rows).any():
+            yield _error("values", name, "is NaN", at=np.isnan(rows).any(axis=1))
+        if match is not None and match[2] == "joint_quat" and array.ndim == 3:
+            yield from _unit(name, array)
+    for body in rec.bodies:
+        if np.isfinite(body.pose).all() and abs(float(np.linalg.norm(body.pose[3:])) - 1) > UNIT_ERROR:
+            length = np.linalg.norm(body.pose[3:])
+            yield _error("quaternions", body.name, f"its quaternion has the length {length:.4f}")
+
+
+def _holds_poses(name: str, array: NDArray[Any]) -> bool:
+    match = _AGENT.match(name)
+    named = name == "object_pose" or name.startswith("rig.") or (match is not None and match[2] in _POSES)
+    return named and array.ndim > 1 and array.shape[-1] == 7
+
+
+def _unit(name: str, quats: NDArray[Any]) -> Iterator[Finding]:
+    """Quaternions [T, ..., 4] that are not of unit length; NaN ones are not there."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(np.linalg.norm(quats.astype(np.float64), axis=-1) - 1).reshape(len(quats), -1)
+    worst = np.nan_to_num(off).max(axis=1, initial=0.0)
+    if (worst > UNIT_WARNING).any():
+        tell, limit = (_error, UNIT_ERROR) if (worst > UNIT_ERROR).any() else (_warning, UNIT_WARNING)
+        yield tell("quaternions", name, f"a quaternion's length is off by {worst.max():.2g}", at=worst > limit)
+
+
+def _hash(rec: Recording) -> Iterator[Finding]:
+    stored = rec.columns.get("state_hash")
+    if stored is None or stored.dtype != np.uint64 or stored.ndim != 1:
+        return
+    differ = state_hash(rec.columns) != stored
+    if differ.any():
+        text = "the state is not the one that was hashed: something was changed here, or the row before is missing"
+        yield _error("hash", "state_hash", text, at=differ)
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+def _jumps(rec: Recording) -> Iterator[Finding]:
+    seconds = np.diff(rec.columns["time_ns"]) * 1e-9
+    if not len(seconds):
+        return
+    tracks = [(b.name, rec.columns["object_pose"][:, b.moving], OBJECT_MPS) for b in rec.moving_bodies]
+    tracks += [(a.name, rec.agent_column(i, "base_pose"), AGENT_MPS) for i, a in enumerate(rec.agents)]
+    for name, pose, limit in tracks:
+        with np.errstate(invalid="ignore", over="ignore"):
+            way = np.linalg.norm(np.diff(pose[:, :3].astype(np.float64), axis=0), axis=1)
+            fast, turned = way / seconds > limit, _angles(pose[:, 3:]) > TURN_RAD
+        if fast.any():
+            text = f"moves {way[np.argmax(fast)]:.2f} m in one step, {(way / seconds)[np.argmax(fast)]:.0f} m/s"
+            yield _warning("jumps", name, text, at=np.append(False, fast))
+        if turned.any():
+            text = f"turns {np.degrees(_angles(pose[:, 3:])[np.argmax(turned)]):.0f} degrees in one step"
+            yield _warning("jumps", name, text, at=np.append(False, turned))
+    for i in range(len(rec.agents)):
+        for column, change in (("joint_pos", lambda a: np.abs(np.diff(a, axis=0))), ("joint_quat", _angles)):
+            array = rec.columns.get(f"agent_{i}.{column}")
+            if array is None or not array.size:
+                continue
+            most = change(array.astype(np.float64)).max(axis=1)
+            if (most > JOINT_RAD).any():
+                text = f"a joint moves {most[np.argmax(most > JOINT_RAD)]:.2f} rad or m in one step"
+                yield _warning("jumps", f"agent_{i}.{column}", text, at=np.append(False, most > JOINT_RAD))
+
+
+def _angles(quats: NDArray[Any]) -> NDArray[np.float64]:
+    """Angles [T-1, ...] [rad] between consecutive rotations [T, ..., 4]."""
+    q = quats.astype(np.float64)
+    return 2 * np.arccos(np.clip(np.abs((q[1:] * q[:-1]).sum(axis=-1)), 0, 1))
+
+
+# --- bodies, walls, files ---------------------------------------------------------------------------------------------
+def _seen(rec: Recording, assets: AssetLibrary) -> Iterator[Finding]:
+    """What only the posed bodies, the scene and the asset files can tell."""
+    try:
+        replay = Replay(rec, assets=assets)
+    except H3DataError as fault:
+        yield _error("assets", "recording", f"it cannot be posed: {fault}")
+        return
+    for uri, bodies in sorted(replay.missing.items()):
+        yield _warning("assets", uri, f"not found; {bodies} bodies are drawn as placeholders")
+    if not len(rec):
+        return
+    if replay.scene is not None and len(replay.scene.instances):
+        yield from _in_walls(rec, replay)
+    roots = [rec.agent_column(i, "base_pose")[:, :3].astype(np.float64) for i in range(len(rec.agents))]
+    for i, j in itertools.combinations(range(len(roots)), 2):
+        apart = np.linalg.norm(roots[i] - roots[j], axis=1)
+        if (apart < APART_M).any():
+            text = f"the roots of both are {apart[np.argmax(apart < APART_M)]:.2f} m apart"
+            yield _error("penetration", f"{rec.agents[i].name}, {rec.agents[j].name}", text, at=apart < APART_M)
+    for i, agent in enumerate(rec.agents):
+        if agent.model and isinstance(replay.model(i), Humanoid):
+            yield from _feet(replay, i)
+
+
+def _in_walls(rec: Recording, replay: Replay) -> Iterator[Finding]:
+    assert replay.scene is not None
+    try:
+        free = FreeSpace.from_scene(replay.scene)
+    except H3DataError as fault:
+        yield _warning("penetration", "scene.glb", f"walls are not checked: {fault}")
+        return
+    for i, agent in enumerate(rec.agents):
+        root = rec.agent_column(i, "base_pose")[:, :3].astype(np.float64)
+        here = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.floor_y) < 0.5)  # not on another storey
+        depth = np.full(len(root), -np.inf)
+        depth[here] = -free.signed_distance(root[here][:, [0, 2]])
+        if (depth > WALL_M).any():
+            text = f"its root is {depth.max():.2f} m inside an obstacle or off the floor"
+            yield _error("penetration", agent.name, text, at=depth > WALL_M)
+
+
+def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
+    """Soles in the floor, and feet that slide while they carry; the floor is at the height of the root."""
+    rec, body = replay.recording, replay.model(agent)
+    assert isinstance(body, Humanoid)
+    parts = []
+    for start in range(0, len(rec), _FEET_CHUNK):
+        steps = np.arange(start, min(start + _FEET_CHUNK, len(rec)))
+        parts.append(sole_points(body, replay.joint_matrices(agent, steps)[:, LEG_JOINTS]))
+    points = np.concatenate(parts)  # [T, 2 feet, 3 points, xyz]
+    points[..., 1] -= rec.agent_column(agent, "base_pose")[:, 1, None, None]
+    lowest = points[..., 1].min(axis=(1, 2))
+    name = rec.agents[agent].name
+    if (lowest < -SINK_M).any():
+        yield _warning("penetration", name, f"a sole is {-np.nanmin(lowest):.2f} m below her root", at=lowest < -SINK_M)
+    if len(rec) < 2:
+        return
+    pivot = np.argmin(points[1:, ..., 1] + points[:-1, ..., 1], axis=2)[..., None]
+    way = np.take_along_axis(np.linalg.norm(np.diff(points[..., ::2], axis=0), axis=-1), pivot, axis=2)[..., 0]
+    height = np.take_along_axis(np.maximum(points[1:, ..., 1], points[:-1, ..., 1]), pivot, axis=2)[..., 0]
+    speed = np.where(height < LOW_M, way, np.inf).min(axis=1) / (np.diff(rec.columns["time_ns"]) * 1e-9)
+    slides = np.isfinite(speed) & (speed > SLIDE_MPS)
+    for start, end in runs(slides):
+        slides[start:end] &= (rec.columns["time_ns"][end] - rec.columns["time_ns"][start]) * 1e-9 > SLIDE_S * 0.95
+    if slides.mean() > SLIDE_SHARE:
+        text = f"the carrying foot slides at {np.median(speed[slides]):.2f} m/s in {slides.mean():.0%} of the steps"
+        yield _warning("feet", name, text, at=np.append(False, slides))
+
+
+# --- inside -----------------------------------------------------------------------------------------------------------
+def _error(check: Check, subject: str, text: str, *, at: ArrayLike | None = None) -> Finding:
+    return _finding(check, "error", subject, text, at)
+
+
+def _warning(check: Check, subject: str, text: str, *, at: ArrayLike | None = None) -> Finding:
+    return _finding(check, "warning", subject, text, at)
+
+
+def _finding(check: Check, severity: Severity, subject: str, text: str, at: ArrayLike | None) -> Finding:
+    """``at``: bool [T], the steps of which it is said."""
+    step, count = (-1, 1) if at is None else (int(np.argmax(at)), int(np.sum(at)))
+    return Finding(check=check, severity=severity, subject=subject, text=text, step=step, count=count)

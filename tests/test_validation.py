@@ -1,0 +1,191 @@
+"""What is wrong with a recording is found, named and counted; what is right is left alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from h3data.interop import read_gfx_replay
+from h3data.recording import DatasetWriter, Event, Recording, SkillSpan, state_hash, write_mcap
+from h3data.replay.validation import Finding, validate_recording
+from h3data.scene import HomeSpec, build_home
+from h3data_pipelines.cli import main
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+
+@pytest.fixture(scope="module")
+def episode() -> Recording:
+    spec = SocialNavSpec(max_steps=120, human=WalkerSpec(speed_mps=1.2))
+    return simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=5, spec=spec))
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def hashed(recording: Recording, **columns: Any) -> Recording:
+    """With these columns changed, and the hash made anew: only the change itself is wrong."""
+    changed = {**recording.columns, **{n.replace("__", "."): a for n, a in columns.items()}}
+    return replace(recording, columns={**changed, "state_hash": state_hash(changed)})
+
+
+def edited(recording: Recording, name: str, index: Any, value: Any) -> Recording:
+    array = recording.columns[name].copy()
+    array[index] = value
+    return hashed(recording, **{name: array})
+
+
+def only(recording: Recording, check: str, severity: str) -> Finding:
+    """The one finding that there is of this kind; there is no other error."""
+    findings = validate_recording(recording)
+    assert {f.check for f in findings if f.severity == "error"} <= {check}, findings
+    found = [f for f in findings if (f.check, f.severity) == (check, severity)]
+    assert len(found) == 1, findings
+    return found[0]
+
+
+def test_our_own_recordings_are_sound(episode: Recording) -> None:
+    assert validate_recording(episode) == []
+
+
+def test_a_changed_state_breaks_the_chain_from_there_on(episode: Recording) -> None:
+    base = episode.columns["agent_0.base_pose"].copy()
+    base[50, 0] += 1e-4
+    found = only(replace(episode, columns={**episode.columns, "agent_0.base_pose": base}), "hash", "error")
+    assert (found.step, found.count) == (50, 70)
+    rows = [k for k in range(120) if k != 30]
+    cut = replace(episode, columns={n: a[rows] for n, a in episode.columns.items()}, events=(), skills=())
+    assert only(cut, "hash", "error").step == 30
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value", "check", "severity"),
+    [
+        ("agent_0.base_pose", (20, slice(3, 7)), [0, 0.5, 0, 0], "quaternions", "error"),
+        ("agent_0.base_pose", (20, slice(3, 7)), [0, 1.005, 0, 0], "quaternions", "warning"),
+        ("agent_0.base_pose", (20, 1), np.nan, "values", "error"),
+        ("agent_0.base_pose", (20, 1), np.inf, "values", "error"),
+        ("agent_0.joint_pos", (20, 3), np.nan, "values", "error"),
+        ("agent_0.skill", 20, 99, "schema", "error"),
+        ("agent_0.grasp_body", 20, -2, "schema", "error"),
+        ("agent_1.motion_id", 20, 500, "schema", "error"),
+        ("agent_1.motion_phase", 20, 1.5, "schema", "error"),
+        ("agent_0.joint_pos", (20, 3), 9.0, "jumps", "warning"),
+        ("agent_0.base_pose", (slice(20, None), 1), 2.0, "jumps", "warning"),
+    ],
+)
+def test_a_bad_value_is_found_where_it_is(
+    episode: Recording, name: str, index: Any, value: Any, check: str, severity: str
+) -> None:
+    found = only(edited(episode, name, index, value), check, severity)
+    assert found.step == 20
+    assert name.split(".")[0] in found.subject or found.subject == "robot"
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("agent_0.base_pose", np.zeros((120, 6), np.float32)),
+        ("agent_0.base_pose", np.tile([0.0, 0, 0, 0, 0, 0, 1], (120, 1))),
+        ("agent_0.joint_pos", np.zeros((120, 3), np.float32)), ("agent_0.skill", np.zeros(120, np.float32)),
+        ("agent_0.action", np.zeros((120, 5), np.float32)), ("agent_7.skill", np.zeros(120, np.int32)),
+        ("agent_1.joint_quat", np.zeros((120, 4), np.float32)),
+    ],
+)  # fmt: skip
+def test_columns_of_another_kind_are_named(episode: Recording, name: str, array: np.ndarray) -> None:
+    assert only(hashed(episode, **{name: array}), "schema", "error").subject == name
+
+
+def test_records_that_point_nowhere_are_found(episode: Recording) -> None:
+    body = episode.bodies[0]
+    for broken in (
+        replace(episode, events=(Event(step=120, agent=0, kind="x"),)),
+        replace(episode, skills=(SkillSpan(agent=0, name="x", start_step=9, end_step=3),)),
+        replace(episode, bodies=(replace(body, agent=5), *episode.bodies[1:])),
+        replace(episode, bodies=(replace(body, pose=np.full(7, np.nan, np.float32)), *episode.bodies[1:])),
+    ):
+        only(broken, "schema", "error")
+
+
+def test_a_gap_and_a_wrong_step_are_told(episode: Recording) -> None:
+    late = episode.columns["time_ns"].copy()
+    late[60:] += 10**9
+    assert only(replace(episode, columns={**episode.columns, "time_ns": late}), "time", "warning").step == 60
+    slow = replace(episode, columns={**episode.columns, "time_ns": episode.columns["time_ns"] * 3})
+    assert only(slow, "time", "warning").subject == "dt_ns"
+
+
+def test_walls_and_each_other_are_not_entered(episode: Recording) -> None:
+    outside = edited(episode, "agent_0.base_pose", (slice(100, None), 0), 50.0)
+    found = only(outside, "penetration", "error")
+    assert (found.subject, found.step, found.count) == ("robot", 100, 20)
+    together = hashed(episode, **{"agent_0.base_pose": episode.columns["agent_1.base_pose"]})
+    assert only(together, "penetration", "error").subject == "robot, human"
+
+
+def test_feet_that_slide_and_sink_are_told(episode: Recording) -> None:
+    glides = hashed(episode, **{"agent_1.motion_blend": np.zeros(120, np.float32)})
+    assert "slides at 1.2" in only(glides, "feet", "warning").text
+    base = np.tile(episode.columns["agent_1.base_pose"][:1], (120, 1))
+    quat = np.zeros((120, 54, 4), np.float32)
+    quat[..., 3] = 1  # stands with straight legs
+    root = base.copy()
+    root[:, 1] = 0.5
+    columns = {"agent_1.base_pose": base, "agent_1.root_pose": root, "agent_1.joint_quat": quat}
+    assert "below her root" in only(hashed(episode, **columns), "penetration", "warning").text
+
+
+def test_missing_assets_are_told(episode: Recording) -> None:
+    asset = replace(episode.assets[0], uri="chairs/none.glb")
+    found = only(replace(episode, assets=(asset, *episode.assets[1:])), "assets", "warning")
+    assert found.subject == "chairs/none.glb"
+    only(replace(episode, attachments={"scene.glb": b"no scene"}), "assets", "error")
+
+
+def test_an_episode_without_steps_is_sound(episode: Recording) -> None:
+    empty = replace(episode, columns={n: a[:0] for n, a in episode.columns.items()}, events=(), skills=())
+    assert validate_recording(empty) == []
+
+
+def test_real_recordings_have_no_errors(real: Path) -> None:
+    rooms = sorted(real.glob("habitat-sim/reference/replays/*/replay.gfx_replay.json"))
+    for path in (*rooms, real / "hitl/my_session.gfx_replay.json"):
+        findings = validate_recording(read_gfx_replay(path))
+        assert [f for f in findings if f.severity == "error"] == []
+        assert {f.check for f in findings} <= {"assets", "jumps"}
+        assert any(f.check == "assets" for f in findings)  # none are at hand
+
+
+# --- command ----------------------------------------------------------------------------------------------------------
+def test_the_command(episode: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with DatasetWriter(tmp_path / "in" / "ds") as out:
+        out.add(episode)
+        out.add(edited(episode, "agent_0.joint_pos", (20, 3), 9.0))
+    whole = write_mcap(episode, tmp_path / "in" / "a.mcap")
+    assert run_json(capsys, "validate", whole)["episodes"][0]["verdict"] == "sound"
+    found = run_json(capsys, "validate", tmp_path / "in")
+    assert [row["verdict"] for row in found["episodes"]] == ["sound", "sound", "warnings"]
+    assert found["warning"] == {"jumps": 1}
+    assert run_json(capsys, "validate", tmp_path / "in", "--strict", code=1)["failed"] == 1
+    (tmp_path / "in" / "cut.mcap").write_bytes(whole.read_bytes()[:-200])
+    (tmp_path / "in" / "none.mcap").write_bytes(b"")
+    (tmp_path / "in" / "old" / "meta").mkdir(parents=True)
+    (tmp_path / "in" / "old" / "meta" / "info.json").write_text("{")
+    found = run_json(capsys, "validate", tmp_path / "in", code=1)
+    assert (found["recordings"], found["failed"], found["error"]) == (6, 3, {"unreadable": 3})
+    assert main(["validate", str(tmp_path / "in")]) == 1
+    assert "6 recordings, 3 failed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["none.mcap", "empty", "ds#4", ""])
+def test_what_is_not_there_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    assert run_json(capsys, "validate", *([tmp_path / name] if name else []), code=2)["error"]
