@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
 from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
@@ -40,32 +40,36 @@ class Place:
 
     source: Scene | SceneSource
     spec: SocialNavSpec
-    robot_name: str
-    human_name: str
+    robot: Robot
+    human: Humanoid
+    names: tuple[str, str]
+    """Of robot and human."""
 
     @cached_property
-    def world(self) -> SocialNavWorld:
-        """An episode here, of which `episode` makes the others."""
-        spec, source = self.spec, self.source
-        if isinstance(source, Scene):
-            scene, free = (
-                source,
-                FreeSpace.from_scene(source, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m),
-            )
-        else:
-            scene, free = open_scene(source), open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
-        return SocialNavWorld.create(
-            scene, seed=0, spec=spec, free=free, human=self.human_name, robot=self.robot_name
-        )  # fmt: skip
+    def scene(self) -> Scene:
+        """The home."""
+        return self.source if isinstance(self.source, Scene) else open_scene(self.source)
 
     @cached_property
-    def _is_clear(self) -> Callable[[Array], bool]:
-        return clear_of_furniture(self.world.scene, self.world.robot)
+    def free(self) -> FreeSpace:
+        """Its free floor."""
+        size = self.spec.agent_radius_m, self.spec.agent_height_m
+        if isinstance(self.source, Scene):
+            return FreeSpace.from_scene(self.source, radius_m=size[0], height_m=size[1])
+        return open_free_space(self.source, *size)
+
+    @cached_property
+    def _stands_free(self) -> Callable[[Array], bool]:
+        return clear_of_furniture(self.scene, self.robot)
 
     def episode(self, seed: int) -> SocialNavWorld:
         """The episode that `SocialNavWorld.create` draws from ``seed``."""
-        starts = draw_starts(self.world.free, seed, self.spec, stands_free=self._is_clear)
-        return replace(self.world, seed=seed, starts=starts)
+        robot_name, human_name = self.names
+        return SocialNavWorld(
+            scene=self.scene, free=self.free, seed=seed, spec=self.spec, robot=self.robot, human=self.human,
+            starts=draw_starts(self.free, seed, self.spec, stands_free=self._stands_free),
+            robot_name=robot_name, human_name=human_name,
+        )  # fmt: skip
 
 
 class SocialNavBatch:
@@ -98,10 +102,12 @@ class SocialNavBatch:
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
-        sources = _sources(scenes)
         self.spec, self.worlds = spec, int(worlds)
         self.robot, self.human = load_robot(robot), load_humanoid(human)
-        self.places = tuple(Place(source=s, spec=spec, robot_name=robot, human_name=human) for s in sources)
+        self.places = tuple(
+            Place(source=source, spec=spec, robot=self.robot, human=self.human, names=(robot, human))
+            for source in _sources(scenes)
+        )
         self.clip = self.human.clip_for_speed(spec.human.speed_mps)
         self.rewards = SocialNavReward(self.worlds, profile=reward, rules=spec)
         self.state = WorldState.zeros(self.worlds)
