@@ -16,6 +16,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from h3data.errors import H3DataError
+from h3data_pipelines.bench import Bench
 from h3data_pipelines.bodies import Bodies
 from h3data_pipelines.command import Command
 from h3data_pipelines.demo import Demo
@@ -49,6 +50,7 @@ COMMANDS: dict[str, type[Command]] = {
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
+    "bench": Bench,
 }
 
 _DESCRIPTION = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
