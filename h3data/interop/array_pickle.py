@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -126,24 +127,31 @@ for _core in ("numpy.core", "numpy._core"):
 
 
 class _Unpickler(pickle.Unpickler):
+    def __init__(self, data: bytes, also: Mapping[tuple[str, str], Any]) -> None:
+        super().__init__(io.BytesIO(data))
+        self._admitted = _ADMITTED | dict(also)
+        self._what = "NumPy arrays and known records" if also else "NumPy arrays"
+
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        admitted = _ADMITTED.get((module_name, global_name))
+        admitted = self._admitted.get((module_name, global_name))
         if admitted is None:
-            raise pickle.UnpicklingError(f"it asks for {module_name}.{global_name}; only NumPy arrays are admitted")
+            raise pickle.UnpicklingError(f"it asks for {module_name}.{global_name}; only {self._what} are admitted")
         return admitted
 
     def persistent_load(self, pid: Any, /) -> Any:
         raise pickle.UnpicklingError("it refers to things outside the file")
 
 
-def unpickle_arrays(data: bytes, path: Path) -> Any:
+def unpickle_arrays(data: bytes, path: Path, *, also: Mapping[tuple[str, str], Any] | None = None) -> Any:
     """Dicts, lists, tuples, numbers and strings, with `PickledArray` where the file has arrays.
+
+    ``also`` admits further names by (module, name): stand-ins of the caller's, never what the file names itself.
 
     Raises:
         FormatError: it asks for anything else, or is damaged.
     """
     try:
-        return _Unpickler(io.BytesIO(data)).load()
+        return _Unpickler(data, also or {}).load()
     except MemoryError:
         raise FormatError(f"The pickle claims to be larger than the memory: {path}") from None
     except Exception as fault:  # a broken pickle can raise nearly anything
