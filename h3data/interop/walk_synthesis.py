@@ -24,8 +24,8 @@ BLEND_S = 0.25
 def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     """``motion_id``, ``motion_phase`` and ``motion_blend`` [T] of a person whose agent root goes along ``base_pose`` [T, 7].
 
-    The way is cut into spans of standing, walking and turning on the spot. Each span plays one clip: that of its usual speed, by
-    the distance (backwards if that is where she goes), or of the side, by the angle.
+    The way is cut into spans of standing, walking and turning on the spot. Each span plays one clip: that of its usual
+    speed, by the distance (backwards if that is where she goes), or that of the side, by the angle.
     """
     steps = len(base_pose)
     motion, phase, blend = np.zeros(steps, np.int32), np.zeros(steps), np.zeros(steps)
