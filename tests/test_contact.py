@@ -86,3 +86,17 @@ def test_a_stretched_arm_reaches_farther(robot: Robot, human: Humanoid) -> None:
     stretched = robot.rest.copy()
     stretched[:7] = 0.0
     assert RobotHumanContact(robot, human, stretched).gate_m > RobotHumanContact(robot, human).gate_m + 0.2
+
+
+def test_many_cases_are_those_of_each(robot: Robot, human: Humanoid) -> None:
+    contact = RobotHumanContact(robot, human)
+    rng = np.random.default_rng(8)
+    n = 60
+    robots = ground_pose(rng.uniform(-0.1, 0.1, (n, 2)), rng.uniform(-np.pi, np.pi, n))
+    people = ground_pose(rng.uniform(-1.2, 1.2, (n, 2)), rng.uniform(-np.pi, np.pi, n))
+    clip, phase, blend = np.full(n, human.clip_for_speed(1.3)), rng.random(n), rng.random(n)
+    together = contact.touching_many(robots, people, clip, phase, blend)
+    each = [contact.touching(*case) for case in zip(robots, people, clip, phase, blend, strict=True)]
+    assert together.tolist() == each
+    assert 5 < together.sum() < n - 5
+    assert contact.touching_many(robots[:0], people[:0], clip[:0], phase[:0], blend[:0]).shape == (0,)
