@@ -19,6 +19,7 @@ from h3data.errors import H3DataError
 from h3data_pipelines.bench import Bench
 from h3data_pipelines.bodies import Bodies
 from h3data_pipelines.command import Command
+from h3data_pipelines.converting import Convert
 from h3data_pipelines.demo import Demo
 from h3data_pipelines.doctor import Doctor
 from h3data_pipelines.generate import Generate
@@ -47,6 +48,7 @@ COMMANDS: dict[str, type[Command]] = {
     "motion": MotionCommand,
     "robots": Robots,
     "replay": ReplayCommand,
+    "convert": Convert,
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
