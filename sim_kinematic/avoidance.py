@@ -29,11 +29,11 @@ class AvoidanceSpec:
     stride: int = 3
     """Steps between the moments that are looked at."""
     margin_m: float = 0.35
-    """Free way that is kept between both while she walks,"""
-    still_margin_m: float = 0.1
-    """and while she stands."""
-    still_mps: float = 0.1
-    """Slower than this she stands."""
+    """Free way that is kept between both,"""
+    still_margin_m: float = 0.0
+    """and when she has long been standing."""
+    still_steps: int = 75
+    """So long: more than picking or placing takes."""
     person_radius_m: float = 0.35
     discs_m: tuple[float, ...] = (-0.3, 0.0, 0.4)
     """Discs of the base's radius that stand for the whole robot, hind legs to hand, along its x axis."""
@@ -62,10 +62,10 @@ def _least_gap(x, z, heading, person_x, person_z, discs, radius):
 
 @kernel(error_model="numpy")
 def try_command(
-    sdf, origin, cell, x, z, heading, speed, turn, way, person, velocity, offsets, base_radius, discs, radius, steps,
+    sdf, origin, cell, x, z, heading, speed, turn, way, arc, person, velocity, offsets, base_radius, discs, radius, steps,
     stride, dt,
 ):  # fmt: skip
-    """Least gap [m] to the person while the base keeps a command for ``way`` [m] at most, and where it is in the end:
+    """Least gap [m] to the person while the base keeps a command, for ``way`` [m] and ``arc`` [rad] at most, and its end:
     ``(gap, x, z, heading)``.
 
     It stays where it would touch an obstacle; the first moments count most: there her motion is known best.
@@ -74,6 +74,8 @@ def try_command(
     for step in range(1, steps + 1):
         if abs(speed) * step * dt > way:
             speed = 0.0
+        if abs(turn) * (step - 0.5) * dt > arc:
+            turn = 0.0
         nx, nz, nh = integrate(x, z, heading, speed, 0.0, turn, dt)
         if least_clearance(sdf, origin, cell, nx, nz, nh, offsets) >= base_radius - 2e-3:
             x, z, heading = nx, nz, nh
@@ -86,25 +88,31 @@ def try_command(
 
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    person_xz: NDArray, person_velocity: NDArray, spec: AvoidanceSpec = AVOIDANCE,
+    person_xz: NDArray, person_velocity: NDArray, *, settled: bool = False, spec: AvoidanceSpec = AVOIDANCE,
 ) -> tuple[float, float]:  # fmt: skip
     """The command (forward, turn: -1..1 of the limits) to give instead of ``wanted`` so that a person is not run into.
 
-    ``wanted`` itself where it leaves her enough room, else the best of 25: room first, then way to ``towards`` [2].
+    ``wanted`` itself where it leaves her enough room, else the best of 25: room first, then way to ``towards`` [2]. Who has
+    ``settled`` somewhere needs less: one must get past.
     """
     if np.hypot(*(person_xz - xz)) > spec.range_m:
         return wanted
 
-    def trial(command: tuple[float, float], way: float = math.inf) -> tuple[float, float, float, float]:
+    def trial(
+        command: tuple[float, float], way: float = math.inf, arc: float = math.inf
+    ) -> tuple[float, float, float, float]:
         return try_command(
             free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, command[0] * base.max_speed_mps,
-            command[1] * base.max_turn_rad_s, way, person_xz, person_velocity, np.array(base.disc_offsets_m),
+            command[1] * base.max_turn_rad_s, way, arc, person_xz, person_velocity, np.array(base.disc_offsets_m),
             base.disc_radius_m, np.array(spec.discs_m), base.disc_radius_m + spec.person_radius_m,
             spec.horizon_steps, spec.stride, STEP_S,
         )  # fmt: skip
 
-    margin = spec.margin_m if np.hypot(*person_velocity) > spec.still_mps else spec.still_margin_m
-    if trial(wanted, float(np.hypot(*(towards - xz))))[0] >= margin:
+    margin = spec.still_margin_m if settled else spec.margin_m
+    dx, dz = (towards - xz).tolist()
+    way = math.hypot(dx, dz)
+    arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if way > 0.1 else math.inf
+    if trial(wanted, way, arc)[0] >= margin:
         return wanted
     best, least = wanted, math.inf
     for forward, turn in ((0.0, 0.0), *_CANDIDATES.tolist()):
@@ -118,7 +126,9 @@ def keep_clear(
     return best
 
 
-def is_crowded(base: BaseSpec, stands: NDArray, person_xz: NDArray, spec: AvoidanceSpec = AVOIDANCE) -> NDArray[np.bool_]:
+def is_crowded(
+    base: BaseSpec, stands: NDArray, person_xz: NDArray, spec: AvoidanceSpec = AVOIDANCE
+) -> NDArray[np.bool_]:
     """At which stands ``(x, z, heading)`` [N, 3] a robot would be too near to where a person is now."""
     radius = base.disc_radius_m + spec.person_radius_m
     discs = np.array(spec.discs_m)
@@ -150,6 +160,8 @@ def _passes(path: NDArray, person_xz: NDArray, spec: AvoidanceSpec) -> bool:
         return False
     legs = np.diff(path, axis=0)
     lengths = np.hypot(*legs.T)
-    dots = np.concatenate([np.linspace(a, b, 2 + int(n / 0.1)) for a, b, n in zip(path, path[1:], lengths, strict=False)])
+    dots = np.concatenate(
+        [np.linspace(a, b, 2 + int(n / 0.1)) for a, b, n in zip(path, path[1:], lengths, strict=False)]
+    )
     dots = dots[np.hypot(*(dots - path[0]).T) > 0.5]
     return not len(dots) or float(np.hypot(*(dots - person_xz).T).min()) >= spec.passage_m

@@ -172,7 +172,7 @@ def _complement(view: TaskView, left: list[int]) -> int | None:
     hers = persons_object(view)
     others = [k for k in left if k != hers]
     if not others:
-        return _nearest(view, left) if hers < 0 or view.held_by[hers] == NOBODY and not _moves(view) else None
+        return _nearest(view, left) if hers < 0 or (view.held_by[hers] == NOBODY and not _moves(view)) else None
     if hers >= 0:
         return _nearest(view, others)
     return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))
@@ -216,7 +216,7 @@ def partner_plan(name: str, seed: int) -> str:
 
 def planner(plan: str, seed: int, objects: int = 2) -> Planner:
     """Who follows a plan; the order of ``both`` is drawn from the seed, as Habitat's search for a plan leaves it to chance."""
-    wanted = [k for k in range(objects)] if plan == "both" else [k for k in PLANS[plan] if k < objects]
+    wanted = list(range(objects)) if plan == "both" else [k for k in PLANS[plan] if k < objects]
     if len(wanted) > 1:
         wanted = generator(seed, "plan_order").permutation(wanted).tolist()
     return Planner(tuple(wanted))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, Recording, RecordingHeader, SkillSpan
+from sim_kinematic.avoidance import AVOIDANCE
 from sim_kinematic.collision import AgentContact
 from sim_kinematic.person import Frame, Person
 from sim_kinematic.planners import HighLevelPolicy, TaskView, partner_plan, planner, robot_policy
@@ -98,7 +99,7 @@ class _Runner:
     policy: HighLevelPolicy
     log: RearrangeLog | None
     names: tuple[str, ...]
-    action: Action = Action("wait")
+    action: Action = field(default_factory=lambda: Action("wait"))
     ending: Ending | None = None
     skill: Skill | None = None
     begun: int = 0
@@ -159,7 +160,7 @@ class _Episode:
         state.robot_joints[0] = world.robot.rest
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
-        self.objects = Objects(names, np.stack([t.goal for t in world.targets]), state)
+        self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
         base = ground_pose(world.starts.human_xz, world.starts.human_heading, world.free.floor_y)
         objects = dict(zip(names, state.object_pose[0], strict=True))
         self.person = PersonActor(
@@ -214,6 +215,8 @@ class _Episode:
         track = [*self.tracks[HUMAN][-VELOCITY_STEPS:], self.person.xz.copy()]
         self.robot.person_xz = track[-1]
         self.robot.person_velocity = (track[-1] - track[0]) / (STEP_S * (len(track) - 1))
+        long = np.stack(self.tracks[HUMAN][-AVOIDANCE.still_steps :])
+        self.robot.person_settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
 
     def _view(self, runner: _Runner) -> TaskView:
         me, other = self.actors[runner.number], self.actors.get(1 - runner.number)

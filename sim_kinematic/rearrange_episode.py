@@ -7,7 +7,7 @@ a person alone could do the work in time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -15,23 +15,24 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
-from h3data.geometry import Array, quat_from_heading
+from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.contact import clear_of_furniture
 from sim_kinematic.randomness import generator
 from sim_kinematic.social_nav import Starts, draw_starts
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands, robot_stands
+from sim_kinematic.waypoint_human import sharp_corners
 
 ATTEMPTS = 120
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
 LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
-HANDLING_S = 8.0
-"""What a person is taken to need for one object, beside the way: turning, picking, turning, placing."""
-SPARE = 0.95
-"""Share of the longest duration in which that estimate must fit."""
+HANDLING_S = 4.5
+"""What a person is taken to need for one object, beside walking and turning."""
+SPARE = 0.98
+"""Share of the longest duration in which that estimate must fit, whichever object comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +76,8 @@ class RearrangeSpec:
     """Which of `REWARDS`."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
-    robot: BaseSpec = BaseSpec()
-    human: WalkerSpec = WalkerSpec()
+    robot: BaseSpec = field(default_factory=BaseSpec)
+    human: WalkerSpec = field(default_factory=WalkerSpec)
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
@@ -153,16 +154,17 @@ def draw_episode(
     budget = SPARE * spec.max_steps * STEP_S
     leg = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps / (2 * spec.objects)
     why = "none could be placed"
+    starts = None
     for attempt in range(ATTEMPTS):
         rng = generator(seed, "rearrange", step=attempt)
-        if attempt % REDRAW == 0:
+        if starts is None or attempt % REDRAW == 0:
             starts = draw_starts(free, int(rng.integers(2**63)), rules, stands_free=clear)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
         targets = draw.targets(rng, chosen, starts.human_xz, np.inf if attempt < REDRAW else leg)
         if targets is None:
             continue
-        seconds = draw.seconds_alone(starts, targets)
+        seconds = max(draw.seconds_alone(starts, order) for order in (targets, targets[::-1]))
         if seconds <= budget:
             return starts, targets
         why = f"a person alone would take about {seconds:.0f} s"
@@ -232,14 +234,16 @@ class _Draw:
             if size.min() < 0 or high - low + 0.05 > receptacle.clearance_m:
                 continue
             x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
-            spot = instance_matrix(instance) @ np.append(receptacle.center + [x, 0, z], 1.0)
-            point = spot[:3] + [0, LIFT_M - low, 0]
+            spot = instance_matrix(instance) @ np.append(receptacle.center + np.array([x, 0, z]), 1.0)
+            point = spot[:3] + np.array([0, LIFT_M - low, 0])
             if away_from is not None:
                 if instance.name == away_from[1].partition("|")[0]:
                     continue
                 if np.hypot(*(point - away_from[0])[[0, 2]]) < self.spec.carry_m:
                     continue
-            if any(np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken):
+            if any(
+                np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
+            ):
                 continue
             if not len(person_stands(self.free, self.human, point)) or not len(
                 robot_stands(self.free, self.robot, self.spec.robot, point)
@@ -256,13 +260,17 @@ class _Draw:
 
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
         """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
-        here, way = starts.human_xz, 0.0
+        here, heading = starts.human_xz, starts.human_heading
+        way, turned = 0.0, 0.0
         for target in targets:
             for point in (target.start[:3], target.goal):
                 stands = person_stands(self.free, self.human, point)
                 k, length = nearest_stand(self.free, stands, here)
                 if not np.isfinite(length):
                     return np.inf
-                here, way = stands[k, :2], way + length
-        return way / self.spec.human.speed_mps + HANDLING_S * len(targets)
-
+                legs = np.diff(sharp_corners(self.free, self.free.path(here, stands[k, :2])), axis=0)
+                headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stands[k, 2]]
+                turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
+                here, heading, way = stands[k, :2], float(stands[k, 2]), way + length
+        walker = self.spec.human
+        return way / walker.speed_mps + turned / walker.turn_rad_s + HANDLING_S * len(targets)

@@ -23,6 +23,7 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.scene import CATEGORIES
+from sim_kinematic.planners import POPULATIONS, ZSC
 from sim_kinematic.skills import SKILLS
 from sim_kinematic.social_nav_log import BLOCK, Sink, scene_attachment
 
@@ -71,7 +72,7 @@ class RearrangeLog:
             return
         first = sum(len(b["time_ns"]) for b in self.blocks)
         count = len(self.rows)
-        block = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
+        block: dict[str, NDArray[Any]] = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
         for name in self.rows[0]:
             dtype = DTYPES[name.partition(".")[2] if name.startswith("agent_") else name]
             block[name] = np.array([row[name] for row in self.rows]).astype(dtype)
@@ -120,13 +121,15 @@ def describe(world: RearrangeWorld, *, episode_id: str, policy: str, partner: st
         "policy": policy,
         "partner": partner,
         "partner_plan": plan,
+        "population": "zsc-pop" if partner in ZSC else "train-pop" if partner in POPULATIONS else "",
         "max_steps": spec.max_steps,
         "spec": rules,
         "robot_start": [*map(float, starts.robot_xz), starts.robot_heading],
         "human_start": [*map(float, starts.human_xz), starts.human_heading],
         "goal_objects": body_indices(world),
         "goals": [
-            {"object": t.name, "position": t.goal.tolist(), "from": t.source, "to": t.destination} for t in world.targets
+            {"object": t.name, "position": t.goal.tolist(), "from": t.source, "to": t.destination}
+            for t in world.targets
         ],
         "scene_source": dict(scene.source),
         "scene_sha256": digest,

@@ -25,7 +25,7 @@ from h3data.geometry import (
     wrap_angle,
 )
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance import AVOIDANCE, is_crowded, keep_clear, way_round
+from sim_kinematic.avoidance import is_crowded, keep_clear, way_round
 from sim_kinematic.person import Person, SkillResult
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.stands import hand_turn, nearest_stand, person_stands, robot_stands
@@ -36,12 +36,19 @@ from sim_kinematic.waypoint_human import sharp_corners
 SKILLS = (
     "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
 )  # fmt: skip
-PRIMITIVES = {"move_forward": (1.0, 0.0, 4), "move_backward": (-1.0, 0.0, 4), "turn_left": (0.0, 1.0, 2), "turn_right": (0.0, -1.0, 2)}
+PRIMITIVES = {
+    "move_forward": (1.0, 0.0, 4),
+    "move_backward": (-1.0, 0.0, 4),
+    "turn_left": (0.0, 1.0, 2),
+    "turn_right": (0.0, -1.0, 2),
+}
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 STUCK_STEPS = 60
 """A base that has not come nearer to where it wants to be for so long gives up."""
 LOOKS_ROUND = (10, 40)
 """After so many steps without progress it looks for a way round a person who stands in the way,"""
+DETOURS = 3
+"""at most so often on one way,"""
 VIA_M = 0.25
 """which it has taken when it is this near to the point beside her."""
 ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
@@ -140,6 +147,8 @@ class RobotActor:
     """Whether its base keeps clear of the person (`keep_clear`), whatever the skill."""
     person_xz: NDArray = field(default_factory=lambda: np.full(2, np.inf))
     person_velocity: NDArray = field(default_factory=lambda: np.zeros(2))
+    person_settled: bool = False
+    """She has been standing for long (`AvoidanceSpec.still_steps`)."""
     command: tuple[float, float] = (0.0, 0.0)
     """What the base was last told, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
@@ -190,7 +199,9 @@ class RobotActor:
         if action.skill == "wait":
             return self._move(0.0, 0.0, action.steps)
         if action.skill.startswith("nav"):
-            return self._navigate(self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k])
+            return self._navigate(
+                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
+            )
         return self._pick(k) if action.skill == "pick" else self._place(k)
 
     def idle(self) -> None:
@@ -208,11 +219,12 @@ class RobotActor:
         k, left = nearest_stand(self.free, stands, self.xz, is_crowded(self.base, stands, self.person_xz))
         if not np.isfinite(left):
             return Ending("failed", "no_way")
-        goal, best, since = stands[k, :2], np.inf, 0
+        goal, best, since, detours = stands[k, :2], np.inf, 0, 0
         via: NDArray | None = None  # where to pass somebody who stands in the way
         while since <= STUCK_STEPS:
-            if since in LOOKS_ROUND and np.hypot(*self.person_velocity) < AVOIDANCE.still_mps:
+            if since in LOOKS_ROUND and detours < DETOURS and not self.person_velocity.any():
                 via = way_round(self.free, self.xz, goal, self.person_xz)
+                best, detours = (best, detours) if via is None else (np.inf, detours + 1)
             if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
                 via, best = None, np.inf
             left = float(self.free.geodesic(self.xz, goal if via is None else via, max_snap_m=1.0))
@@ -283,7 +295,12 @@ class RobotActor:
         at = self._posture(hand)
         assert at is not None, "checked before it starts"
         over = solve_ik(
-            self.robot, self.hand, hand + [0, APPROACH_M, 0, 0, 0, 0, 0], at, offset=self.robot.hand_position, restarts=0
+            self.robot,
+            self.hand,
+            hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0]),
+            at,
+            offset=self.robot.hand_position,
+            restarts=0,
         )
         return over.joint_pos, at
 
@@ -304,13 +321,15 @@ class RobotActor:
         if self.avoids and heed:
             self.command = keep_clear(
                 self.free, self.base, self.xz.copy(), self.heading, self.command, self.xz if towards is None else towards,
-                self.person_xz, self.person_velocity,
+                self.person_xz, self.person_velocity, settled=self.person_settled,
             )  # fmt: skip
         drive_robots(state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         way = self.arm_goal[self._arm] - self.joints[self._arm]
         far = float(np.abs(way).max())
-        self.joints[self._arm] = self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
+        self.joints[self._arm] = (
+            self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
+        )
         k = self.objects.held(ROBOT)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, state.grip_pose[0, k])
@@ -343,7 +362,9 @@ class PersonActor:
         if action.skill == "wait":
             return self._wait(action.steps)
         if action.skill.startswith("nav"):
-            return self._navigate(self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k])
+            return self._navigate(
+                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
+            )
         return self._handle(action.skill == "pick", k)
 
     def idle(self) -> None:

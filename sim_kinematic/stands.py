@@ -10,7 +10,6 @@ from h3data.bodies.reach import Hand, reacher
 from h3data.geometry import Array, quat_from_matrix
 from h3data.scene import FreeSpace
 from sim_kinematic.spec import BaseSpec
-from sim_kinematic.step import least_clearance
 
 BEARINGS = 24
 """Directions from which a point is approached."""
@@ -27,7 +26,7 @@ SWAY_M = 0.015
 CROWDED_M = 100.0
 """A way this much longer is taken rather than standing where the other one stands."""
 ROOM_M = 0.02
-"""Free way that a robot's base has round it where it stands."""
+"""Free way that a robot's base has round it where it stands and turns."""
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right") -> Array:
@@ -47,7 +46,7 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike) -> Array:
     """Stands ``(x, z, heading)`` [N, 3] from which a robot's hand, pitched by `HAND_PITCH_RAD`, reaches a world point [3]
-    [m]: where its base can turn round, or, if there is no such place, where it is clear of obstacles at the stand."""
+    [m], and where its base can turn all the way round."""
     point = np.asarray(point, np.float64)
     distances = np.array(ROBOT_DISTANCES_M)
     targets = np.zeros((len(distances), 7))
@@ -55,12 +54,8 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
     reached = answer.reached[1:-1] & answer.reached[:-2] & answer.reached[2:]
     stands = _on_island(free, _ring(point, distances[1:-1][reached], 0.0))
-    if turning_room(free, base, stands).any():
-        return stands[turning_room(free, base, stands)]
-    offsets = np.array([*base.disc_offsets_m, -max(base.disc_offsets_m)])
-    room = base.disc_radius_m + ROOM_M
-    clear = [least_clearance(free.sdf, free.origin, free.cell_m, *stand, offsets) >= room for stand in stands]
-    return stands[np.array(clear, np.bool_)] if len(stands) else stands
+    reach = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
+    return stands[free.signed_distance(stands[:, :2]) >= reach]
 
 
 def hand_turn(robot: Robot) -> Array:
@@ -68,12 +63,6 @@ def hand_turn(robot: Robot) -> Array:
     c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
     ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     return quat_from_matrix(np.stack([ahead, np.cross(up, ahead), up], axis=1))
-
-
-def turning_room(free: FreeSpace, base: BaseSpec, stands: Array) -> NDArray[np.bool_]:
-    """Where [N] a robot's base can turn all the way round."""
-    reach = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m
-    return free.signed_distance(stands[:, :2]) >= reach
 
 
 def nearest_stand(

@@ -22,6 +22,8 @@ from h3data_pipelines.command import Command
 from h3data_pipelines.converting import Convert
 from h3data_pipelines.demo import Demo
 from h3data_pipelines.doctor import Doctor
+from h3data_pipelines.evaluating import Evaluate
+from h3data_pipelines.exporting import Export
 from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
@@ -38,7 +40,9 @@ from h3data_pipelines.viewing import View
 COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
     "generate": Generate,
+    "evaluate": Evaluate,
     "import": Import,
+    "export": Export,
     "rerender": Rerender,
     "metrics": Metrics,
     "view": View,

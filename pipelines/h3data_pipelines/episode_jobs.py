@@ -7,13 +7,13 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from sim_kinematic.social_nav import SocialNavWorld
     from sim_kinematic.spec import SocialNavSpec
 
+J = TypeVar("J")
+R = TypeVar("R")
 ANY_BODY = "any"
 """As the name of a body: each episode draws one of the built-in ones."""
 
@@ -71,6 +73,16 @@ class Job:
             human = self.human or "female_0"
             return SocialNavWorld.create(scene, seed=self.seed, spec=self.spec, free=free, human=human)
         return world_of(episode, scene, spec=self.spec, free=free, human=self.human)
+
+    def record(self) -> Recording:
+        """Play it."""
+        from sim_kinematic.social_nav import simulate_social_nav
+
+        try:
+            world = self.world()
+        except SceneError as fault:
+            raise SceneError(f"Episode {self.index} in {self.scene}: {fault}") from None
+        return simulate_social_nav(world, policy=self.policy, episode_id=f"{self.index:06d}")
 
 
 # --- where they come from ---------------------------------------------------------------------------------------------
@@ -122,7 +134,7 @@ def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Chan
 
     rules = SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
     jobs = []
-    for i in range(_count(episodes, scenes.episodes, scenes.label)):
+    for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
         origin = {
             "set": scenes.name, "split": scenes.split, "scene": entry.id, "episode": index, "seed": seed,
@@ -151,7 +163,7 @@ def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job
     found = read_episodes(path).episodes
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     jobs = []
-    for i, episode in enumerate(found[: _count(episodes, len(found), path.name)]):
+    for i, episode in enumerate(found[: chosen_count(episodes, len(found), path.name)]):
         stored = read_social_nav(episode)
         if stored is None:
             raise InputError(
@@ -168,7 +180,8 @@ def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job
     return jobs
 
 
-def _count(wanted: int | None, there: int, label: str) -> int:
+def chosen_count(wanted: int | None, there: int, label: str) -> int:
+    """How many of the episodes that there are: all of them, or as many as are wanted."""
     if there < 1:
         raise InputError(f"There are no episodes in {label}.")
     if wanted is not None and wanted > there:
@@ -177,31 +190,44 @@ def _count(wanted: int | None, there: int, label: str) -> int:
 
 
 # --- running them -----------------------------------------------------------------------------------------------------
-def simulate_job(job: Job) -> Recording:
-    """One episode. Depends on the job alone, so any process may run it."""
-    from sim_kinematic.social_nav import simulate_social_nav
+class AnyJob(Protocol):
+    """One episode of any task."""
 
-    try:
-        world = job.world()
-    except SceneError as fault:
-        raise SceneError(f"Episode {job.index} in {job.scene}: {fault}") from None
-    recording = simulate_social_nav(world, policy=job.policy, episode_id=f"{job.index:06d}")
+    @property
+    def index(self) -> int: ...
+
+    @property
+    def origin(self) -> dict[str, Any] | None: ...
+
+    def to_json(self) -> dict[str, Any]: ...
+
+    def record(self) -> Recording: ...
+
+
+def simulate_job(job: AnyJob) -> Recording:
+    """One episode. Depends on the job alone, so any process may run it."""
+    recording = job.record()
     info = {**recording.episode.info, "job": job.to_json()}
     if job.origin is not None:
         info["origin"] = job.origin
     return replace(recording, episode=replace(recording.episode, info=info))
 
 
-def simulate_jobs(jobs: list[Job], *, workers: int) -> Generator[Recording]:
+def simulate_jobs(jobs: Sequence[AnyJob], *, workers: int) -> Generator[Recording]:
     """Recordings in the order of ``jobs``, by this process or by several."""
+    yield from run_jobs(simulate_job, jobs, workers=workers)
+
+
+def run_jobs(work: Callable[[J], R], jobs: Sequence[J], *, workers: int) -> Generator[R]:
+    """What ``work`` makes of each job, in their order, by this process or by several."""
     if workers <= 1 or len(jobs) <= 1:
-        yield from map(simulate_job, jobs)
+        yield from map(work, jobs)
         return
     # spawn: forked children would share the thread pools of numba and torch
     size = min(workers, len(jobs), os.cpu_count() or 1)
     with ProcessPoolExecutor(size, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
         try:
-            yield from pool.map(simulate_job, jobs)
+            yield from pool.map(work, jobs)
         except BrokenProcessPool:
             raise H3DataError(
                 "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.episode_jobs import Changes, Job, file_jobs, seeded_jobs, set_jobs, simulate_jobs
+from h3data_pipelines.episode_jobs import AnyJob, Changes, file_jobs, seeded_jobs, set_jobs, simulate_jobs
 
 if TYPE_CHECKING:
     from h3data.recording import Dataset, DatasetWriter
@@ -46,10 +46,11 @@ class Generate:
         h3data generate social_nav --scenes h3-homes/train --episodes 1000 --workers 2 -o ds/
         h3data generate social_nav --episodes-file exports/episodes/social_nav_h3-homes_test.json.gz -o ds/
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
+        h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow her at 1-2 m."""
+    """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset."""
     episodes: int | None = None
@@ -65,14 +66,18 @@ class Generate:
     allow_missing: MissingFlag = False
     homes: int = 4
     """Number of different homes of a preset that the episodes go round."""
-    policy: str = "heuristic_expert"
-    """Robot policy: heuristic_expert, random or stand_still."""
+    policy: str | None = None
+    """Robot policy. social_nav: heuristic_expert (default), random or stand_still; rearrange: complement (default),
+    greedy_nearest, same_object, still, or solo (there is no robot)."""
+    partner: str | None = None
+    """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
+    plan_pop_2, plan_pop_3 or plan_pop_4."""
     human: str | None = None
     """Built-in body of the person, or any: each episode draws one (default: the episode's, else female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
     max_steps: int | None = None
-    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500)."""
+    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750)."""
     spawn_distance: float | None = None
     """Least distance between both at the start [m] (default: 5, the paper's for evaluation); sets and files decide it."""
     workers: int = 1
@@ -103,13 +108,14 @@ class Generate:
         recordings = _ReadBack(Dataset(self.out), self.out / "mcap" if self.mcap else None)
         table = measure_many(recordings)
         text = f"{len(table)} episodes{_whose(jobs[0])}, {recordings.steps} steps in {self.out}\n\n{table.to_text()}"
+        text += "".join(f"\nfailed {line}" for line in recordings.failed)
         data: dict[str, Any] = {
             "dataset": str(self.out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
-            "state_hashes": recordings.hashes, "metrics": table.to_dict(),
+            "state_hashes": recordings.hashes, "failed": recordings.failed, "metrics": table.to_dict(),
         }  # fmt: skip
-        return Outcome(text=text, data=data)
+        return Outcome(text=text, data=data, exit_code=1 if recordings.failed else 0)
 
-    def _simulate(self, jobs: list[Job], writer: DatasetWriter) -> None:
+    def _simulate(self, jobs: Sequence[AnyJob], writer: DatasetWriter) -> None:
         committed = time.monotonic()
         bar = tqdm(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode", disable=None)
         with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
@@ -123,8 +129,10 @@ class Generate:
         with uninterrupted():
             writer.commit()
 
-    def jobs(self) -> list[Job]:
+    def jobs(self) -> Sequence[AnyJob]:
         """All episodes, or an `InputError` that names the bad option."""
+        if self.task == "rearrange":
+            return self._rearrange_jobs()
         from h3data.interop.scene_names import named_scenes
         from h3data.scene.scene_sets import find_scene_set
         from sim_kinematic.policies import policy_by_name
@@ -132,10 +140,13 @@ class Generate:
         from sim_kinematic.spec import SocialNavSpec
 
         require_task(self.task)
-        policy_by_name(self.policy)
+        policy = self.policy or "heuristic_expert"
+        policy_by_name(policy)
         self._check_numbers()
+        if self.partner is not None:
+            raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
         changes = Changes(
-            policy=self.policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
+            policy=policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
         )  # fmt: skip
         if self.episodes_file is not None:
             self._refuse_beside("--episodes-file", scenes=self.scenes != "small", seed=self.seed != 0)
@@ -151,6 +162,20 @@ class Generate:
         return seeded_jobs(
             named_scenes(self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing),
             episodes=10 if self.episodes is None else self.episodes, seed=self.seed, spec=spec, changes=changes,
+        )  # fmt: skip
+
+    def _rearrange_jobs(self) -> Sequence[AnyJob]:
+        from h3data_pipelines.rearrange_jobs import rearrange_jobs, rules
+
+        self._check_numbers()
+        if self.episodes_file is not None:
+            raise InputError(
+                "--episodes-file is for social_nav: episodes of rearrange are drawn from --scenes and --seed."
+            )
+        return rearrange_jobs(
+            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
+            seed=self.seed, policy=self.policy or "complement", partner=self.partner or "both", human=self.human,
+            spec=rules(human_speed=self.human_speed, max_steps=self.max_steps, spawn_distance=self.spawn_distance),
         )  # fmt: skip
 
     def _check_numbers(self) -> None:
@@ -179,6 +204,8 @@ class _ReadBack:
     def __init__(self, dataset: Dataset, mcap: Path | None) -> None:
         self.dataset, self.mcap = dataset, mcap
         self.hashes: list[str] = []
+        self.failed: list[str] = []
+        """Episodes that raised: their number, seed and error."""
         self.steps = 0
 
     def __iter__(self) -> Iterator[Recording]:
@@ -190,12 +217,15 @@ class _ReadBack:
                 log = self.mcap / f"{recording.episode.episode_id}.mcap"
                 if not log.exists():
                     write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
-            self.hashes.append(str(recording.columns["state_hash"][-1]))
+            episode = recording.episode
+            if "failed" in episode.info:
+                self.failed.append(f"{episode.episode_id} (seed {episode.seed}): {episode.info['failed']}")
+            self.hashes.append(str(recording.columns["state_hash"][-1]) if len(recording) else "")
             self.steps += len(recording)
             yield recording
 
 
-def _whose(job: Job) -> str:
+def _whose(job: AnyJob) -> str:
     """Which set or file the episodes are from."""
     origin = job.origin
     if origin is None:
@@ -206,7 +236,7 @@ def _whose(job: Job) -> str:
     return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
 
 
-def require_same_options(folder: Path, jobs: list[Job]) -> None:
+def require_same_options(folder: Path, jobs: Sequence[AnyJob]) -> None:
     """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
     from h3data.recording import Dataset
 

@@ -1,0 +1,179 @@
+"""``h3data evaluate``: every robot with every partner over the same episodes, and the paper's numbers beside."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
+from h3data_pipelines.cross_play import Row, cross_play_table
+from h3data_pipelines.episode_jobs import run_jobs
+from h3data_pipelines.rearrange_jobs import RearrangeJob, rearrange_jobs, reason_of, rules
+
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Play every robot with every partner in the same episodes and print SR, RE, CR and RC of each pair with 95 % intervals,
+    beside the paper's. Each episode is a small file in the output folder: an interrupted evaluation goes on where it was.
+
+    Examples:
+        h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
+        h3data evaluate rearrange --policies complement,still --partners both,object_1 --episodes 20 -o out/pairs
+        h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
+    """
+
+    task: tyro.conf.Positional[str]
+    """rearrange: help a person to bring two objects to their goals."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
+    policies: str = ALL
+    """Robots, separated by commas: complement, greedy_nearest, same_object, still; or all."""
+    partners: str = ALL
+    """Partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
+    scenes: str = "h3-homes/test"
+    """As of h3data generate."""
+    episodes: int | None = None
+    """How many (default: all of a set, else 10)."""
+    homes: int = 4
+    """Number of different homes of a preset that the episodes go round."""
+    seed: int = 0
+    """Everything random follows from it."""
+    human: str | None = None
+    """Built-in body of the person, or any: each episode draws one (default: female_0)."""
+    human_speed: float | None = None
+    """Walking speed of the person [m/s] (default: the paper's 2.5)."""
+    max_steps: int | None = None
+    """Length limit of an episode (default: 750)."""
+    workers: int = 1
+    """Processes."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if self.task != "rearrange":
+            raise InputError(f"Unknown task {self.task!r}. Expected: rearrange.")
+        for name, value in (("--episodes", self.episodes), ("--homes", self.homes), ("--workers", self.workers)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} must be at least 1, got {value}.")
+        jobs = self.jobs()
+        folder = claim_folder(self.out, force=True) / "episodes"
+        folder.mkdir(exist_ok=True)
+        if self.force:
+            for file in folder.glob("[0-9]*.json"):
+                file.unlink()
+        files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
+        wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
+        bar = tqdm(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode", disable=None)
+        with bar, closing(run_jobs(play_pairs, wanted, workers=self.workers)) as results:
+            for result in results:
+                write_text(files[result["job"]["episode"]["index"]], json.dumps(result) + "\n")
+                bar.update()
+        results = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
+        rows = [Row(**row) for result in results for row in result["rows"]]
+        failed = [
+            f"episode {r['job']['episode']['index']} (seed {r['job']['episode']['seed']}), {f}"
+            for r in results
+            for f in r["failed"]
+        ]
+        table = cross_play_table(rows)
+        text = table.to_text() + "".join(f"\nfailed {line}" for line in failed)
+        data = {"episodes": len(jobs), "new": len(wanted), "failed": failed, **table.to_dict()}
+        write_text(self.out / "table.txt", text + "\n")
+        write_text(self.out / "table.json", json.dumps(data, indent=2) + "\n")
+        return Outcome(text=text, data=data, exit_code=1 if failed else 0)
+
+    def jobs(self) -> list[CrossPlayJob]:
+        """All episodes, or an `InputError` that names the bad option."""
+        from sim_kinematic.planners import PARTNERS, ROBOT_POLICIES
+
+        policies = _names("--policies", self.policies, tuple(ROBOT_POLICIES))
+        partners = _names("--partners", self.partners, PARTNERS)
+        spec = rules(human_speed=self.human_speed, max_steps=self.max_steps)
+        base = rearrange_jobs(
+            self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed, policy=policies[0],
+            partner=partners[0], human=self.human, spec=spec,
+        )  # fmt: skip
+        return [CrossPlayJob(job, policies, partners) for job in base]
+
+
+@dataclass(frozen=True)
+class CrossPlayJob:
+    """One episode for all pairs."""
+
+    base: RearrangeJob
+    policies: tuple[str, ...]
+    partners: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """What decides the results."""
+        fields = self.base.to_json()
+        del fields["policy"], fields["partner"]
+        return {"episode": fields, "policies": list(self.policies), "partners": list(self.partners)}
+
+
+def play_pairs(job: CrossPlayJob) -> dict[str, Any]:
+    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed."""
+    from h3data.metrics import measure
+    from sim_kinematic.planners import partner_plan
+    from sim_kinematic.rearrange import simulate_rearrange, solo_steps_of
+
+    rows: list[Row] = []
+    failed: list[str] = []
+    try:
+        world = job.base.world()
+        solo = solo_steps_of(world)
+    except Exception as fault:
+        return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
+    plans = {partner: partner_plan(partner, world.seed) for partner in job.partners}
+    for policy in job.policies:
+        played: dict[str, Row] = {}  # partners with one plan do the same
+        for partner, plan in plans.items():
+            try:
+                if plan not in played:
+                    recording = simulate_rearrange(world, policy=policy, partner=plan, solo_steps=solo)
+                    values = {
+                        name: None if value != value else value for name, value in measure(recording).values.items()
+                    }
+                    played[plan] = Row(
+                        index=job.base.index, policy=policy, partner=plan, plan=plan,
+                        ended=recording.episode.info["ended"], solo_steps=solo, values=values,
+                        state_hash=str(recording.columns["state_hash"][-1]),
+                    )  # fmt: skip
+                rows.append(Row(**{**asdict(played[plan]), "partner": partner}))
+            except Exception as fault:
+                failed.append(f"{policy} with {partner}: {reason_of(fault)}")
+    return {"job": job.to_json(), "rows": [asdict(row) for row in rows], "failed": failed}
+
+
+def _is_done(file: Path, job: CrossPlayJob) -> bool:
+    """Whether the results of this very job are there; others' are refused."""
+    if not file.is_file():
+        return False
+    try:
+        was = json.loads(file.read_text(encoding="utf-8"))["job"]
+    except (ValueError, KeyError, TypeError):
+        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+    if was != job.to_json():
+        raise InputError(
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+        )
+    return True
+
+
+def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    names = known if text == ALL else tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))
+    strangers = [name for name in names if name not in known]
+    if strangers or not names:
+        raise InputError(
+            f"{option}: expected some of {', '.join(known)}, or all; got {', '.join(strangers) or 'none'}."
+        )
+    return names
