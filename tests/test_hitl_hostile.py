@@ -284,6 +284,14 @@ def test_deep_configurations_are_stored_or_refused(tmp_path: Path, depth: int) -
     assert len(read_mcap(tmp_path / "x.mcap")) == 1
 
 
+@pytest.mark.parametrize("opcode", [b"r\xff\xff\xff\x7f", b"p2147483647\n"])
+def test_pickles_cannot_claim_memory_that_they_do_not_fill(tmp_path: Path, opcode: bytes) -> None:
+    path = tmp_path / "x.pkl"
+    path.write_bytes(b"\x80\x04N" + opcode + b".")
+    with pytest.raises(FormatError, match="under the number 2147483647"):
+        read_hitl_log(path)
+
+
 def test_gzip_bombs_are_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "bomb.pkl.gz"
     path.write_bytes(gzip.compress(b"\x80\x04" + bytes(200 << 20)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,13 @@ class _Unpickler(pickle.Unpickler):
         raise pickle.UnpicklingError("it refers to things outside the file")
 
 
+def _check_memo(data: bytes) -> None:
+    """Refuse places in the memo that the file is too short to fill: the unpickler would allocate all that lie before."""
+    for opcode, argument, _ in pickletools.genops(data):
+        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and isinstance(argument, int) and argument > len(data):
+            raise pickle.UnpicklingError(f"it remembers a value under the number {argument}")
+
+
 def unpickle_arrays(data: bytes, path: Path, *, also: Mapping[tuple[str, str], Any] | None = None) -> Any:
     """Dicts, lists, tuples, numbers and strings, with `PickledArray` where the file has arrays.
 
@@ -151,6 +159,7 @@ def unpickle_arrays(data: bytes, path: Path, *, also: Mapping[tuple[str, str], A
         FormatError: it asks for anything else, or is damaged.
     """
     try:
+        _check_memo(data)
         return _Unpickler(data, also or {}).load()
     except MemoryError:
         raise FormatError(f"The pickle claims to be larger than the memory: {path}") from None

@@ -26,7 +26,7 @@ Quat = tuple[Number, Number, Number, Number]
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 
 MAX_STEPS = 1_000_000
-MAX_TRACK_VALUES = 1 << 28
+MAX_TRACK_VALUES = 1 << 27
 """Steps times bodies (agents, metrics) that a log may need: what is beyond would not fit into a common memory."""
 MAX_METRICS = 256
 
