@@ -17,7 +17,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import h3data
 from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import PAPER_OBSERVATIONS
+from sim_kinematic.observations import PAPER_OBSERVATIONS, Observer
 from sim_kinematic.parallel_env import SocialNavParallelEnv
 from sim_kinematic.policies import Command, View, heuristic_expert
 from sim_kinematic.social_nav import simulate_social_nav
@@ -267,6 +267,7 @@ configurations = st.fixed_dictionaries(
         "driven": st.booleans(),
         "lateral": st.sampled_from([0.0, 1.0]),
         "habit": st.floats(-1, 1),
+        "pictures": st.sampled_from([False, False, True]),
         "body": st.sampled_from([("quad_arm", "female_0"), ("lift_arm", "male_2")]),
     }
 )
@@ -283,6 +284,9 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
         c["scenes"], worlds=c["worlds"], spec=spec, reward=c["profile"], driven_human=c["driven"], robot=robot,
         human=human,
     )  # fmt: skip
+    seen = EVERYTHING if c["pictures"] else ("humanoid_gps", "egomotion", "localization")
+    observer = Observer(batch, seen, depth_size=(16, 12))
+    space = gymnasium.vector.utils.batch_space(observer.space(), c["worlds"])
     rng = np.random.default_rng(c["seed"])
     index, over, ended = np.zeros(c["worlds"], int), np.ones(c["worlds"], bool), 0
     offsets = np.array(spec.robot.disc_offsets_m)
@@ -293,6 +297,7 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
         s = batch.state
         assert all(np.isfinite(array).all() for array in vars(s).values())
         assert np.isfinite(worth.reward).all()
+        assert space.contains(observer.observe())
         for w, episode in enumerate(batch.episodes):
             free = episode.free
             grid = free.sdf, free.origin, free.cell_m
