@@ -50,8 +50,9 @@ class DatasetWriter:
 
     The columns of a dataset are fixed by its first episode, or up front by ``like`` (recordings whose columns it must
     hold as well) and ``max_bodies`` (moving bodies of the fullest scene). Later episodes may be narrower or lack columns
-    - they are padded, and read back exactly - but not wider. As a context manager it commits all episodes that were added
-    completely, also on an exception or Ctrl-C. One writer per folder at a time.
+    - they are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they
+    may have others, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager
+    it commits all episodes that were added completely, also on an exception or Ctrl-C. One writer per folder at a time.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class DatasetWriter:
         root: str | os.PathLike[str],
         *,
         fps: int = 30,
+        nominal_fps: bool = False,
         overwrite: bool = False,
         resume: bool = False,
         max_bodies: int | None = None,
@@ -69,7 +71,7 @@ class DatasetWriter:
         """Open a new folder, replace the dataset in it (``overwrite``), or go on after its last commit (``resume``)."""
         self.root = Path(root)
         self.closed = False
-        self._fps, self._max_bodies = fps, max_bodies
+        self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
         self._episodes_per_file, self._file_bytes = episodes_per_file, file_bytes
         self._totals, self._shard_index = Totals(), 0
         self._schema: DatasetSchema | None = None
@@ -93,7 +95,7 @@ class DatasetWriter:
             if self._schema is None:
                 self._declare([recording])
             assert self._schema is not None
-            layout = _checked_layout(recording, self._schema)
+            layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
             row = episode_row(recording, layout)
             attachments = {name: self._store_file(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
@@ -237,7 +239,7 @@ def episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
     return row
 
 
-def _checked_layout(recording: Recording, schema: DatasetSchema) -> Layout:
+def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bool) -> Layout:
     """Layout of a recording that fits the dataset; an `InputError` lists every reason why it does not."""
     layout = layout_of(recording.columns)
     declared = {c.name: c for c in schema.columns}
@@ -256,9 +258,10 @@ def _checked_layout(recording: Recording, schema: DatasetSchema) -> Layout:
             "Hint: declare the widest episodes before the first one, DatasetWriter(..., max_bodies=N, like=[recordings]), "
             "or write them to another dataset."
         )
-    if abs(recording.episode.dt_ns * schema.fps - 1_000_000_000) > 10_000_000:
+    if not any_rate and abs(recording.episode.dt_ns * schema.fps - 1_000_000_000) > 10_000_000:
         raise InputError(
             f"Episode {recording.episode.episode_id!r} has steps of {recording.episode.dt_ns} ns, the dataset "
-            f"{schema.fps} per second. Hint: DatasetWriter(..., fps=N)."
+            f"{schema.fps} per second. Hint: DatasetWriter(..., fps=N); or nominal_fps=True (h3data convert --nominal-fps N): "
+            "LeRobot's time stamps are then nominal, time_ns stays exact."
         )
     return layout

@@ -39,7 +39,7 @@ class Convert:
         h3data convert ds/ logs/
         h3data convert ds#3 episode.mcap
         h3data convert recordings/ ds/ --resume
-        h3data convert ds/ longer_names/ --to mcap --check --json
+        h3data convert hitl_sessions/ ds/ --nominal-fps 30 --check
     """
 
     source: tyro.conf.Positional[Path]
@@ -48,6 +48,9 @@ class Convert:
     """A .mcap file or a folder."""
     to: Literal["auto", "mcap", "dataset"] = "auto"
     """What a folder becomes, where the input does not decide."""
+    nominal_fps: int | None = None
+    """Let a dataset hold episodes of other or irregular rates: LeRobot's time stamps count so many steps per second, the
+    true times stay in time_ns (default: the rate of the first episode, which all must have)."""
     check: bool = False
     """Read everything back and compare it with the input, bit for bit."""
     resume: bool = False
@@ -58,6 +61,8 @@ class Convert:
     def run(self) -> Outcome:
         if self.force and self.resume:
             raise InputError("Choose one: --resume goes on with what is there, --force replaces it.")
+        if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
+            raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
         sources = find_episodes([self.source])
         if self.out.suffix == ".mcap" and not self.out.is_dir():
             if len(sources) != 1 or self.to == "dataset":
@@ -118,14 +123,17 @@ class Convert:
     def _dataset(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
         from h3data.recording import Dataset, DatasetWriter
 
-        rate = _steps_per_second(sources)
+        rate = _steps_per_second(sources) if self.nominal_fps is None else self.nominal_fps
         if self.force:
             remove_dataset(self.out)
         if not self.resume:
             claim_folder(self.out, force=False)
         begun = self.resume and (self.out / "h3" / "schema.json").is_file()
         rows = []
-        with DatasetWriter(self.out, resume=self.resume, fps=rate, like=() if begun else _readable(sources)) as writer:
+        with DatasetWriter(
+            self.out, resume=self.resume, fps=rate, nominal_fps=self.nominal_fps is not None,
+            like=() if begun else _readable(sources),
+        ) as writer:  # fmt: skip
             done = {e["uid"]: k for k, e in enumerate(Dataset(self.out).episodes.to_pylist())} if len(writer) else {}
             for source in tqdm(sources, desc="convert", unit="episode", disable=None):
                 row = self._add(source, writer, done)
