@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, normalized
-from h3data.scene.glb import FLOAT32, INDICES, UINT32, VERTICES, GlbChunk, pack_glb
+from h3data.scene.glb import FLOAT32, INDICES, UINT8, UINT32, VERTICES, GlbChunk, pack_glb
 from h3data.scene.meshes import face_texture_indices
 from h3data.scene.png import png_bytes
 from h3data.scene.records import Mesh, Texture
@@ -47,6 +47,16 @@ class GlbNode:
     """Plain JSON that other programs keep or ignore."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Influences:
+    """Which joints of a skin move the vertices of a mesh."""
+
+    joints: NDArray[np.uint8]
+    """Indices into the joints of the skin, shape [V, 4]."""
+    weights: NDArray[np.float32]
+    """They sum to 1, shape [V, 4]."""
+
+
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
     """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
@@ -56,26 +66,40 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
     """
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
-    meshes = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
     chunk = GlbChunk()
-    materials = _Materials(chunk, _plain_colors(meshes))
     document = {
         "asset": {"version": "2.0", "generator": "h3data"},
         "scene": 0,
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": [_node(node) for node in nodes],
-        "meshes": [
-            {"name": f"mesh_{k}", "primitives": _primitives(chunk, mesh, materials)} for k, mesh in enumerate(meshes)
-        ],
+        **mesh_lists(chunk, meshes),
+        **chunk.lists(),
+    }
+    return pack_glb(document, chunk)
+
+
+def mesh_lists(
+    chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
+) -> dict[str, Any]:
+    """The members of a glTF document that hold these meshes and their looks; their arrays go into ``chunk``.
+
+    ``influences``: of the meshes that follow a skin, by index.
+    """
+    split = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
+    materials = _Materials(chunk, _plain_colors([mesh for mesh, _ in split]))
+    records = []
+    for k, (mesh, source) in enumerate(split):
+        moved = (influences or {}).get(k)
+        if moved is not None:
+            moved = Influences(joints=moved.joints[source], weights=moved.weights[source])
+        records.append({"name": f"mesh_{k}", "primitives": _primitives(chunk, mesh, materials, moved)})
+    return {
+        "meshes": records,
         "materials": materials.materials,
         "textures": materials.textures,
         "samplers": [_PIXELS, _SMOOTH],
         "images": materials.images,
-        "accessors": chunk.accessors,
-        "bufferViews": chunk.views,
-        "buffers": [{"byteLength": chunk.size}],
     }
-    return pack_glb(document, chunk)
 
 
 class _Materials:
@@ -123,7 +147,9 @@ def _matte(texture: int) -> dict[str, Any]:
     return {"baseColorTexture": {"index": texture}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
 
 
-def _primitives(chunk: GlbChunk, mesh: Mesh, materials: _Materials) -> list[dict[str, Any]]:
+def _primitives(
+    chunk: GlbChunk, mesh: Mesh, materials: _Materials, influences: Influences | None
+) -> list[dict[str, Any]]:
     """One primitive for the triangles without a texture, one for each pair of texture and colour."""
     primitives = []
     for kind, color, faces in _looks(mesh):
@@ -133,7 +159,13 @@ def _primitives(chunk: GlbChunk, mesh: Mesh, materials: _Materials) -> list[dict
         else:
             assert mesh.uv is not None
             material, uv = materials.pair(mesh.textures[kind], color), mesh.uv[used]
-        primitives.append(_primitive(chunk, mesh, used, corners, uv, material))
+        primitive = _primitive(chunk, mesh, used, corners, uv, material)
+        if influences is not None:
+            joints = np.where(influences.weights[used] > 0, influences.joints[used], 0).astype(np.uint8)
+            weights = influences.weights[used].astype("<f4")
+            primitive["attributes"]["JOINTS_0"] = chunk.array(joints, "VEC4", UINT8, VERTICES)
+            primitive["attributes"]["WEIGHTS_0"] = chunk.array(weights, "VEC4", FLOAT32, VERTICES)
+        primitives.append(primitive)
     return primitives
 
 
@@ -198,28 +230,28 @@ def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
     return colors.astype(np.int64) @ np.array([65536, 256, 1])
 
 
-def _one_color_per_triangle(mesh: Mesh) -> Mesh:
-    """The mesh with corners of their own for triangles whose corners differ in colour, in the mean colour."""
+def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.intp]]:
+    """The mesh with corners of their own for triangles whose corners differ in colour, in the mean colour; and the
+    vertex of ``mesh`` that each of its vertices was."""
     corners = mesh.colors[mesh.faces]
     mixed = (corners != corners[:, :1]).any((1, 2))
+    source = np.arange(len(mesh.vertices))
     if not mixed.any():
-        return mesh
+        return mesh, source
     old = mesh.faces[mixed]
     mean = np.rint(corners[mixed].mean(1)).astype(np.uint8)
     faces = mesh.faces.copy()
     faces[mixed] = len(mesh.vertices) + np.arange(old.size, dtype=np.int32).reshape(-1, 3)
-
-    def with_corners(values: NDArray[Any] | None) -> Any:
-        return None if values is None else np.concatenate([values, values[old.ravel()]])
-
-    return replace(
+    source = np.concatenate([source, old.ravel()])
+    split = replace(
         mesh,
-        vertices=with_corners(mesh.vertices),
+        vertices=mesh.vertices[source],
         faces=faces,
         colors=np.concatenate([mesh.colors, np.repeat(mean, 3, axis=0)]),
-        normals=with_corners(mesh.normals),
-        uv=with_corners(mesh.uv),
+        normals=None if mesh.normals is None else mesh.normals[source],
+        uv=None if mesh.uv is None else mesh.uv[source],
     )
+    return split, source
 
 
 def _checked(mesh: Mesh) -> Mesh:

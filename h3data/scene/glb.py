@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-FLOAT32, UINT32, UINT16, INT16 = 5126, 5125, 5123, 5122
+FLOAT32, UINT32, UINT16, INT16, UINT8 = 5126, 5125, 5123, 5122, 5121
 """Kinds of component."""
 VERTICES, INDICES = 34962, 34963
 """What a buffer view is for."""
@@ -48,6 +48,14 @@ class GlbChunk:
         """Appends an accessor of some elements of another one, which holds 32-bit scalars, and gives its index."""
         self.accessors.append({**self.accessors[index], "byteOffset": 4 * start, "count": count})
         return len(self.accessors) - 1
+
+    def lists(self) -> dict[str, Any]:
+        """The members of the document that describe what is in the chunk."""
+        return {
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": self.size}],
+        }
 
 
 def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:

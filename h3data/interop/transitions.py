@@ -1,0 +1,93 @@
+"""Recordings as learners see them: what an agent saw, what it did then, what came of it.
+
+Row k of a recording is the state *after* action k. A learner pairs an observation with the action that is taken in it, so
+frame t is row t with the action of row t + 1, and an episode of T rows gives T - 1 frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.recording.records import Agent, Recording
+
+_STATE = ("base_pose", "joint_pos", "root_pose", "joint_quat")
+_POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Transitions:
+    """One episode of one agent."""
+
+    agent: int
+    state: dict[str, NDArray[np.float32]]
+    """What its body is like before each action and after the last one: `base_pose`, `joint_pos`, ... [T, width]."""
+    state_names: tuple[str, ...]
+    """Of all values of ``state`` one after the other."""
+    action: NDArray[np.float32]
+    """Shape [T - 1, A]."""
+    action_names: tuple[str, ...]
+    time_s: NDArray[np.float64]
+    """Of the rows, shape [T]."""
+
+    def __len__(self) -> int:
+        return len(self.action)
+
+    @property
+    def flat_state(self) -> NDArray[np.float32]:
+        """All of ``state`` side by side, shape [T, S]."""
+        return np.concatenate(list(self.state.values()), axis=1)
+
+
+def transitions_of(recording: Recording, *, agent: str | None = None) -> Transitions:
+    """Transitions of the agent of that name; by default of the first robot that acts, else of the first agent that does.
+
+    Raises:
+        InputError: nobody acts, nobody has that name, or there are fewer than two steps.
+    """
+    index = _acting(recording, agent)
+    if len(recording) < 2:
+        raise InputError(f"Transitions need at least two steps, the recording has {len(recording)}.")
+    who, columns = recording.agents[index], recording.columns
+    state = {
+        name: columns[f"agent_{index}.{name}"].reshape(len(recording), -1).astype(np.float32)
+        for name in _STATE
+        if f"agent_{index}.{name}" in columns
+    }
+    action = columns[f"agent_{index}.action"][1:].astype(np.float32)
+    return Transitions(
+        agent=index,
+        state=state,
+        state_names=tuple(n for name, values in state.items() for n in _names(name, values.shape[1], who)),
+        action=action.reshape(len(action), -1),
+        action_names=who.action_names or tuple(f"action.{k}" for k in range(int(np.prod(action.shape[1:])))),
+        time_s=columns["time_ns"].astype(np.float64) * 1e-9,
+    )
+
+
+def _acting(recording: Recording, name: str | None) -> int:
+    acting = [i for i in range(len(recording.agents)) if recording.columns.get(f"agent_{i}.action") is not None]
+    names = [agent.name for agent in recording.agents]
+    if name is not None and name not in names:
+        raise InputError(f"There is no agent {name!r}. The recording has: {', '.join(names) or 'none'}.")
+    if name is not None:
+        acting = [i for i in acting if names[i] == name]
+    if not acting:
+        whose = f"of {name!r} " if name is not None else ""
+        raise InputError(
+            f"The recording holds no actions {whose}(columns agent_<i>.action), which a learner needs. Recordings made "
+            "from visual logs, as gfx-replay, have none."
+        )
+    return next((i for i in acting if recording.agents[i].kind == "robot"), acting[0])
+
+
+def _names(name: str, width: int, agent: Agent) -> Sequence[str]:
+    if name in ("base_pose", "root_pose"):
+        return [f"{name}.{part}" for part in _POSE7]
+    if name == "joint_pos" and len(agent.joint_names) == width:
+        return agent.joint_names
+    return [f"{name}.{k}" for k in range(width)]

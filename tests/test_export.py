@@ -1,0 +1,403 @@
+"""Files for other programs: what we write is read back, by ourselves or by the format's own definition."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from h3data.errors import InputError
+from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
+from h3data.interop import read_gfx_replay
+from h3data.interop.csv_tables import write_csv_tables
+from h3data.interop.gfx_replay_write import write_gfx_replay
+from h3data.interop.gltf_animation import write_gltf_animation
+from h3data.interop.lerobot_export import write_lerobot
+from h3data.interop.robomimic import write_robomimic
+from h3data.interop.transitions import transitions_of
+from h3data.recording import AssetRef, Body, Dataset, Episode, Recording, write_mcap
+from h3data.replay import Replay
+from h3data.replay.posing import posed_cameras, posed_parts
+from h3data.scene import HomeSpec, build_home
+from h3data.scene.accessors import GltfArrays
+from h3data.scene.glb import unpack_glb
+from h3data_pipelines.cli import main
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+STEPS = np.array([0, 20, 59])
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    spec = SocialNavSpec(max_steps=60, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
+    return simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
+
+
+@pytest.fixture(scope="module")
+def replay(recording: Recording) -> Replay:
+    return Replay(recording, detail=False)
+
+
+def boxes() -> Recording:
+    """A cube that stands, one that turns, one that is away in steps 4 to 6 and from 9 on; nobody acts."""
+    poses = np.zeros((12, 2, 7), np.float32)
+    poses[:, 0, 1] = np.arange(12) * 0.1
+    poses[:, 0, 3:] = quat_from_heading(np.linspace(0, 9, 12))
+    poses[:, 1, [0, 6]] = [3, 1]
+    poses[4:7, 1] = poses[9:, 1] = np.nan
+    view = np.tile(np.array([1, 2, 3, 0, 0, 0, 1], np.float32), (12, 1))
+    view[3] = np.nan
+    return Recording(
+        episode=Episode(uid="u", episode_id="boxes", task="none", scene=""),
+        assets=(
+            AssetRef(name="cubeSolid", uri="primitive:cubeSolid", color=(200, 10, 30)),
+            AssetRef(name="lost", uri="data/objects/lost.glb", up=(0.0, 0.0, 1.0), front=(0.0, 1.0, 0.0), units_m=0.5),
+        ),
+        bodies=(
+            Body(name="stands", asset="cubeSolid", pose=np.array([-3, 0, 0, 0, 0, 0, 1], np.float32), semantic_id=7),
+            Body(name="turns", asset="cubeSolid", pose=poses[0, 0], moving=0, scale=np.array([0.5, 1, 2], np.float32)),
+            Body(name="leaves", asset="lost", pose=poses[0, 1], moving=1),
+        ),
+        columns={
+            "time_ns": np.arange(12, dtype=np.int64) * 33_333_333, "object_pose": poses, "user.sensor_eye": view,
+        },
+    )  # fmt: skip
+
+
+def exported(recording: Recording, path: Path, **options: Any) -> Recording:
+    replay = Replay(recording, **options)
+    return read_gfx_replay(write_gfx_replay(recording, posed_parts(replay), path, cameras=posed_cameras(replay)).path)
+
+
+# --- gfx-replay -------------------------------------------------------------------------------------------------------
+def assert_same_replay(back: Recording, recording: Recording) -> None:
+    assert list(back.columns) == list(recording.columns)
+    for name, values in recording.columns.items():
+        np.testing.assert_allclose(back.columns[name], values, atol=1e-6, err_msg=name)
+    assert back.assets == recording.assets
+    assert back.agents == recording.agents
+    assert back.episode.scene == recording.episode.scene
+    assert len(back.bodies) == len(recording.bodies)
+    for one, other in zip(back.bodies, recording.bodies, strict=True):
+        assert (one.asset, one.semantic_id, one.moving, one.agent) == (
+            other.asset, other.semantic_id, other.moving, other.agent,
+        )  # fmt: skip
+        np.testing.assert_allclose(one.pose, other.pose, atol=1e-6)
+        np.testing.assert_array_equal(one.scale, other.scale)
+    for key in ("lights", "light_changes", "warnings"):
+        assert back.episode.info.get(key) == recording.episode.info.get(key)
+
+
+REAL_REPLAYS = (
+    "habitat-sim/reference/replays/room_skinned/replay.gfx_replay.json",
+    "habitat-sim/reference/replays/room_articulated/replay.gfx_replay.json",
+    "habitat-lab/reference/hitl/session_1user_policy/gfx/episode_0.gfx_replay.json.gz",
+    "hitl/my_session.gfx_replay.json",
+)
+
+
+@pytest.mark.parametrize("name", REAL_REPLAYS)
+def test_replays_of_habitat_come_back_as_they_were(name: str, real: Path, tmp_path: Path) -> None:
+    recording = read_gfx_replay(real / name)
+    back = exported(recording, tmp_path / "again.gfx_replay.json", assets=[real / "habitat-sim", real / "habitat-lab"])
+    assert_same_replay(back, recording)
+
+
+def test_bodies_that_come_and_go_are_created_anew(tmp_path: Path) -> None:
+    recording = boxes()
+    back = exported(recording, tmp_path / "boxes.gfx_replay.json.gz")
+    assert back.assets == recording.assets
+    assert len(back.bodies) == 4  # the one that came back is another instance
+    old, new = recording.columns["object_pose"], back.columns["object_pose"]
+    np.testing.assert_allclose(new[:, 0], old[:, 0], atol=1e-6)
+    np.testing.assert_allclose(new[:4, 1], old[:4, 1], atol=1e-6)
+    np.testing.assert_allclose(new[7:9, 2], old[7:9, 1], atol=1e-6)
+    assert np.isnan(new[4:, 1]).all()
+    assert np.isnan(new[:7, 2]).all()
+    assert np.isnan(new[9:, 2]).all()
+    np.testing.assert_array_equal(back.columns["user.sensor_eye"], recording.columns["user.sensor_eye"])
+
+
+def test_our_own_people_and_robots_come_back_where_they_were(
+    recording: Recording, replay: Replay, tmp_path: Path
+) -> None:
+    back = exported(recording, tmp_path / "own.gfx_replay.json", detail=False)
+    again = Replay(back, assets=[tmp_path])
+    assert not again.missing
+    assert [a.kind for a in back.agents] == ["robot", "human"]
+    np.testing.assert_allclose(
+        np.abs(back.columns["agent_1.base_pose"]), np.abs(recording.columns["agent_1.base_pose"]), atol=1e-6
+    )
+    people = 0
+    for index, (old, new) in enumerate(zip(replay.drawables, again.drawables, strict=True)):
+        assert old.semantic_id == new.semantic_id
+        if old.deformable:
+            people += 1
+            for step in STEPS:
+                one, other = (r.vertices(index, np.array([step]))[0] for r in (replay, again))
+                assert_same_points(one, other, atol=3e-6)
+        else:
+            np.testing.assert_allclose(replay.matrices(index, STEPS), again.matrices(index, STEPS), atol=2e-6)
+    assert people == 1
+    np.testing.assert_allclose(back.columns["user.sensor_human_head"], posed_cameras(replay)[-1].poses, atol=1e-6)
+
+
+def assert_same_points(one: np.ndarray, other: np.ndarray, *, atol: float) -> None:
+    """Both sets lie on each other; files split vertices and put them in another order."""
+    from scipy.spatial import cKDTree
+
+    assert cKDTree(one).query(other)[0].max() < atol
+    assert cKDTree(other).query(one)[0].max() < atol
+
+
+def test_a_replay_is_a_valid_json_whose_quiet_keyframes_are_empty(tmp_path: Path) -> None:
+    still = replace(
+        boxes(), columns={**boxes().columns, "object_pose": np.tile(boxes().columns["object_pose"][:1], (12, 1, 1))}
+    )
+    path = tmp_path / "x.gfx_replay.json.gz"
+    write_gfx_replay(
+        replace(still, columns={k: v for k, v in still.columns.items() if k[:5] != "user."}),
+        posed_parts(Replay(still)),
+        path,
+    )
+    keyframes = json.loads(gzip.decompress(path.read_bytes()))["keyframes"]
+    assert len(keyframes) == 12
+    assert all(keyframe == {} for keyframe in keyframes[1:])
+    assert [item["creation"]["scale"] for item in keyframes[0]["creations"]] == [[1, 1, 1], [0.5, 1, 2], [1, 1, 1]]
+
+
+# --- glTF -------------------------------------------------------------------------------------------------------------
+class Played:
+    """A glTF file posed by its animation as the specification says, written from it and not from our writer."""
+
+    def __init__(self, path: Path) -> None:
+        self.document, binary = unpack_glb(path.read_bytes(), str(path))
+        self.arrays = GltfArrays(self.document, lambda _: binary)
+
+    def nodes_at(self, step: int) -> dict[int, np.ndarray]:
+        """World matrices by node."""
+        poses = [dict(node) for node in self.document["nodes"]]
+        for animation in self.document.get("animations", []):
+            for channel in animation["channels"]:
+                sampler = animation["samplers"][channel["sampler"]]
+                target = channel["target"]
+                poses[target["node"]][target["path"]] = self.arrays.floats(sampler["output"])[step]
+        world: dict[int, np.ndarray] = {}
+
+        def visit(index: int, parent: np.ndarray) -> None:
+            node, local = poses[index], np.eye(4)
+            rotation = np.asarray(node.get("rotation", [0, 0, 0, 1]), np.float64)
+            local[:3, :3] = quat_to_matrix(rotation) * np.asarray(node.get("scale", [1, 1, 1]), np.float64)
+            local[:3, 3] = node.get("translation", [0, 0, 0])
+            world[index] = parent @ local
+            for child in node.get("children", []):
+                visit(child, world[index])
+
+        for root in self.document["scenes"][0]["nodes"]:
+            visit(root, np.eye(4))
+        return world
+
+    def by_name(self, step: int) -> dict[str, np.ndarray]:
+        world = self.nodes_at(step)
+        return {self.document["nodes"][index]["name"]: matrix for index, matrix in world.items()}
+
+    def skinned(self, step: int, skin: int = 0) -> np.ndarray:
+        """World vertices of the mesh with that skin."""
+        world, record = self.nodes_at(step), self.document["skins"][skin]
+        binds = self.arrays.floats(record["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+        joints = np.stack([world[j] for j in record["joints"]]) @ binds
+        mesh = next(node["mesh"] for node in self.document["nodes"] if node.get("skin") == skin)
+        out = []
+        for primitive in self.document["meshes"][mesh]["primitives"]:
+            where = {
+                key: self.arrays.floats(index) for key, index in primitive["attributes"].items() if key != "JOINTS_0"
+            }
+            own = self.arrays.accessor(primitive["attributes"]["JOINTS_0"]).astype(int)
+            assert np.abs(where["WEIGHTS_0"].sum(1) - 1).max() < 1e-6
+            points = np.concatenate([where["POSITION"], np.ones((len(own), 1))], 1)
+            out.append(np.einsum("vk,vkij,vj->vi", where["WEIGHTS_0"], joints[own], points)[:, :3])
+        return np.concatenate(out)
+
+
+def test_an_animation_played_by_the_book_is_the_replay(recording: Recording, replay: Replay, tmp_path: Path) -> None:
+    made = write_gltf_animation(recording, posed_parts(replay), tmp_path / "a.glb", cameras=posed_cameras(replay))
+    played = Played(made.path)
+    assert made.joints == 55
+    assert made.seconds == pytest.approx(59 / 30, abs=1e-4)
+    for step in STEPS:
+        found = played.by_name(int(step))
+        for index, drawable in enumerate(replay.drawables):
+            if drawable.deformable:
+                vertices = replay.vertices(index, np.array([step]))[0]
+                assert_same_points(played.skinned(int(step)), vertices, atol=1e-5)
+            else:
+                expected = replay.matrices(index, np.array([step]))[0] if drawable.moving else drawable.matrix
+                np.testing.assert_allclose(found[drawable.name], expected, atol=2e-6, err_msg=drawable.name)
+        for camera in posed_cameras(replay):
+            np.testing.assert_allclose(found[camera.name], pose_to_matrix(camera.poses[step]), atol=2e-6)
+    rest = trimesh.load(made.path)  # an independent reader: nodes in their first pose
+    assert isinstance(rest, trimesh.Scene)
+    assert len(rest.geometry) >= made.meshes
+
+
+def test_recorded_rigs_are_skinned_as_habitat_draws_them(real: Path, tmp_path: Path) -> None:
+    recording = read_gfx_replay(real / REAL_REPLAYS[0])
+    replay = Replay(recording, assets=[real / "habitat-sim"])
+    made = write_gltf_animation(recording, posed_parts(replay), tmp_path / "rig.glb")
+    played, rigs = Played(made.path), [i for i, d in enumerate(replay.drawables) if d.deformable]
+    assert len(rigs) == 2  # the second has scale 0.5
+    for skin, index in enumerate(rigs):
+        for step in (0, 30, 59):
+            assert_same_points(played.skinned(step, skin), replay.vertices(index, np.array([step]))[0], atol=1e-5)
+
+
+def test_what_is_away_is_shrunk_to_nothing(tmp_path: Path) -> None:
+    recording = boxes()
+    made = write_gltf_animation(recording, posed_parts(Replay(recording)), tmp_path / "boxes.glb")
+    played = Played(made.path)
+    sizes = [float(np.abs(played.by_name(step)["leaves"][:3, :3]).max()) for step in range(12)]
+    assert [size > 0 for size in sizes] == [True] * 4 + [False] * 3 + [True] * 2 + [False] * 3
+    nodes = {node["name"]: node for node in played.document["nodes"]}
+    assert nodes["leaves"]["extras"]["placeholder"]
+    assert "extras" in played.document["asset"]
+
+
+# --- tables and demonstrations ----------------------------------------------------------------------------------------
+def test_tables_hold_every_number(recording: Recording, tmp_path: Path) -> None:
+    write_csv_tables(recording, tmp_path)
+    with np.load(tmp_path / "columns.npz") as arrays:
+        assert set(arrays) == set(recording.columns)
+        for name, values in recording.columns.items():
+            np.testing.assert_array_equal(arrays[name], values)
+    with (tmp_path / "steps.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(recording)
+    for name in ("x", "z", "qw"):
+        found = np.array([row[f"agent_0.base_pose.{name}"] for row in rows]).astype(np.float32)
+        np.testing.assert_array_equal(
+            found,
+            recording.columns["agent_0.base_pose"][:, "xyz    w".index(name[-1])]
+            if name != "qw"
+            else recording.columns["agent_0.base_pose"][:, 6],
+        )
+    assert f"agent_0.joint_pos.{recording.agents[0].joint_names[0]}" in rows[0]
+    assert int(rows[-1]["state_hash"]) == recording.columns["state_hash"][-1]
+    record = json.loads((tmp_path / "recording.json").read_text())
+    assert record["episode"]["uid"] == recording.episode.uid
+
+
+def test_tables_leave_out_what_is_away(tmp_path: Path) -> None:
+    recording = boxes()
+    write_csv_tables(recording, tmp_path)
+    with (tmp_path / "object_pose.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["step"]) for row in rows if row["body"] == "leaves"] == [0, 1, 2, 3, 7, 8]
+    with (tmp_path / "steps.csv").open() as stream:
+        assert [row["user.sensor_eye.x"] for row in csv.DictReader(stream)][2:5] == ["1.0", "", "1.0"]
+
+
+def test_the_action_of_a_frame_is_the_one_taken_in_it(recording: Recording, tmp_path: Path) -> None:
+    found = transitions_of(recording)
+    assert len(found) == len(recording) - 1
+    np.testing.assert_array_equal(found.action[7], recording.columns["agent_0.action"][8])
+    np.testing.assert_array_equal(found.state["base_pose"][7], recording.columns["agent_0.base_pose"][7])
+    assert len(found.state_names) == found.flat_state.shape[1]
+    assert write_lerobot([recording, recording], tmp_path / "ds") == 2
+    back = Dataset(tmp_path / "ds").recording(1)
+    np.testing.assert_array_equal(back.columns["action"], found.action)
+    np.testing.assert_array_equal(back.columns["observation.state"], found.flat_state[:-1])
+    assert back.columns["next.done"].tolist() == [False] * (len(found) - 1) + [True]
+    features = json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
+    assert features["action"]["shape"] == [2]
+    assert "uint64" not in {feature["dtype"] for feature in features.values()}
+
+
+def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "demos.hdf5"
+    assert write_robomimic([recording, recording], path) == 2
+    found = transitions_of(recording)
+    with h5py.File(path) as file:
+        assert file["data"].attrs["total"] == 2 * len(found)
+        assert json.loads(file["data"].attrs["env_args"])["env_kwargs"]["action_names"] == ["forward", "turn_left"]
+        demo = file["data/demo_1"]
+        assert demo.attrs["num_samples"] == len(found)
+        np.testing.assert_array_equal(demo["actions"], found.action)
+        np.testing.assert_array_equal(demo["obs/base_pose"][1:], demo["next_obs/base_pose"][:-1])
+        assert set(demo["obs"]) == set(demo["next_obs"]) >= {"base_pose", "joint_pos", "agent_1.base_pose"}
+        assert demo["dones"][:].sum() == demo["dones"][-1] == 1
+    with pytest.raises(InputError, match="no actions"):
+        write_robomimic([boxes()], tmp_path / "none.hdf5")
+    assert not (tmp_path / "none.hdf5").exists()
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+TARGETS = {
+    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "csv": "tables", "lerobot": "lerobot", "robomimic": "d.hdf5",
+}  # fmt: skip
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def log(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "episode.mcap"
+    write_mcap(recording, path)
+    return path
+
+
+@pytest.mark.parametrize("to", TARGETS)
+def test_the_command_writes_once_and_again_only_by_force(
+    to: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if to == "robomimic":
+        pytest.importorskip("h5py")
+    out = tmp_path / "new" / TARGETS[to]
+    arguments: list[str | Path] = ["export", log, "--to", to, "-o", out]
+    assert run_json(capsys, *arguments)["to"] == to
+    assert out.exists()
+    assert "exist" in run_json(capsys, *arguments, code=2)["error"] or to == "csv"
+    run_json(capsys, *arguments, "--force")
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("to", TARGETS)
+def test_recordings_without_agents_and_places_that_cannot_be_written(
+    to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if to == "robomimic":
+        pytest.importorskip("h5py")
+    log, learns = tmp_path / "boxes.mcap", to in ("lerobot", "robomimic")
+    write_mcap(boxes(), log)
+    answer = run_json(capsys, "export", log, "--to", to, "-o", tmp_path / TARGETS[to], code=2 if learns else 0)
+    if learns:
+        assert "no actions" in answer["error"]
+        assert not (tmp_path / TARGETS[to]).is_file()
+    (tmp_path / "file").write_text("")
+    answer = run_json(capsys, "export", log, "--to", to, "-o", tmp_path / "file" / TARGETS[to], code=2)
+    assert answer["error"]
+
+
+def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for more, words in (
+        (["--to", "gltf", "-o", tmp_path / "a.gltf"], ".glb"),
+        (["--to", "gfx-replay", "-o", tmp_path / "a.txt"], ".json"),
+        (["--to", "robomimic", "-o", tmp_path / "a.npz"], ".hdf5"),
+        (["--to", "csv", "-o", tmp_path / "t", "--agent", "robot"], "--agent"),
+        (["--to", "csv", "-o", tmp_path / "t", "--light"], "--light"),
+        (["--to", "lerobot", "-o", tmp_path / "l", "--agent", "nobody"], "nobody"),
+    ):
+        assert words in run_json(capsys, "export", log, *more, code=2)["error"]
+    assert not list(tmp_path.iterdir())
