@@ -1,7 +1,9 @@
 """The simulator: CPU seconds (user + system, getrusage) of this process, everything warm, the median of some rounds.
 
-The whole step with a picture is the episode of `simulate_social_nav` (expert, contact, recording) and then, step by step,
-posing robot and skinned person and drawing the robot's arm camera: what a loop with a policy that sees would cost.
+``sim.{robot,human,robot_robot,human_robot}.w{1,16}_depth_fps`` are cells of ``h3data bench sim`` (small home, two objects,
+nav, skinned): frames per second by the clock with the 16 worlds on all cores, and ``_cpu_ms`` the CPU time of a frame.
+``sim.social_nav.depth_frames_per_cpu_s`` is the episode of `simulate_social_nav` (expert, contact, recording) and then, step
+by step, posing robot and skinned person and drawing the robot's arm camera: what a loop with a policy that sees would cost.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from h3data.bodies import load_robot
 from h3data.replay import Replay
 from h3data.replay.cameras import camera_track
 from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data_pipelines.bench import Bench, measure, process_pool
 from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import ArmSpec, BaseSpec, SocialNavSpec
@@ -23,11 +26,11 @@ from sim_kinematic.state import WorldState
 from sim_kinematic.step import drive_robots, walk_humans
 
 Emit = Callable[[str, float, str], None]
-EPISODES = 4
+EPISODES, RUNS = 4, 3
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.state.*``, ``sim.arm.*``, ``sim.social_nav.*`` and ``sim.human_robot.w1_depth_fps``."""
+    """Emits ``sim.state.*``, ``sim.arm.*``, ``sim.social_nav.*`` and the cells of the paper's benchmark."""
     home = build_home(HomeSpec(preset="small", seed=1))
     free = FreeSpace.from_scene(home)
     emit("sim.state.w1_steps_per_s", _state_steps(free, worlds=1, steps=20_000), "steps/s")
@@ -53,7 +56,13 @@ def run(emit: Emit) -> None:
     frame_s = median(cpu_s(draw) for _ in range(3)) / len(steps)
     size = f"{track.camera.width}x{track.camera.height}"
     assert size == "224x171", size
-    emit("sim.human_robot.w1_depth_fps", 1 / (frame_s + seconds / spec.max_steps), "frames/s")
+    emit("sim.social_nav.depth_frames_per_cpu_s", 1 / (frame_s + seconds / spec.max_steps), "frames/s")
+    bench = Bench("sim", runs=RUNS)
+    with process_pool(bench.processes()) as pool:
+        for cell in bench.cells():
+            row = measure(cell, pool, runs=bench.runs, steps=bench.steps)
+            emit(f"sim.{cell.agents}.w{cell.worlds}_depth_fps", row["fps_mean"], "frames/s")
+            emit(f"sim.{cell.agents}.w{cell.worlds}_depth_cpu_ms", row["cpu_ms_per_frame"], "ms")
 
 
 def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:

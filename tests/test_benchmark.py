@@ -155,3 +155,19 @@ def test_worlds_are_shared_by_processes(capsys: pytest.CaptureFixture[str]) -> N
 def test_refusals(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.gpu
+def test_gpu_draws_the_same_worlds() -> None:
+    from h3data.render.gpu import gpu_problem
+
+    if problem := gpu_problem():
+        pytest.skip(problem)
+    pictures = []
+    for backend in ("cpu", "gpu"):
+        benchmark, rng = BenchmarkWorlds(Cell(worlds=2), backend=backend), np.random.default_rng(2)
+        benchmark.reset(rng)
+        benchmark.step(benchmark.sample(rng))
+        depth = benchmark.step(benchmark.sample(rng))
+        pictures.append(depth.cpu().numpy() if backend == "gpu" else depth)
+    assert (np.abs(np.subtract(*pictures)) < 1e-3).mean() > 0.99

@@ -87,7 +87,7 @@ class Bench:
         if self.backend == "gpu":
             _check_gpu()
         rows = []
-        with _pool(cores) as pool, tqdm(total=len(cells), desc="bench", unit="cell", disable=None) as bar:
+        with process_pool(cores) as pool, tqdm(total=len(cells), desc="bench", unit="cell", disable=None) as bar:
             for cell in cells:
                 bar.set_postfix_str(f"{cell.home} {cell.agents} x{cell.worlds}")
                 rows.append(measure(cell, pool, runs=self.runs, steps=self.steps, backend=self.backend, seed=self.seed))
@@ -167,7 +167,8 @@ class Pool:
 
 
 @contextmanager
-def _pool(size: int) -> Iterator[Pool]:
+def process_pool(size: int) -> Iterator[Pool]:
+    """A `Pool` whose processes end with the block."""
     pool = Pool(size)
     try:
         yield pool
