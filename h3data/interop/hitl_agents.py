@@ -22,6 +22,7 @@ from h3data.interop.walk_synthesis import walk_columns
 from h3data.recording.records import Agent
 
 AgentKind = Literal["robot", "human"]
+JointOrder = Literal["habitat", "smplx"]
 
 SYNTHETIC_BODY = "neutral_0"
 """Who stands in for people of whom only the root is known."""
@@ -69,9 +70,14 @@ def robot_named_in(*texts: str) -> str:
     return min(found)[1] if found else "spot"
 
 
+def root_height_m(kind: AgentKind, robot: str) -> float:
+    """Height of the logged root over the floor [m]."""
+    return BASE_HEIGHT_M if kind == "human" else _ROBOTS[robot][1]
+
+
 def add_agents(
     tracks: Sequence[AgentTrack], kinds: Sequence[AgentKind], time_ns: NDArray[np.int64], *, robot: str,
-    joint_order: Literal["habitat", "smplx"] | None = None,
+    joint_order: JointOrder | None = None,
 ) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:  # fmt: skip
     """Agents, their columns but for what they hold, and for each what was recorded and what is made up.
 
@@ -115,7 +121,7 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
 
 
 # --- people -----------------------------------------------------------------------------------------------------------
-def told_joint_order(joints: Array) -> Literal["habitat", "smplx"]:
+def told_joint_order(joints: Array) -> JointOrder:
     """Which order of joints [T, 54, 4] is in: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
 
     The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much
@@ -132,7 +138,7 @@ def told_joint_order(joints: Array) -> Literal["habitat", "smplx"]:
 
 
 def _posed_person(
-    name: str, track: AgentTrack, order: Literal["habitat", "smplx"]
+    name: str, track: AgentTrack, order: JointOrder
 ) -> tuple[Agent, dict[str, NDArray[Any]], dict[str, Any]]:
     assert track.joints is not None
     assert track.base is not None

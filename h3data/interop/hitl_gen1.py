@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,10 +16,11 @@ from h3data.errors import FormatError
 from h3data.geometry import Array, ground_pose
 from h3data.interop.array_pickle import is_pickle
 from h3data.interop.assets import AssetLibrary
-from h3data.interop.hitl_agents import AgentTrack, robot_named_in, tilt_rad
+from h3data.interop.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
 from h3data.interop.hitl_pickle import unpickle_log
 from h3data.interop.hitl_places import find_place
 from h3data.interop.hitl_records import (
+    MAX_FLOAT,
     MAX_TRACK_VALUES,
     HitlEpisode,
     Id,
@@ -66,7 +67,7 @@ class Log(msgspec.Struct):
 
 def read_hitl_log(
     path: str | Path, *, fps: float = 30.0, assets: AssetLibrary | None = None,
-    joint_order: Literal["habitat", "smplx"] | None = None,
+    joint_order: JointOrder | None = None,
 ) -> Recording:  # fmt: skip
     """The recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
 
@@ -242,7 +243,7 @@ def _input_columns(steps: Sequence[Step]) -> dict[str, NDArray[Any]]:
             if key not in vectors and key not in columns and len(vectors) < 32 and 0 < len(value) <= 16:
                 vectors[key] = np.full((len(steps), len(value)), np.nan, np.float32)
             if key in vectors and vectors[key].shape[1] == len(value):
-                vectors[key][k] = np.clip(value, -3e38, 3e38)
+                vectors[key][k] = np.clip(value, -MAX_FLOAT, MAX_FLOAT)
     return columns | vectors
 
 

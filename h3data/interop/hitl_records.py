@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from h3data.geometry import quat_sign_continuous
-from h3data.interop.hitl_agents import AgentKind, AgentTrack, add_agents, agent_kinds
+from h3data.interop.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.interop.hitl_places import Place
 from h3data.interop.sniff import KIND_WORDS, decode_json, json_kind, not_json
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
@@ -29,6 +29,8 @@ MAX_STEPS = 1_000_000
 MAX_TRACK_VALUES = 1 << 27
 """Steps times bodies (agents, metrics) that a log may need: what is beyond would not fit into a common memory."""
 MAX_METRICS = 256
+MAX_FLOAT = 3e38
+"""What a float32 holds."""
 
 T = TypeVar("T")
 Scalar = TypeVar("Scalar", bound=np.number[Any])
@@ -128,19 +130,21 @@ def scalar_columns(rows: Sequence[Mapping[str, Any] | None], prefix: str) -> tup
     Nested names are joined by dots. float32 with NaN where a step lacks it; bool if every step has True or False.
     """
     values: dict[str, dict[int, bool | float]] = {}
+    cut = False
     for step, row in enumerate(rows):
         for name, value in _leaves(row or {}, "", 0):
             if name in values or len(values) < MAX_METRICS:
                 values.setdefault(name, {})[step] = value
+            else:
+                cut = True
     columns: dict[str, NDArray[Any]] = {}
     for name, by_step in values.items():
         if len(by_step) == len(rows) and all(isinstance(v, bool) for v in by_step.values()):
             columns[prefix + name] = np.array(list(by_step.values()), np.bool_)
         else:
             column = np.full(len(rows), np.nan, np.float32)
-            column[list(by_step)] = np.clip(np.array(list(by_step.values()), np.float64), -3e38, 3e38)
+            column[list(by_step)] = list(by_step.values())
             columns[prefix + name] = column
-    cut = len(values) == MAX_METRICS
     return columns, [f"only the first {MAX_METRICS} names of {prefix}* were read"] if cut else []
 
 
@@ -149,13 +153,9 @@ def _leaves(row: Mapping[str, Any], at: str, depth: int) -> Iterable[tuple[str, 
         if isinstance(value, bool):
             yield at + name, value
         elif isinstance(value, (int, float)):
-            yield at + name, float(np.clip(value, -1e300, 1e300)) if isinstance(value, float) else _as_float(value)
+            yield at + name, max(-MAX_FLOAT, min(MAX_FLOAT, value))
         elif isinstance(value, dict) and depth < 8:
             yield from _leaves(value, f"{at}{name}.", depth + 1)
-
-
-def _as_float(value: int) -> float:
-    return float(max(-(2**100), min(2**100, value)))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -175,7 +175,7 @@ class HitlEpisode:
     object_tracks: list[NDArray[np.float64]]
     object_of_id: Mapping[int, str]
     robot: str
-    joint_order: Any = None
+    joint_order: JointOrder | None = None
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     info: dict[str, Any] = field(default_factory=dict)
@@ -187,9 +187,7 @@ class HitlEpisode:
 
     def floor_y(self) -> float:
         """Height on which the agents stand most of the time [m]; 0 if there are none."""
-        heights = [
-            t.roots[:, 1] - (0.9 if k == "human" else 0.48) for t, k in zip(self.tracks, self.kinds(), strict=True)
-        ]
+        heights = [t.roots[:, 1] - root_height_m(k, self.robot) for t, k in zip(self.tracks, self.kinds(), strict=True)]
         known = np.concatenate([h[np.isfinite(h)] for h in heights]) if heights else np.zeros(0)
         return float(np.median(known)) if len(known) else 0.0
 
