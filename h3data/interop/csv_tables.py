@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     head = ["step", "agent", "kind", "target", "detail"]
     _table(folder / "events.csv", head, [[getattr(e, name) for name in head] for e in recording.events])
     with part_file(folder / "columns.npz") as part, part.open("wb") as stream:
-        np.savez_compressed(stream, **{name: np.asarray(v) for name, v in recording.columns.items()})
+        _npz(stream, recording)
     record = {
         "episode": episode_to_dict(recording.episode),
         "agents": [asdict(agent) for agent in recording.agents],
@@ -63,6 +64,14 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     with part_file(folder / "recording.json") as part:
         part.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
     return [folder / name for name in FILES]
+
+
+def _npz(stream: IO[bytes], recording: Recording) -> None:
+    """As `numpy.savez_compressed`, which cannot take every name."""
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in recording.columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.ascontiguousarray(values), allow_pickle=False)
 
 
 def _steps(recording: Recording, time_s: np.ndarray) -> tuple[list[str], Iterable[list[Any]]]:
@@ -99,7 +108,7 @@ def _poses(recording: Recording, time_s: np.ndarray) -> Iterable[list[str]]:
         return
     poses, names = recording.columns["object_pose"], [b.name for b in recording.moving_bodies]
     times = _texts(time_s)
-    there = np.isfinite(poses).all(-1)
+    there = np.asarray(np.isfinite(poses).all(-1))
     for step in range(len(poses)):
         for body in np.flatnonzero(there[step]).tolist():
             yield [str(step), times[step], names[body], *_texts(poses[step, body])]

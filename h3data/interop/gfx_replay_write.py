@@ -169,7 +169,7 @@ def _add_part(
     """Add the instances of a part, one for each time that it was there; returns the next free key."""
     poses = np.broadcast_to(part.poses, (keyframes.steps, 7)) if len(part.poses) == 1 else part.poses
     rounded, changed = _rounded(poses)
-    for start, end in spans(np.isfinite(poses).all(1)):
+    for start, end in spans(np.asarray(np.isfinite(poses).all(1))):
         creation = {
             "filepath": filepath, "scale": np.asarray(part.scale, np.float64).tolist(), "isStatic": static, "isRGBD": True,
             "isSemantic": True, "isTextureSemantic": False, "lightSetupKey": "", "rigId": -1 if rig is None else rig.number,

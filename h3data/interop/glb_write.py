@@ -230,7 +230,7 @@ def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
     return colors.astype(np.int64) @ np.array([65536, 256, 1])
 
 
-def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.intp]]:
+def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
     """The mesh with corners of their own for triangles whose corners differ in colour, in the mean colour; and the
     vertex of ``mesh`` that each of its vertices was."""
     corners = mesh.colors[mesh.faces]
