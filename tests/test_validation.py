@@ -9,12 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_strategies import random_bits, recordings
 
+from h3data.errors import H3DataError
 from h3data.interop import read_gfx_replay
 from h3data.recording import DatasetWriter, Event, Recording, SkillSpan, state_hash, write_mcap
 from h3data.replay.validation import Finding, validate_recording
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
+from sim_kinematic.resume import verify
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
 
@@ -162,6 +167,33 @@ def test_real_recordings_have_no_errors(real: Path) -> None:
         assert [f for f in findings if f.severity == "error"] == []
         assert {f.check for f in findings} <= {"assets", "jumps"}
         assert any(f.check == "assets" for f in findings)  # none are at hand
+
+
+# --- hostile ----------------------------------------------------------------------------------------------------------
+@given(recordings())
+def test_any_recording_can_be_judged(recording: Recording) -> None:
+    for finding in validate_recording(recording):
+        assert finding.step < max(len(recording), 1)
+        assert finding.subject in str(finding)
+
+
+@given(data=st.data())
+def test_flipped_bits_are_found(episode: Recording, data: st.DataObject) -> None:
+    """Neither the validation nor the simulator stumbles over them, and both notice."""
+    name = data.draw(st.sampled_from([n for n in episode.columns if n.startswith(("agent_", "sim."))]))
+    array = episode.columns[name].copy()
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    row = data.draw(st.integers(0, len(array) - 1))
+    array[row] = random_bits(rng, array.dtype.name, array.shape[1:])
+    broken = replace(episode, columns={**episode.columns, name: array})
+    same = array.tobytes() == episode.columns[name].tobytes()
+    found = validate_recording(broken)
+    assert same or name == "agent_0.action" or any(f.check == "hash" and f.step == row for f in found)
+    try:
+        with np.errstate(all="ignore"):
+            assert verify(broken).equal == same
+    except H3DataError:
+        assert not same
 
 
 # --- command ----------------------------------------------------------------------------------------------------------

@@ -78,9 +78,12 @@ def validate_recording(recording: Recording, *, assets: AssetLibrary | None = No
 
     ``assets`` finds files that a foreign recording names.
     """
-    found = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]
-    if not any(f.severity == "error" and f.check in ("schema", "values") for f in found):  # else nothing can be posed
-        found += [*_jumps(recording), *_seen(recording, assets or AssetLibrary())]
+    with np.errstate(all="ignore"):  # of garbage, which is what is looked for
+        found = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]
+        if not any(
+            f.severity == "error" and f.check in ("schema", "values") for f in found
+        ):  # else nothing can be posed
+            found += [*_jumps(recording), *_seen(recording, assets or AssetLibrary())]
     return sorted(found, key=lambda f: f.severity != "error")
 
 
@@ -181,8 +184,8 @@ def _values(rec: Recording) -> Iterator[Finding]:
         if match is not None and match[2] == "joint_quat" and array.ndim == 3:
             yield from _unit(name, array)
     for body in rec.bodies:
-        if np.isfinite(body.pose).all() and abs(float(np.linalg.norm(body.pose[3:])) - 1) > UNIT_ERROR:
-            length = np.linalg.norm(body.pose[3:])
+        length = float(np.linalg.norm(body.pose[3:].astype(np.float64)))
+        if np.isfinite(body.pose).all() and abs(length - 1) > UNIT_ERROR:
             yield _error("quaternions", body.name, f"its quaternion has the length {length:.4f}")
 
 
@@ -194,8 +197,7 @@ def _holds_poses(name: str, array: NDArray[Any]) -> bool:
 
 def _unit(name: str, quats: NDArray[Any]) -> Iterator[Finding]:
     """Quaternions [T, ..., 4] that are not of unit length; NaN ones are not there."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(np.linalg.norm(quats.astype(np.float64), axis=-1) - 1).reshape(len(quats), -1)
+    off = np.abs(np.linalg.norm(quats.astype(np.float64), axis=-1) - 1).reshape(len(quats), -1)
     worst = np.nan_to_num(off).max(axis=1, initial=0.0)
     if (worst > UNIT_WARNING).any():
         tell, limit = (_error, UNIT_ERROR) if (worst > UNIT_ERROR).any() else (_warning, UNIT_WARNING)
@@ -220,9 +222,8 @@ def _jumps(rec: Recording) -> Iterator[Finding]:
     tracks = [(b.name, rec.columns["object_pose"][:, b.moving], OBJECT_MPS) for b in rec.moving_bodies]
     tracks += [(a.name, rec.agent_column(i, "base_pose"), AGENT_MPS) for i, a in enumerate(rec.agents)]
     for name, pose, limit in tracks:
-        with np.errstate(invalid="ignore", over="ignore"):
-            way = np.linalg.norm(np.diff(pose[:, :3].astype(np.float64), axis=0), axis=1)
-            fast, turned = way / seconds > limit, _angles(pose[:, 3:]) > TURN_RAD
+        way = np.linalg.norm(np.diff(pose[:, :3].astype(np.float64), axis=0), axis=1)
+        fast, turned = way / seconds > limit, _angles(pose[:, 3:]) > TURN_RAD
         if fast.any():
             text = f"moves {way[np.argmax(fast)]:.2f} m in one step, {(way / seconds)[np.argmax(fast)]:.0f} m/s"
             yield _warning("jumps", name, text, at=np.append(False, fast))
