@@ -22,7 +22,7 @@ from h3data.interop.gltf_animation import write_gltf_animation
 from h3data.interop.lerobot_export import write_lerobot
 from h3data.interop.robomimic import write_robomimic
 from h3data.interop.transitions import transitions_of
-from h3data.recording import AssetRef, Body, Dataset, Episode, Recording, write_mcap
+from h3data.recording import AssetRef, Body, Dataset, Episode, Event, Recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.posing import posed_cameras, posed_parts
 from h3data.scene import HomeSpec, build_home
@@ -309,6 +309,16 @@ def test_the_action_of_a_frame_is_the_one_taken_in_it(recording: Recording, tmp_
     features = json.loads((tmp_path / "ds/meta/info.json").read_text())["features"]
     assert features["action"]["shape"] == [2]
     assert "uint64" not in {feature["dtype"] for feature in features.values()}
+
+
+def test_the_reward_is_of_the_action_that_led_to_success(recording: Recording) -> None:
+    def rewards(*events: Event, **info: bool) -> list[int]:
+        changed = replace(recording, events=events, episode=replace(recording.episode, info=info))
+        return np.flatnonzero(transitions_of(changed).reward).tolist()
+
+    assert rewards() == []
+    assert rewards(Event(step=9, agent=0, kind="found"), Event(step=20, agent=0, kind="found")) == [8]
+    assert rewards(Event(step=9, agent=0, kind="collision"), success=True) == [len(recording) - 2]
 
 
 def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:

@@ -44,13 +44,12 @@ def _with_transitions(recording: Recording, agent: str | None) -> Recording:
     steps = len(found)
     done = np.zeros(steps, np.bool_)
     done[-1] = True
-    success = done & (bool(recording.episode.info.get("success")) or any(e.kind == "success" for e in recording.events))
     extra = {
         "observation.state": found.flat_state[:-1],
         "action": found.action,
-        "next.reward": success.astype(np.float32),
+        "next.reward": found.reward,
         "next.done": done,
-        "next.success": success,
+        "next.success": found.reward > 0,
     }
     names = {"observation.state": list(found.state_names), "action": list(found.action_names)}
     columns = {

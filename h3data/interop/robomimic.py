@@ -20,9 +20,8 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
 
     A demo holds ``actions`` [N, A], ``rewards``, ``dones`` (1 at the last step), ``states`` and the groups ``obs`` and
     ``next_obs`` with the same keys: the agent's own (``base_pose``, ``joint_pos``, ...), ``object_pose`` (absent bodies as
-    zeros) and every other agent's place ``agent_<i>.base_pose``. Rewards are 1 at the end of an episode with the event or
-    info ``success``, else 0. Actions keep their units; robomimic wants -1..1 for training, so normalise there
-    (``action_config``). Attributes: ``total``, ``env_args`` (JSON), ``num_samples``, ``model_file`` is left out.
+    zeros) and every other agent's place ``agent_<i>.base_pose``. Actions keep their units; robomimic wants -1..1 for
+    training, so normalise there (``action_config``).
 
     Raises:
         MissingExtraError: h5py is not installed.
@@ -61,7 +60,7 @@ def _add_demo(group: Any, recording: Recording, found: Transitions, observed: di
     group.attrs["episode_id"] = recording.episode.episode_id
     options = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
     group.create_dataset("actions", data=found.action, **options)
-    group.create_dataset("rewards", data=(done * _success(recording)).astype(np.float32))
+    group.create_dataset("rewards", data=found.reward)
     group.create_dataset("dones", data=done)
     group.create_dataset("states", data=found.flat_state[:-1], **options)
     for name, rows in (("obs", slice(None, -1)), ("next_obs", slice(1, None))):
@@ -80,10 +79,6 @@ def _observations(recording: Recording, found: Transitions) -> dict[str, np.ndar
         poses = recording.columns["object_pose"]
         observed["object_pose"] = poses.reshape(len(poses), -1)
     return {name: np.nan_to_num(values).astype(np.float32) for name, values in observed.items()}
-
-
-def _success(recording: Recording) -> bool:
-    return bool(recording.episode.info.get("success")) or any(e.kind == "success" for e in recording.events)
 
 
 def _check_same(shapes: dict[str, Any], arrays: dict[str, np.ndarray], recording: Recording) -> None:

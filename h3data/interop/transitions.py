@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.recording.records import Agent, Recording
 
+SUCCESS_EVENTS = ("success", "found")
+"""Kinds of event that mean success: of rearrangement, and of finding the person in social navigation. An episode without
+one that is marked ``success`` in its info succeeds with its last action."""
+
 _STATE = ("base_pose", "joint_pos", "root_pose", "joint_quat")
 _POSE7 = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
@@ -31,8 +35,8 @@ class Transitions:
     action: NDArray[np.float32]
     """Shape [T - 1, A]."""
     action_names: tuple[str, ...]
-    time_s: NDArray[np.float64]
-    """Of the rows, shape [T]."""
+    reward: NDArray[np.float32]
+    """1 for the action that first led to success (`SUCCESS_EVENTS`), else 0, shape [T - 1]."""
 
     def __len__(self) -> int:
         return len(self.action)
@@ -65,8 +69,18 @@ def transitions_of(recording: Recording, *, agent: str | None = None) -> Transit
         state_names=tuple(n for name, values in state.items() for n in _names(name, values.shape[1], who)),
         action=action.reshape(len(action), -1),
         action_names=who.action_names or tuple(f"action.{k}" for k in range(int(np.prod(action.shape[1:])))),
-        time_s=columns["time_ns"].astype(np.float64) * 1e-9,
+        reward=_reward(recording),
     )
+
+
+def _reward(recording: Recording) -> NDArray[np.float32]:
+    reward = np.zeros(len(recording) - 1, np.float32)
+    steps = [event.step for event in recording.events if event.kind in SUCCESS_EVENTS]
+    if steps:
+        reward[np.clip(min(steps) - 1, 0, len(reward) - 1)] = 1
+    elif recording.episode.info.get("success"):
+        reward[-1] = 1
+    return reward
 
 
 def _acting(recording: Recording, name: str | None) -> int:
