@@ -108,7 +108,7 @@ def keep_clear(
             spec.horizon_steps, spec.stride, STEP_S,
         )  # fmt: skip
 
-    margin = spec.still_margin_m if settled else spec.margin_m
+    margin = min(spec.still_margin_m, trial((0.0, 0.0))[0]) if settled else spec.margin_m
     dx, dz = (towards - xz).tolist()
     way = math.hypot(dx, dz)
     arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if way > 0.1 else math.inf

@@ -28,6 +28,10 @@ POPULATIONS: dict[str, tuple[str, ...]] = {
 """From which plans a partner is drawn, anew in each episode (paper section 4.2, Plan-Pop)."""
 ZSC = ("both", "object_1", "object_2", "still")
 """The planners of the paper's zero-shot population (appendix); its six learned partners were not published."""
+REPLAN_STEPS = 15
+"""So often a robot on its way to an object thinks again; in every step while the person is close."""
+IN_REACH_M = 0.9
+"""Who stands this near to an object may be about to take it."""
 STRAIGHT_ON_STEPS = 10
 """Over so many steps the person's motion tells where she is going."""
 
@@ -130,9 +134,10 @@ class Chooser:
             return ""
         if view.held_by[action.target] not in (NOBODY, view.agent):
             return "object_taken"
-        if view.close and action.skill == "nav_to_object":
+        if action.skill == "nav_to_object" and (view.close or view.step % REPLAN_STEPS == 0):
             better = self.prefer(view, self._left(view))
-            return "agents_close" if better is not None and better != action.target else ""
+            if better is not None and better != action.target:
+                return "agents_close" if view.close else "replanned"
         return ""
 
     def _left(self, view: TaskView) -> list[int]:
@@ -152,7 +157,7 @@ def _way(view: TaskView, start: NDArray, k: int) -> float:
 
 
 def persons_object(view: TaskView) -> int:
-    """The object that the person holds or goes for, by her motion in the last steps; -1 when that does not tell."""
+    """The object that the person holds, goes for (by her motion in the last steps) or stands at; -1: nothing tells."""
     other = 1 - view.agent
     held = np.flatnonzero(view.held_by == other)
     if len(held):
@@ -160,8 +165,11 @@ def persons_object(view: TaskView) -> int:
     left = [k for k in range(len(view.objects)) if not view.at_goal[k] and view.held_by[k] == NOBODY]
     before = view.other_track[max(len(view.other_track) - STRAIGHT_ON_STEPS, 0)]
     moved = float(np.hypot(*(view.other_xz - before)))
-    if not left or moved < 0.1:
+    if not left:
         return -1
+    if moved < 0.1:  # she stands: perhaps she is about to take what is before her
+        gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
+        return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
     gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
     best = int(np.argmax(gain))
     return left[best] if gain[best] > 0.5 * moved else -1

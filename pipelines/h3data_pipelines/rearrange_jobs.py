@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from h3data.recording import Agent, Episode, Recording
+from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene.scene_sets import SceneSource
 from h3data_pipelines.episode_jobs import Changes, chosen_count
 from sim_kinematic.rearrange_episode import RearrangeSpec
@@ -82,12 +82,13 @@ def failed_recording(job: RearrangeJob, fault: Exception) -> Recording:
     shapes = {
         "base_pose": (7,), "joint_pos": (len(load_robot("quad_arm").rest),), "root_pose": (7,), "joint_quat": (54, 4),
         "action": (2,), "metrics.at_goal": (objects,),
+        "object_pose": (objects, 7),
     }  # fmt: skip
     robot = ("base_pose", "joint_pos", "action", "grasp_body", "skill", "skill_target")
     person = ("base_pose", "root_pose", "joint_quat", "grasp_body", "skill", "skill_target")
     agents = [person] if job.policy == SOLO else [robot, person]
     names = [f"agent_{i}.{name}" for i, of in enumerate(agents) for name in of]
-    names += ["metrics.at_goal", "metrics.reward"]
+    names += ["object_pose", "metrics.at_goal", "metrics.reward"]
     if job.policy != SOLO:
         names += ["metrics.dist_agents", "metrics.collision", "metrics.robot_contact"]
     columns: dict[str, np.ndarray] = {"time_ns": np.zeros(0, np.int64), "state_hash": np.zeros(0, np.uint64)}
@@ -98,13 +99,16 @@ def failed_recording(job: RearrangeJob, fault: Exception) -> Recording:
         "failed": reason_of(fault), "policy": job.policy, "partner": job.partner, "max_steps": job.spec.max_steps,
         "solo_steps": None, "goal_objects": [],
     }  # fmt: skip
+    nowhere = np.full(7, np.nan, np.float32)
+    bodies = tuple(Body(name=f"object_{k}", asset="unknown", pose=nowhere, moving=k) for k in range(objects))
     humans = (Agent(name="human", kind="human"),)
     return Recording(
         episode=Episode(
             uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:failed:{json.dumps(job.to_json())}")),
             episode_id=f"{job.index:06d}", task=TASK, scene=job.scene, seed=job.seed, info=info,
         ),
-        agents=humans if job.policy == SOLO else (Agent(name="robot", kind="robot"), *humans), columns=columns,
+        agents=humans if job.policy == SOLO else (Agent(name="robot", kind="robot"), *humans),
+        assets=(AssetRef(name="unknown", uri="primitive:none"),), bodies=bodies, columns=columns,
     )  # fmt: skip
 
 

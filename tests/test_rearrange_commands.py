@@ -1,0 +1,124 @@
+"""``h3data generate rearrange`` and ``h3data evaluate``: the same episodes again, failures that are told, tables."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import h3data
+from h3data.recording import recordings_equal
+from h3data_pipelines.cli import main
+from h3data_pipelines.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
+from sim_kinematic import planners
+
+GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
+EVALUATE = (
+    "evaluate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--policies", "complement,still",
+    "--partners", "object_1,plan_pop_1", "--json", "-o",
+)  # fmt: skip
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main([str(a) for a in args]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def test_generate_resumes_with_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = run_json(capsys, *GENERATE, tmp_path / "a", "--episodes", "2", "--partner", "plan_pop_2")
+    assert set(whole["metrics"]["summary"]) == {"SR", "RE", "CR", "RC", "TS"}
+    run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "1", "--partner", "plan_pop_2")
+    rest = run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "2", "--partner", "plan_pop_2", "--resume")
+    assert rest["new"] == 1
+    assert rest["state_hashes"] == whole["state_hashes"]
+    a, b = (h3data.open(tmp_path / name).recording(1) for name in "ab")
+    assert recordings_equal(a, b) == []
+    assert a.episode.info["partner_plan"] in ("object_1", "object_2")
+    other = run_json(capsys, *GENERATE, tmp_path / "b", "--episodes", "2", "--partner", "both", "--resume", code=2)
+    assert "partner was plan_pop_2, is both" in other["error"]
+
+
+def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = (*GENERATE[:-1], "--policy", "still", "--partner", "still", "--episodes", "2", "-o")
+    fine = run_json(capsys, *args, tmp_path / "fine")
+    made = []
+
+    def first_breaks(_: str) -> planners.HighLevelPolicy:
+        made.append(1)
+        if len(made) == 1:
+            raise RuntimeError("boom")
+        return planners.Planner(())
+
+    monkeypatch.setattr("sim_kinematic.rearrange.robot_policy", first_breaks)
+    result = run_json(capsys, *args, tmp_path / "broken", code=1)
+    assert len(result["failed"]) == 1
+    assert "RuntimeError: boom" in result["failed"][0]
+    assert "seed" in result["failed"][0]
+    assert result["state_hashes"][1] == fine["state_hashes"][1]
+    broken = h3data.open(tmp_path / "broken").recording(0)
+    assert len(broken) == 0
+    assert "boom" in broken.episode.info["failed"]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--policy", "magic"), "greedy_nearest"),
+        (("--partner", "nobody"), "plan_pop_3"),
+        (("--scenes", "nowhere"), "h3-homes/test"),
+        (("--episodes", "0"), "at least 1"),
+        (("--episodes-file", "x.json.gz"), "drawn from --scenes"),
+    ],
+)
+def test_bad_options_are_refused(
+    options: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ["generate", "rearrange", "--json", "-o", tmp_path / "x", *options]
+    assert told in run_json(capsys, *args, code=2)["error"]
+    assert not (tmp_path / "x").exists()
+
+
+def test_social_nav_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ("generate", "social_nav", "--partner", "both", "--json", "-o", tmp_path / "x")
+    assert "rearrange" in run_json(capsys, *args, code=2)["error"]
+
+
+def test_one_command_prints_every_robot_with_every_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "pairs"
+    first = run_json(capsys, *EVALUATE, out)
+    assert first["new"] == 1
+    cells = {(c["metric"], c["policy"], c["partner"]): c["mean"] for c in first["cells"]}
+    assert len(cells) == len(METRICS) * 2 * 2
+    assert cells["SR", "complement", "object_1"] == cells["SR", "complement", "plan_pop_1"] == 1
+    assert cells["SR", "still", "object_1"] == 0
+    assert cells["RE", "complement", "object_1"] > 100 > cells["RE", "still", "object_1"]
+    text = (out / "table.txt").read_text()
+    assert "Learn-Single" in text
+    assert "159.2" in text
+    again = run_json(capsys, *EVALUATE, out)
+    assert again["new"] == 0
+    assert again["cells"] == first["cells"]
+    assert "other options" in run_json(capsys, *EVALUATE, out, "--max-steps", "600", code=2)["error"]
+    (out / "episodes" / "000000.json").write_text("{}")
+    assert "no result" in run_json(capsys, *EVALUATE, out, code=2)["error"]
+    wrong = [*EVALUATE[:6], "--policies", "magic", *EVALUATE[8:], tmp_path / "y"]
+    assert "same_object" in run_json(capsys, *wrong, code=2)["error"]
+
+
+def test_the_zero_shot_column_is_over_the_four_planners() -> None:
+    rows = [
+        Row(
+            index=0, policy="p", partner=partner, plan=partner, ended="", solo_steps=600, state_hash="",
+            values={"SR": float(k < 3), "RE": None if k == 0 else 100.0, "CR": 0.0, "RC": 0.5},
+        )
+        for k, partner in enumerate(planners.ZSC)
+    ]  # fmt: skip
+    table = cross_play_table(rows)
+    assert table.cells["SR", "p", ZSC_COLUMN].mean == 0.75
+    assert table.cells["RE", "p", ZSC_COLUMN].count == 3
+    assert "75 [30, 95]" in table.to_text()
