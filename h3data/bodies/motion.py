@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -163,8 +164,14 @@ def pose_at_speed(
     return quats, pelvis
 
 
+@lru_cache(maxsize=64)
+def _standing(legs: Legs) -> Posture:
+    """One frame of standing, which all frames are blended with."""
+    return stand_posture(legs)
+
+
 def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array | None) -> tuple[Array, Array]:
-    stand = stand_posture(legs, len(phase))
+    stand = _standing(legs)
     posture = settled(legs, stand, moving, phase, np.clip(blend, 0, 1))
     return _posed(legs, posture if ground is None else on_ground(legs, posture, ground))
 
