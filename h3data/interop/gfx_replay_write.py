@@ -25,6 +25,7 @@ from h3data.interop.assets import EMPTY_URI
 from h3data.interop.glb_write import glb_bytes
 from h3data.interop.gltf_skin import skinned_glb_bytes
 from h3data.interop.posed_parts import PosedCamera, PosedPart, spans
+from h3data.interop.primitives import is_primitive
 from h3data.recording.records import AssetRef, Recording
 from h3data.scene.records import Mesh
 
@@ -253,6 +254,8 @@ class _Assets:
             return _NO_FILE, None
         path = ref.uri.removeprefix("primitive:")
         path = "cubeSolid" if path == "box" else path
+        if ref.uri.startswith("primitive:") and not is_primitive(path):
+            return _NO_FILE, None
         suffix = "" if ref.color is None else _phong(ref.color)
         return path + suffix, _load(path, ref)
 
