@@ -18,6 +18,7 @@ from h3data.render.gpu.views import Variant
 COMPILER = shutil.which("g++")
 KERNELS = {
     "place": "World",
+    "palette": "Deform",
     "deform": "Deform",
     "raster": "Raster",
     "identify": "Shade",

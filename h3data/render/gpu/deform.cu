@@ -2,13 +2,14 @@
 
 struct Deform {
     World world;
-    const float* joints;        // [worlds, bodies, joint_count, 12], joint to world
+    const float* joints;        // [worlds, bodies, joint_count, joint_words], joint to world
     const float* inverse_bind;  // [scenes, bodies, joint_count, 16]
+    float4* palettes;           // [worlds, bodies, joint_count, 3]: rows of the matrices, rest to world
     const uchar4* skin_joints;  // per pool vertex
     const float4* skin_weights;
     const float* sources;       // [worlds, source_count, 3], vertices that are given outright
     const int* source_vertex;   // per pool vertex: row behind the group's `first_source`
-    int bodies, joint_count, source_count, unused;
+    int worlds, bodies, joint_count, joint_words, source_count, unused;
 };
 
 extern "C" __global__ void place(World s) {
@@ -45,9 +46,32 @@ __device__ __forceinline__ Box box_of(const float* low, const float* high, int f
     return b;
 }
 
+// The matrices that skin, one row a thread.
+extern "C" __global__ void palette(Deform d) {
+    int k = blockIdx.x * blockDim.x + threadIdx.x, joint = k / 3, of_world = d.bodies * d.joint_count;
+    if (joint >= d.worlds * of_world) return;
+    float4 row = *(const float4*)(d.joints + (size_t)joint * d.joint_words + k % 3 * 4);
+    int scene = d.world.scene_of_world[joint / of_world];
+    const float4* bind = (const float4*)(d.inverse_bind + ((size_t)scene * of_world + joint % of_world) * 16);
+    float4 a = bind[0], b = bind[1], c = bind[2], e = bind[3];
+    d.palettes[k] = make_float4(row.x * a.x + row.y * b.x + row.z * c.x + row.w * e.x,
+                                row.x * a.y + row.y * b.y + row.z * c.y + row.w * e.y,
+                                row.x * a.z + row.y * b.z + row.z * c.z + row.w * e.z,
+                                row.x * a.w + row.y * b.w + row.z * c.w + row.w * e.w);
+}
+
+// p += weight * (matrix * x); what has no weight may be NaN.
+__device__ __forceinline__ void add_weighted(const float4* matrix, float weight, const float* x, float* p) {
+    if (weight == 0.f) return;
+    for (int a = 0; a < 3; a++) {
+        float4 row = matrix[a];
+        p[a] += weight * (row.x * x[0] + row.y * x[1] + row.z * x[2] + row.w);
+    }
+}
+
 // One block per (world, group). Joints that are NaN make empty boxes, which nothing ever sees.
-extern "C" __global__ void __launch_bounds__(256, 5) deform(Deform d) {
-    extern __shared__ float4 palette[];  // [joint_count, 3]: rows
+extern "C" __global__ void __launch_bounds__(128, 12) deform(Deform d) {
+    extern __shared__ float4 matrices[];  // [joint_count, 3]: rows
     __shared__ int group_low[3], group_high[3];
     const World& s = d.world;
     int world = blockIdx.x / s.deformed_group_count, g = blockIdx.x % s.deformed_group_count;
@@ -61,13 +85,8 @@ extern "C" __global__ void __launch_bounds__(256, 5) deform(Deform d) {
         group_high[threadIdx.x] = ordered(-1e30f);
     }
     if (skinned) {
-        const float* joints = d.joints + ((size_t)world * d.bodies + group.body) * d.joint_count * 12;
-        const float* bind = d.inverse_bind
-            + ((size_t)s.scene_of_world[world] * d.bodies + group.body) * d.joint_count * 16;
-        for (int i = threadIdx.x; i < d.joint_count * 12; i += blockDim.x) {
-            const float *row = joints + i / 4 * 4, *column = bind + i / 12 * 16 + i % 4;
-            ((float*)palette)[i] = row[0] * column[0] + row[1] * column[4] + row[2] * column[8] + row[3] * column[12];
-        }
+        const float4* from = d.palettes + ((size_t)world * d.bodies + group.body) * d.joint_count * 3;
+        for (int i = threadIdx.x; i < d.joint_count * 3; i += blockDim.x) matrices[i] = from[i];
     }
     __syncthreads();
     const float* source = d.sources + ((size_t)world * d.source_count + (skinned ? 0 : group.first_source)) * 3;
@@ -76,29 +95,38 @@ extern "C" __global__ void __launch_bounds__(256, 5) deform(Deform d) {
         const Box& rest = s.clusters[c];
         int count = bits(rest.center.w) & 0xffff, first = bits(rest.half.w);
         float low[3] = {1e30f, 1e30f, 1e30f}, high[3] = {-1e30f, -1e30f, -1e30f};
-        for (int v = first + lane; v < first + count; v += 32) {
-            float p[3] = {0, 0, 0};
+        int last = first + count - 1;
+        for (int start = first + lane; start - lane <= last; start += 64) {  // two a lane, so that their loads overlap
+            int v[2] = {min(start, last), min(start + 32, last)};
+            float p[2][3] = {};
             if (skinned) {
-                const float* x = s.vertices + 3 * (size_t)v;
-                uchar4 j = d.skin_joints[v];
-                float4 weight = d.skin_weights[v];
-                int joint[4] = {j.x, j.y, j.z, j.w};
-                float w[4] = {weight.x, weight.y, weight.z, weight.w};
-                for (int k = 0; k < 4; k++) {
-                    if (w[k] == 0.f) continue;
-                    const float4* m = palette + 3 * joint[k];
-                    for (int a = 0; a < 3; a++)
-                        p[a] += w[k] * (m[a].x * x[0] + m[a].y * x[1] + m[a].z * x[2] + m[a].w);
+                float x[2][3];
+                uchar4 joints[2];
+                float4 weights[2];
+#pragma unroll
+                for (int r = 0; r < 2; r++) {
+                    for (int a = 0; a < 3; a++) x[r][a] = s.vertices[3 * (size_t)v[r] + a];
+                    joints[r] = d.skin_joints[v[r]];
+                    weights[r] = d.skin_weights[v[r]];
+                }
+#pragma unroll
+                for (int r = 0; r < 2; r++) {
+                    add_weighted(matrices + 3 * joints[r].x, weights[r].x, x[r], p[r]);
+                    add_weighted(matrices + 3 * joints[r].y, weights[r].y, x[r], p[r]);
+                    add_weighted(matrices + 3 * joints[r].z, weights[r].z, x[r], p[r]);
+                    add_weighted(matrices + 3 * joints[r].w, weights[r].w, x[r], p[r]);
                 }
             } else {
-                const float* x = source + 3 * (size_t)d.source_vertex[v];
-                for (int a = 0; a < 3; a++) p[a] = x[a];
+                for (int r = 0; r < 2; r++)
+                    for (int a = 0; a < 3; a++) p[r][a] = source[3 * (size_t)d.source_vertex[v[r]] + a];
             }
-            for (int a = 0; a < 3; a++) {
-                deformed[3 * (size_t)v + a] = p[a];
-                low[a] = fminf(low[a], p[a]);
-                high[a] = fmaxf(high[a], p[a]);
-            }
+#pragma unroll
+            for (int r = 0; r < 2; r++)
+                for (int a = 0; a < 3; a++) {
+                    deformed[3 * (size_t)v[r] + a] = p[r][a];
+                    low[a] = fminf(low[a], p[r][a]);
+                    high[a] = fmaxf(high[a], p[r][a]);
+                }
         }
         for (int a = 0; a < 3; a++) {
             low[a] = unordered(__reduce_min_sync(FULL, ordered(low[a])));

@@ -51,8 +51,8 @@ class Deform(Struct):
     _fields_ = [
         ("world", World),
         *_fields(
-            "joints inverse_bind skin_joints skin_weights sources source_vertex",
-            int="bodies joint_count source_count unused",
+            "joints inverse_bind palettes skin_joints skin_weights sources source_vertex",
+            int="worlds bodies joint_count joint_words source_count unused",
         ),
     ]
 

@@ -100,7 +100,7 @@ class GpuRenderer:
 
         worlds = self.worlds
         self._poses = empty(worlds, packed.slots - 1, 12)
-        self._joints = empty(worlds, packed.bodies, packed.inverse_bind.shape[2], 12)
+        self._palettes = empty(worlds, packed.bodies, packed.inverse_bind.shape[2], 12)
         self._sources = empty(worlds, max(map(len, packed.sources)), 3)
         held = self._held = {
             "scene_of_world": tensor_of(np.array(self.scene_of_world, np.int32), self.device),
@@ -125,8 +125,9 @@ class GpuRenderer:
         self._deform.fill(
             **{k: self._tensors[k] for k in ("inverse_bind", "skin_joints", "skin_weights", "source_vertex")},
             world=self._world,
-            joints=self._joints,
+            palettes=self._palettes,
             sources=self._sources,
+            worlds=worlds,
             bodies=packed.bodies,
             joint_count=packed.inverse_bind.shape[2],
             source_count=self._sources.shape[1],
@@ -145,13 +146,12 @@ class GpuRenderer:
         which = self._held["scene_of_world"].long()
         self._poses.copy_(tensor_of(poses, self.device)[which].flatten(2))
         self._sources.copy_(tensor_of(sources, self.device)[which])
-        self._joints.copy_(tensor_of(joints.astype(np.float32), self.device)[which].flatten(3))
-        self._run_deform()
+        self._skin(tensor_of(joints.astype(np.float32), self.device)[which])
 
     @property
     def nbytes(self) -> int:
         """What scenes and worlds take on the device, without pictures [bytes]."""
-        own = [self._poses, self._joints, self._sources]
+        own = [self._poses, self._palettes, self._sources]
         tensors = [*self._tensors.values(), *self._held.values(), *own]
         return sum(t.numel() * t.element_size() for t in tensors)
 
@@ -170,15 +170,15 @@ class GpuRenderer:
     def update_joints(self, joints: Any) -> None:
         """Skin all meshes that have a skin: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
         scene's deformable meshes in order; without the second axis where there is one. NaN hides."""
-        count = self._joints.shape[2]
+        count = self._palettes.shape[2]
         given = self._floats(joints, "joints", None)
         if given.ndim == 4:
             given = given[:, None]
         expected = (self.worlds, self.packed.bodies, count)
         if given.ndim != 5 or given.shape[:3] != expected or given.shape[3:] not in ((4, 4), (3, 4)):
             raise InputError(f"joints must be {[*expected, 4, 4]}, got {list(given.shape)}.")
-        self._joints.unflatten(3, (3, 4)).copy_(given[..., :3, :])
-        self._run_deform()
+        given = given.contiguous()
+        self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # rows are read as they lie
 
     def update_vertices(self, mesh: int, vertices: Any) -> None:
         """Replace the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has one
@@ -203,11 +203,18 @@ class GpuRenderer:
                 self._sources[worlds, first : first + given.shape[1]] = given[worlds]
         self._run_deform()
 
+    def _skin(self, joints: torch.Tensor) -> None:
+        """Deform all, after joints [worlds, bodies, J, 3 or 4, 4]."""
+        count = joints.shape[0] * joints.shape[1] * joints.shape[2]
+        self._deform.fill(world=self._world, joints=joints, joint_words=joints.shape[3] * 4)
+        self._program().launch("palette", -(-count * 3 // 256), 256, self._deform)
+        self._run_deform()
+
     def _run_deform(self) -> None:
         blocks = self.worlds * self.packed.deformed_groups
         shared = self._deform.joint_count * 48
         self._deform.world = self._world
-        self._program().launch("deform", blocks, 256, self._deform, shared_bytes=shared)
+        self._program().launch("deform", blocks, 128, self._deform, shared_bytes=shared)
 
     def _floats(self, values: Any, name: str, ndim: int | None) -> torch.Tensor:
         import torch

@@ -12,7 +12,7 @@
 #define BUCKETS_PER_M 8.f
 #define NEAR_M 0.02f             // nearer vertices are left to the double path
 #define SMALLEST_M 1e-4f         // as on the CPU: a plane through the eye itself is not seen
-#define LARGE_PX 512             // so are triangles whose box in the tile has so many pixels,
+#define LARGE_PX 1024            // so are triangles whose box in the tile has so many pixels,
 #define SLENDER_M 150.f          // and those whose squared length times their depth exceeds this times their doubled area
 #define EXACT_TEST_PX 96         // rectangles up to so many pixels are tested pixel by pixel
 #define BEHIND -2.f              // in place of 1/z: at or behind the eye's plane
