@@ -19,8 +19,9 @@ from sim_kinematic.avoidance import AVOIDANCE
 from sim_kinematic.collision import AgentContact
 from sim_kinematic.person import Frame, Person
 from sim_kinematic.planners import HighLevelPolicy, TaskView, partner_plan, planner, robot_policy
-from sim_kinematic.rearrange_episode import REWARDS, RearrangeWorld
+from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import SOLO, RearrangeLog, Row, body_indices, describe, finished
+from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.skills import SKILLS, Action, Actor, Ending, Objects, PersonActor, RobotActor, Skill
 from sim_kinematic.social_nav_log import Sink
 from sim_kinematic.spec import STEP_S
@@ -179,7 +180,7 @@ class _Episode:
         self.contact = _PosedContact(world.robot, world.human)
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
-        self.paid = np.zeros((2, len(names)), np.bool_)
+        self.paid = np.zeros((1, 2 * len(names)), np.bool_)
 
     def run(self, progress: Callable[[int], object]) -> str:
         """Step to the end; returns what ended it."""
@@ -261,12 +262,10 @@ class _Episode:
         return row
 
     def _reward(self, collision: bool, success: bool) -> float:
-        """Paper appendix: success, sub-goals (each once), collision, slack."""
-        reward = REWARDS[self.world.spec.reward]
-        reached = np.stack([self.objects.held_by != NOBODY, self.at_goal])
-        new = int((reached & ~self.paid).sum())
-        self.paid |= reached
-        return reward.success * success + reward.subgoal * new - reward.collision * collision - reward.slack
+        """Sub-goals are an object picked and an object at its goal."""
+        reward = REARRANGE_REWARDS[self.world.spec.reward]
+        stages = np.concatenate([self.objects.held_by != NOBODY, self.at_goal])[None]
+        return float(reward.step(stages, self.paid, collides=collision, success=success)[0])
 
     def _tell(self, held: NDArray, collision: bool, success: bool) -> None:
         """Events of this step."""

@@ -19,6 +19,7 @@ from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.contact import clear_of_furniture
 from sim_kinematic.randomness import generator
+from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.social_nav import Starts, draw_starts
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands, robot_stands
@@ -33,21 +34,6 @@ HANDLING_S = 4.5
 """What a person is taken to need for one object, beside walking and turning."""
 SPARE = 0.98
 """Share of the longest duration in which that estimate must fit, whichever object comes first."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RewardSpec:
-    """What the robot's learner gets (paper appendix, social rearrangement)."""
-
-    success: float = 10.0
-    subgoal: float = 5.0
-    """For each object: once when it is picked, once when it is at its goal."""
-    collision: float = 5.0
-    slack: float = 0.005
-
-
-REWARDS = {"paper": RewardSpec(), "habitat": RewardSpec(collision=0.5, slack=0.0005)}
-"""``habitat``: the numbers of its configuration, which differ from the paper's (spec/habitat.md 2.1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +59,15 @@ class RearrangeSpec:
     """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
     end_on_collision: bool = True
     reward: str = "paper"
-    """Which of `REWARDS`."""
+    """Which of `sim_kinematic.rewards.REARRANGE_REWARDS`."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     robot: BaseSpec = field(default_factory=BaseSpec)
     human: WalkerSpec = field(default_factory=WalkerSpec)
 
     def __post_init__(self) -> None:
-        if self.reward not in REWARDS:
-            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REWARDS)}.")
+        if self.reward not in REARRANGE_REWARDS:
+            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.")
         if self.max_steps < 1 or self.objects < 1:
             raise InputError(
                 f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."

@@ -29,7 +29,8 @@ from sim_kinematic.planners import (
     robot_policy,
 )
 from sim_kinematic.rearrange import simulate_rearrange, solo_steps_of
-from sim_kinematic.rearrange_episode import REWARDS, RearrangeSpec, RearrangeWorld
+from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.skills import SKILLS, Action
 from sim_kinematic.spec import BaseSpec
 from sim_kinematic.stands import HAND_PITCH_RAD, hand_turn, person_stands, robot_stands
@@ -142,7 +143,7 @@ def test_the_reward_is_the_papers(world: RearrangeWorld, pair: Recording) -> Non
     cheap = replace(world, spec=replace(world.spec, reward="habitat"))
     again = simulate_rearrange(cheap, policy="complement", partner="both", solo_steps=1)
     assert again.columns["metrics.reward"].astype(float).sum() == pytest.approx(30 - 0.0005 * len(pair), abs=1e-3)
-    assert REWARDS["habitat"].collision == 0.5
+    assert REARRANGE_REWARDS["habitat"].collision == 0.5
 
 
 def test_objects_follow_hands_and_else_stay_put(world: RearrangeWorld, pair: Recording) -> None:
