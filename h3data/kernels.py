@@ -3,12 +3,16 @@
 numba recompiles a cached kernel when the file changes that it stands in. But a kernel also takes in what it calls and the
 constants it reads from other files; after an update of those it would go on as before. So the stamp of its cache covers
 all of our own modules that its module imports, directly or not.
+
+The first compilation of a process is announced in the log (``h3data.kernels``, INFO): on a fresh machine the first command
+spends some twenty seconds on it, once.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import logging
 import re
 import sys
 import warnings
@@ -17,6 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core import event
+
+_log = logging.getLogger(__name__)
 
 OURS = ("h3data", "sim_kinematic")
 """Packages whose sources count."""
@@ -42,6 +49,24 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return dispatcher
 
     return compiled
+
+
+@functools.cache
+def _announce() -> None:
+    _log.info("Compiling kernels for this machine, once: up to half a minute in all.")
+
+
+class _Announcer(event.Listener):
+    """Hears of what is compiled; kernels that come from the cache make no event."""
+
+    def on_start(self, event: event.Event) -> None:
+        _announce()
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+event.register("numba:compile", _Announcer())
 
 
 @functools.cache

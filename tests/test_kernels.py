@@ -38,14 +38,14 @@ print(stale_kernel.scaled(1.0), sum(stale_kernel.scaled.stats.cache_hits.values(
 """
 
 
-def _run(folder: Path, *, factor: int, size: int) -> str:
+def _run(folder: Path, *, factor: int, size: int, script: str = SCRIPT) -> str:
     for name, text in (("kernel", KERNEL), ("part", PART.format(factor=factor)), ("constants", f"SIZE = {size}\n")):
         path = folder / f"stale_{name}.py"
         path.write_text(text)
         os.utime(path, (1_700_000_000, 1_700_000_000))  # the worst case: size and time do not tell
     environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
-    done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 
 
@@ -54,6 +54,13 @@ def test_a_kernel_follows_changes_in_the_files_it_imports(tmp_path: Path):
     assert _run(tmp_path, factor=2, size=3) == "6.0 1"  # from the cache
     assert _run(tmp_path, factor=5, size=3) == "15.0 0"  # a function that it calls
     assert _run(tmp_path, factor=5, size=4) == "20.0 0"  # a constant that it takes from a file further down
+
+
+def test_compiling_is_announced_once(tmp_path: Path):
+    script = "import logging, sys\nlogging.basicConfig(level='INFO', format='%(message)s', stream=sys.stdout)" + SCRIPT
+    announced, result = _run(tmp_path, factor=2, size=3, script=script).splitlines()
+    assert announced.startswith("Compiling kernels") and result == "6.0 0"
+    assert _run(tmp_path, factor=2, size=3, script=script) == "6.0 1"  # nothing was compiled, nothing is said
 
 
 def test_the_renderer_stamps_cover_the_intrinsics():

@@ -86,6 +86,7 @@ def _parse(args: list[str]) -> Command:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
     args = list(sys.argv[1:] if arguments is None else arguments)
     command = _parse(args or ["--help"])
     try:
