@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 GROUP ?=
 
-.PHONY: setup demo test test-all check format bench wheel clean
+.PHONY: setup demo test test-all check check-lerobot format bench wheel clean
 
 setup: $(STAMP)
 
@@ -22,6 +22,16 @@ test: setup
 
 test-all: setup  ## the slow ones too
 	$(BIN)/python -m pytest -n 2 -m "not gpu and not bench"
+
+LEROBOT := .venv-lerobot
+check-lerobot: setup  ## datasets and exports open with lerobot's own loader, in an environment of its own
+	test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/lerobot_loader/requirements.txt
+	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --force -o out/lerobot/ds
+	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
+	$(LEROBOT)/bin/python tests/lerobot_loader/open_datasets.py out/lerobot/ds out/lerobot/export
 
 check: setup  ## format, lint, types, layers
 	$(BIN)/ruff format --check .
@@ -40,4 +50,4 @@ wheel: setup
 	$(BIN)/python -m build --no-isolation
 
 clean:
-	rm -rf $(VENV) out dist build
+	rm -rf $(VENV) $(LEROBOT) out dist build
