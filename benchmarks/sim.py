@@ -22,7 +22,7 @@ from h3data_pipelines.bench import Bench, measure, process_pool
 from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import ArmSpec, BaseSpec, SocialNavSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState, RobotState, WorldState
 from sim_kinematic.step import drive_robots, walk_humans
 
 Emit = Callable[[str, float, str], None]
@@ -69,15 +69,15 @@ def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None
     """Steps per CPU second of all worlds together: robots drive, humans walk; nothing else."""
     spec = SocialNavSpec(robot=base or BaseSpec())
     rng = np.random.default_rng(0)
-    state = WorldState.zeros(worlds)
-    state.robot_xz[:], state.human_xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
+    robot, person = RobotState.zeros(worlds), HumanState.zeros(worlds)
+    robot.xz[:], person.xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
     actions = rng.uniform(-1, 1, (64, worlds, 2))
     goals = np.stack([free.sample(rng, worlds) for _ in range(64)])
 
     def go(count: int) -> None:
         for k in range(count):
-            walk_humans(state, goals[(k // 30) % 64], spec.human)
-            drive_robots(state, free, actions[(k // 10) % 64], spec.robot)
+            walk_humans(person, goals[(k // 30) % 64], spec.human)
+            drive_robots(robot, free, actions[(k // 10) % 64], spec.robot)
 
     go(10)
     return steps / median(cpu_s(lambda: go(steps)) for _ in range(5))
@@ -87,14 +87,15 @@ def _arm_steps(worlds: int, steps: int) -> float:
     """Steps per CPU second of all worlds together: arms of 7 joints move, hands carry one of five objects."""
     robot, spec = load_robot("quad_arm"), ArmSpec()
     state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=5)
-    state.robot_joints[:] = robot.rest
-    state.object_pose[:, 0, :3] = robot_hands(state, robot)[:, :3, 3]
+    own = state.robots[0]
+    own.joints[:] = robot.rest
+    state.object_pose[:, 0, :3] = robot_hands(own, robot)[:, :3, 3]
     action, grip = np.random.default_rng(0).uniform(-1, 1, (worlds, 7)), np.ones(worlds)
 
     def go(count: int) -> None:
         for _ in range(count):
-            move_arms(state, robot, action, spec)
-            grip_objects(state, robot_hands(state, robot), grip, spec)
+            move_arms(own, robot, action, spec)
+            grip_objects(state, robot_hands(own, robot), grip, spec)
 
     go(3)
     return steps / median(cpu_s(lambda: go(steps)) for _ in range(5))

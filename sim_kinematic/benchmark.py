@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -81,16 +81,19 @@ class BenchmarkWorlds:
     def _make_agents(self) -> list[Agent]:
         robot, human = load_robot(ROBOT), load_humanoid(HUMAN)
         is_clear = clear_of_furniture(self.home, robot)
-        state = WorldState.zeros(self.worlds, joints=len(robot.joint_names), objects=len(self._loose))
-        self.state = state
+        kinds = self.cell.agents.split("_")
+        robots, people = kinds.count("robot"), kinds.count("human")
+        self.state = WorldState.zeros(
+            self.worlds, robots=robots, people=people, joints=len(robot.joint_names), objects=len(self._loose)
+        )
+        numbers = {"robot": iter(range(robots)), "human": iter(range(robots, robots + people))}
         agents: list[Agent] = []
-        for number, kind in enumerate(self.cell.agents.split("_")):
+        for kind in kinds:
+            number = next(numbers[kind])
             if kind == "human":
-                agents.append(HumanAgent(human, self.free, state, number=number, skinned=self.cell.skinned))
-                continue
-            own = WorldState.zeros(self.worlds, joints=len(robot.joint_names))  # the objects belong to both
-            shared = replace(own, object_pose=state.object_pose, held_by=state.held_by, grip_pose=state.grip_pose)
-            agents.append(RobotAgent(robot, self.free, shared, number=number, is_clear=is_clear))
+                agents.append(HumanAgent(human, self.free, self.state, number=number, skinned=self.cell.skinned))
+            else:
+                agents.append(RobotAgent(robot, self.free, self.state, number=number, is_clear=is_clear))
         return agents
 
     def _renderer(self, backend: Literal["cpu", "gpu"]) -> Renderer:
@@ -163,7 +166,7 @@ class BenchmarkWorlds:
             self.arm_touches = sum(
                 len(self._arm.touches(base, joints))
                 for robot in robots
-                for base, joints in zip(robot.base, robot.state.robot_joints, strict=True)
+                for base, joints in zip(robot.base, robot.own.joints, strict=True)
             )
         return self.render(("depth",))["depth"]
 

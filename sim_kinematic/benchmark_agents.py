@@ -50,6 +50,7 @@ class RobotAgent:
         """``state`` has the robot's joints. ``number`` is the agent's, for what it holds. ``is_clear`` says whether it can
         start at a base pose [7]."""
         self.robot, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
+        self.own = state.robots[number]
         self.shapes: list[Shape] = [shape for link in robot.links for shape in link.shapes]
         self._shape_links = [k for k, link in enumerate(robot.links) for _ in link.shapes]
         self._drawn_links = [k for k, link in enumerate(robot.links) if link.mesh is not None]
@@ -66,9 +67,9 @@ class RobotAgent:
 
     def reset(self, rng: np.random.Generator) -> None:
         """At random places where nothing of the home touches it, its arm and its rear neither; the arm at rest."""
-        for w in range(len(self.state.robot_heading)):
-            self.state.robot_xz[w], self.state.robot_heading[w] = self._clear_place(rng)
-        self.state.robot_joints[:] = self.robot.rest
+        for w in range(len(self.own.heading)):
+            self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
+        self.own.joints[:] = self.robot.rest
         self._pose()
 
     def _clear_place(self, rng: np.random.Generator) -> tuple[Array, float]:
@@ -80,23 +81,23 @@ class RobotAgent:
 
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
         """Random actions [W, n], -1..1."""
-        worlds = len(self.state.robot_heading)
+        worlds = len(self.own.heading)
         return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(arm_columns(self.robot)) + 1))
 
     def step(self, action: Action, values: Array) -> None:
         """Move, and take along what is held."""
         if action == "nav":
-            drive_robots(self.state, self.free, values, BaseSpec())
+            drive_robots(self.own, self.free, values, BaseSpec())
         else:
-            move_arms(self.state, self.robot, values[:, :-1], ArmSpec())
-            hands = robot_hands(self.state, self.robot, self.free.floor_y)
+            move_arms(self.own, self.robot, values[:, :-1], ArmSpec())
+            hands = robot_hands(self.own, self.robot, self.free.floor_y)
             grip_objects(self.state, hands, values[:, -1], ArmSpec(), agent=self.number)
         self._pose()
 
     def _pose(self) -> None:
         """The root poses [W, 7], frames of the links [W, L, 4, 4] and of the collision shapes [W, n, 4, 4]."""
-        self.base = ground_pose(self.state.robot_xz, self.state.robot_heading, self.free.floor_y)
-        self.links = self.robot.link_matrices(self.base, self.state.robot_joints)
+        self.base = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)
+        self.links = self.robot.link_matrices(self.base, self.own.joints)
         self.shape_frames = self.links[:, self._shape_links]
 
     def show(self, renderer: Renderer, focal_px: float, eyes: Array) -> None:
@@ -120,9 +121,10 @@ class HumanAgent:
     ) -> None:
         """``skinned``: drawn as a skinned mesh; else as the rigid capsules of her bones."""
         self.human, self.free, self.state, self.number, self.skinned = human, free, state, number, skinned
+        self.own = state.people[number - len(state.robots)]
         self.walker = WalkerSpec()
         self._clip = human.clip_for_speed(self.walker.speed_mps)
-        worlds = len(state.human_heading)
+        worlds = state.worlds
         self._paths: list[NDArray[np.float64]] = [np.zeros((0, 2))] * worlds
         self._hands = np.tile(reacher(human, "right").rest, (worlds, 1))
         standing = human.joint_matrices(ground_pose(np.zeros((1, 2)), np.zeros(1)), *human.clip_pose([0], [0.0]))
@@ -142,10 +144,10 @@ class HumanAgent:
 
     def reset(self, rng: np.random.Generator) -> None:
         """Standing at random places, her hand at her side."""
-        state, worlds = self.state, len(self.state.human_heading)
-        state.human_xz[:] = self.free.sample(rng, worlds)
-        state.human_heading[:] = rng.uniform(-np.pi, np.pi, worlds)
-        for array in (state.human_distance, state.human_set_off, state.human_blend):
+        own, worlds = self.own, self.state.worlds
+        own.xz[:] = self.free.sample(rng, worlds)
+        own.heading[:] = rng.uniform(-np.pi, np.pi, worlds)
+        for array in (own.distance, own.set_off, own.blend):
             array[:] = 0
         self._paths = [np.zeros((0, 2))] * worlds
         self._hands[:] = reacher(self.human, "right").rest
@@ -161,11 +163,11 @@ class HumanAgent:
         state, chosen = self.state, values[:, 0].astype(int)
         targets = state.object_pose[np.arange(len(chosen)), chosen, :3]
         if action == "nav":
-            walk_humans(state, self._way_points(targets[:, [0, 2]]), self.walker)
+            walk_humans(self.own, self._way_points(targets[:, [0, 2]]), self.walker)
             self._pose(action)
         else:
-            away = quat_from_heading(-state.human_heading)
-            origin = ground_pose(state.human_xz, state.human_heading, self.free.floor_y)[:, :3]
+            away = quat_from_heading(-self.own.heading)
+            origin = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)[:, :3]
             way = quat_rotate(away, targets - origin) - self._hands
             most = HAND_SPEED_MPS * STEP_S
             self._hands += way * np.minimum(1.0, most / np.maximum(np.linalg.norm(way, axis=1), 1e-9))[:, None]
@@ -176,7 +178,7 @@ class HumanAgent:
 
     def _way_points(self, goals: Array) -> Array:
         """Next way points [W, 2]; who has arrived sets out for her goal of ``goals`` [W, 2]."""
-        here, points = self.state.human_xz, self.state.human_xz.copy()
+        here, points = self.own.xz, self.own.xz.copy()
         for w, goal in enumerate(goals):
             path = self._paths[w]
             while len(path) and np.hypot(*(path[0] - here[w])) <= self.walker.arrive_m:
@@ -190,14 +192,12 @@ class HumanAgent:
 
     def _pose(self, action: Action) -> None:
         """The root poses [W, 7], frames of the joints [W, 55, 4, 4], starts and ends [W, C, 3] of the collision capsules."""
-        state, human = self.state, self.human
-        self.base = ground_pose(state.human_xz, state.human_heading, self.free.floor_y)
+        own, human = self.own, self.human
+        self.base = ground_pose(own.xz, own.heading, self.free.floor_y)
         if action == "nav":
-            walk, stands = human.clips[self._clip], state.human_blend == 0
-            phase = walk.start_phase + (state.human_distance - state.human_set_off) / walk.stride_m
-            posture = human.clip_pose(
-                np.where(stands, 0, self._clip), phase % 1.0, np.where(stands, 1.0, state.human_blend)
-            )
+            walk, stands = human.clips[self._clip], own.blend == 0
+            phase = walk.start_phase + (own.distance - own.set_off) / walk.stride_m
+            posture = human.clip_pose(np.where(stands, 0, self._clip), phase % 1.0, np.where(stands, 1.0, own.blend))
         else:
             reached = reach_poses(human, self._hands, "right")
             posture = reached.quats, reached.pelvis

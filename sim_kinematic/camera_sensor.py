@@ -122,12 +122,12 @@ class StateRenderer:
         if state.object_pose.shape[:2] != (self.worlds, len(self._objects)):
             raise InputError(
                 f"Expected a state of {self.worlds} worlds and {len(self._objects)} objects, got "
-                f"{len(state.robot_heading)} and {state.object_pose.shape[1]}."
+                f"{state.worlds} and {state.object_pose.shape[1]}."
             )
-        joints = state.robot_joints
+        joints = state.robots[0].joints
         if not joints.shape[1]:
             joints = np.tile(self.robot.rest, (self.worlds, 1))
-        base = ground_pose(state.robot_xz, state.robot_heading, floor_y)
+        base = ground_pose(state.robots[0].xz, state.robots[0].heading, floor_y)
         self._link_frames = self.robot.link_matrices(base, joints)
         objects = pose_to_matrix(state.object_pose)
         objects[..., :3, :3] *= self._object_scale
@@ -135,10 +135,10 @@ class StateRenderer:
             self.renderer.set_transforms(self._robot, self._link_frames[w, self._links], world=w)
             self.renderer.set_transforms(self._objects, objects[w], world=w)
         if self.human is not None:
-            walk = self.human.clips[self._clip]
-            phase = (walk.start_phase + (state.human_distance - state.human_set_off) / walk.stride_m) % 1.0
-            posture = self.human.clip_pose(np.full(self.worlds, self._clip), phase, state.human_blend)
-            human = ground_pose(state.human_xz, state.human_heading, floor_y)
+            walk, person = self.human.clips[self._clip], state.people[0]
+            phase = (walk.start_phase + (person.distance - person.set_off) / walk.stride_m) % 1.0
+            posture = self.human.clip_pose(np.full(self.worlds, self._clip), phase, person.blend)
+            human = ground_pose(person.xz, person.heading, floor_y)
             self._joint_frames = self.human.joint_matrices(human, *posture)
             self._skinned.clear()
 

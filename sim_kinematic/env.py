@@ -115,7 +115,7 @@ def infos(batch: SocialNavBatch) -> dict[str, NDArray[Any]]:
         "success": batch.success.copy(),
         "followed": batch.rewards.followed.copy(),
         "collides": batch.collides.copy(),
-        "robot_contact": batch.state.robot_contact.copy(),
+        "robot_contact": batch.state.robots[0].contact.copy(),
     }
 
 
@@ -131,11 +131,11 @@ def picture_from_above(batch: SocialNavBatch, observer: Observer) -> NDArray[np.
     """What is around the robot of world 0, which faces upwards in it: 9 m across, uint8 [480, 640, 3], without ceilings."""
     if not batch.episodes:
         raise InputError("No episode has begun. Hint: call reset() first.")
-    drawn, state = observer.renderer(int(batch.place[0])), batch.state
+    drawn, robot = observer.renderer(int(batch.place[0])), batch.state.robots[0]
     floor = batch.episodes[0].free.floor_y
-    drawn.pose(state, floor_y=floor)
-    x, z = state.robot_xz[0]
-    c, s = np.cos(state.robot_heading[0]), np.sin(state.robot_heading[0])
+    drawn.pose(batch.state, floor_y=floor)
+    x, z = robot.xz[0]
+    c, s = np.cos(robot.heading[0]), np.sin(robot.heading[0])
     pose = look_at((x, floor + 6, z), (x, floor, z), up=(c, 0, -s))
     camera = pinhole(640, 480, hfov_deg=75, name="above", pose=pose, hidden_layers=("ceiling",))
     return drawn.picture([camera], ("rgb",))["rgb"][0]

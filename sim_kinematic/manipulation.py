@@ -19,7 +19,7 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.kernels import kernel
 from sim_kinematic.spec import ArmSpec
-from sim_kinematic.state import NOBODY, ROBOT, WorldState
+from sim_kinematic.state import NOBODY, ROBOT, RobotState, WorldState
 from sim_kinematic.step import first_not_finite
 
 
@@ -59,8 +59,9 @@ def _step_arms(joints, columns, action, most, lower, upper):
     return -1
 
 
-def move_arms(state: WorldState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
-    """Move the arms of all worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of `arm_columns`.
+def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
+    """Move the arm of a robot in all its worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of
+    `arm_columns`.
 
     Raises:
         InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moved.
@@ -73,22 +74,22 @@ def move_arms(state: WorldState, robot: Robot, action: ArrayLike, spec: ArmSpec)
         raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
 
 
-def robot_hands(state: WorldState, robot: Robot, floor_y: float = 0.0) -> NDArray[np.float64]:
-    """Where the robots hold things: frames of their hands at ``hand_position``, shape [W, 4, 4], hand to world."""
-    base = ground_pose(state.robot_xz, state.robot_heading, floor_y)
+def robot_hands(state: RobotState, robot: Robot, floor_y: float = 0.0) -> NDArray[np.float64]:
+    """Where a robot holds things: frames of its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
+    base = ground_pose(state.xz, state.heading, floor_y)
     hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
     hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position
     return np.ascontiguousarray(hands)
 
 
-def _checked_joints(state: WorldState, robot: Robot) -> NDArray[np.float64]:
-    expected = len(state.robot_heading), len(robot.joint_names)
-    if state.robot_joints.shape != expected:
+def _checked_joints(state: RobotState, robot: Robot) -> NDArray[np.float64]:
+    expected = len(state.heading), len(robot.joint_names)
+    if state.joints.shape != expected:
         raise InputError(
             f"Expected the joints of {robot.name} in the state, shape {list(expected)}, got "
-            f"{list(state.robot_joints.shape)}. Hint: WorldState.zeros(worlds, joints={expected[1]})."
+            f"{list(state.joints.shape)}. Hint: WorldState.zeros(worlds, joints={expected[1]})."
         )
-    return state.robot_joints
+    return state.joints
 
 
 # --- objects in a hand --------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError, MissingExtraError
 from sim_kinematic.sensors import DETECTED_PIXELS, detect_humanoids, egomotion, gps_compass, localization
 from sim_kinematic.social_nav_batch import SocialNavBatch
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import AgentState
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict
@@ -88,13 +88,20 @@ class Observer:
         now, before = batch.state, batch.before
         pictures = self._pictures() if self._pictured else {}
         return {
-            name: pictures[name] if name in pictures else _of_robot(name, now, before, batch) for name in self.names
+            name: pictures[name]
+            if name in pictures
+            else _seen(name, now.robots[0], before.robots[0], now.people[0], batch.floor_y)
+            for name in self.names
         }
 
     def observe_people(self) -> dict[str, NDArray[np.float32]]:
         """The same for the people, who look for the robot, without pictures."""
-        swapped = _swapped(self._batch.state), _swapped(self._batch.before)
-        return {n: _of_robot(n, *swapped, self._batch) for n in self.names if n not in self._pictured}
+        now, before, floor_y = self._batch.state, self._batch.before, self._batch.floor_y
+        return {
+            name: _seen(name, now.people[0], before.people[0], now.robots[0], floor_y)
+            for name in self.names
+            if name not in self._pictured
+        }
 
     def people_space(self) -> Dict:
         """The space of one person's observations."""
@@ -122,7 +129,7 @@ class Observer:
             drawn = self.renderer(int(k))
             rows = np.flatnonzero(self._batch.place == k)
             for part in rows.reshape(-1, drawn.worlds):
-                drawn.pose(rows_of(self._batch.state, part), floor_y=self._batch.episodes[part[0]].free.floor_y)
+                drawn.pose(self._batch.state.take(part), floor_y=self._batch.episodes[part[0]].free.floor_y)
                 seen = sensor.observe(drawn)
                 if "depth" in wanted:
                     result["arm_depth"][part] = seen["depth"].reshape(len(part), height, width, 1)
@@ -144,24 +151,15 @@ class Observer:
         return self._drawn[place]
 
 
-def rows_of(state: WorldState, rows: NDArray[np.intp]) -> WorldState:
-    """Some worlds of a state, in arrays of their own."""
-    return WorldState(**{name: array[rows] for name, array in vars(state).items()})
-
-
-def _swapped(state: WorldState) -> WorldState:
-    """The state with robot and person in each other's place."""
-    own = dict(vars(state))
-    own |= {"robot_xz": state.human_xz, "robot_heading": state.human_heading}
-    return WorldState(**{**own, "human_xz": state.robot_xz, "human_heading": state.robot_heading})
-
-
-def _of_robot(name: Observation, now: WorldState, before: WorldState, batch: SocialNavBatch) -> NDArray[np.float32]:
+def _seen(
+    name: Observation, now: AgentState, before: AgentState, other: AgentState, floor_y: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """What one agent observes of itself and of the other."""
     if name == "humanoid_gps":
-        return _within(gps_compass(now.robot_xz, now.robot_heading, now.human_xz), FAR_M)
+        return _within(gps_compass(now.xz, now.heading, other.xz), FAR_M)
     if name == "egomotion":
-        return _within(egomotion(before.robot_xz, before.robot_heading, now.robot_xz, now.robot_heading), FAST)
-    return _within(localization(now.robot_xz, now.robot_heading, batch.floor_y), FAR_M)
+        return _within(egomotion(before.xz, before.heading, now.xz, now.heading), FAST)
+    return _within(localization(now.xz, now.heading, floor_y), FAR_M)
 
 
 def _within(values: NDArray[Any], bound: float) -> NDArray[np.float32]:

@@ -38,7 +38,7 @@ from h3data.geometry import (
     wrap_angle,
 )
 from sim_kinematic.spec import STEP_S, WalkerSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState
 from sim_kinematic.step import walk_humans
 
 CARRY = (0.27, 0.80, 0.15)
@@ -181,16 +181,16 @@ class Person:
             heading = float(np.arctan2(-way[1], way[0]))
             if abs(wrap_angle(heading - heading_from_quat(self.base[3:]))) > self.spec.turn_before_walk_rad:
                 yield from self.turn(heading)
-            state = WorldState.zeros(1)
-            state.human_xz[0], state.human_heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
+            state = HumanState.zeros(1)
+            state.xz[0], state.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
             while True:
                 walk_humans(state, point[None], self.spec)
                 floor = float(self.base[1])
-                self.base = ground_pose(state.human_xz[0], state.human_heading[0], floor)
-                phase = walk.start_phase + (state.human_distance[0] - state.human_set_off[0]) / walk.stride_m
-                self.play(clip, float(phase), float(state.human_blend[0]))
+                self.base = ground_pose(state.xz[0], state.heading[0], floor)
+                phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
+                self.play(clip, float(phase), float(state.blend[0]))
                 yield
-                if state.human_blend[0] == 0:
+                if state.blend[0] == 0:
                     break
         return SkillResult(success=True)
 

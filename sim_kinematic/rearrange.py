@@ -157,8 +157,9 @@ class _Episode:
         world, spec = self.world, self.world.spec
         names = tuple(t.name for t in world.targets)
         state = WorldState.zeros(1, joints=len(world.robot.rest), objects=len(names))
-        state.robot_xz[0], state.robot_heading[0] = world.starts.robot_xz, world.starts.robot_heading
-        state.robot_joints[0] = world.robot.rest
+        robot = state.robots[ROBOT]
+        robot.xz[0], robot.heading[0] = world.starts.robot_xz, world.starts.robot_heading
+        robot.joints[0] = world.robot.rest
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
@@ -257,7 +258,7 @@ class _Episode:
         if self.robot_policy is not None:
             row["metrics.dist_agents"] = np.hypot(*(self.robot.xz - self.person.xz))
             row["metrics.collision"] = collision
-            row["metrics.robot_contact"] = self.state.robot_contact[0]
+            row["metrics.robot_contact"] = self.state.robots[ROBOT].contact[0]
         row["metrics.reward"] = self._reward(collision, success)
         return row
 

@@ -29,7 +29,7 @@ from sim_kinematic.social_nav import HUMAN, ROBOT, Posture, SocialNavWorld, hind
 from sim_kinematic.social_nav_episodes import rules_of, world_of
 from sim_kinematic.social_nav_log import EpisodeLog, finished
 from sim_kinematic.spec import BaseSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState
 
 MAX_STEPS = 1_000_000
 """Longer episodes are not simulated again: nine hours."""
@@ -293,10 +293,10 @@ class RecordedHuman:
         self._xz = base[:, [0, 2]].astype(np.float64)
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
-    def advance(self, state: WorldState, step: int) -> Posture:
+    def advance(self, state: HumanState, step: int) -> Posture:
         """As `sim_kinematic.social_nav.Human.advance`."""
-        state.human_distance[0] += float(np.hypot(*(self._xz[step] - state.human_xz[0])))
-        state.human_xz[0], state.human_heading[0] = self._xz[step], self._heading[step]
+        state.distance[0] += float(np.hypot(*(self._xz[step] - state.xz[0])))
+        state.xz[0], state.heading[0] = self._xz[step], self._heading[step]
         clip, phase, blend = (array[step] for array in self._motion)
         return Posture(int(clip), float(phase), float(blend))
 

@@ -29,7 +29,7 @@ from sim_kinematic.avoidance import is_crowded, keep_clear, way_round
 from sim_kinematic.person import Person, SkillResult
 from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.stands import hand_turn, nearest_stand, person_stands, robot_stands
-from sim_kinematic.state import HUMAN, NOBODY, ROBOT, WorldState
+from sim_kinematic.state import HUMAN, NOBODY, ROBOT, HumanState, RobotState, WorldState
 from sim_kinematic.step import drive_robots, walk_humans
 from sim_kinematic.waypoint_human import sharp_corners
 
@@ -143,6 +143,8 @@ class RobotActor:
     objects: Objects
     grip_m: float
     arm_rad_s: float
+    number: int = ROBOT
+    """Of the agent."""
     avoids: bool = True
     """Whether its base keeps clear of the person (`keep_clear`), whatever the skill."""
     person_xz: NDArray = field(default_factory=lambda: np.full(2, np.inf))
@@ -160,16 +162,21 @@ class RobotActor:
 
     # --- where it is --------------------------------------------------------------------------------------------------
     @property
+    def state(self) -> RobotState:
+        """Its own part of the state of one world."""
+        return self.objects.state.robots[self.number]
+
+    @property
     def xz(self) -> NDArray:
-        return self.objects.state.robot_xz[0]
+        return self.state.xz[0]
 
     @property
     def heading(self) -> float:
-        return float(self.objects.state.robot_heading[0])
+        return float(self.state.heading[0])
 
     @property
     def joints(self) -> NDArray:
-        return self.objects.state.robot_joints[0]
+        return self.state.joints[0]
 
     @property
     def pose(self) -> Array:
@@ -186,7 +193,7 @@ class RobotActor:
 
     # --- skills -------------------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
-        why = self.objects.why_not(ROBOT, action)
+        why = self.objects.why_not(self.number, action)
         if not why and action.skill in ("pick", "place") and self._posture(self._hand_target(action)) is None:
             return "out_of_reach"
         return why
@@ -259,7 +266,7 @@ class RobotActor:
         if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
             self.arm_goal = self.robot.rest.copy()
             return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
-        self.objects.held_by[k] = ROBOT
+        self.objects.held_by[k] = self.number
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
         yield from self._bring_arm(over)
         self.arm_goal = self.robot.rest.copy()  # carried there while it drives on
@@ -316,23 +323,22 @@ class RobotActor:
 
     def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
         """One step of base and arm; what is held follows."""
-        state = self.objects.state
         self.command = forward, turn
         if self.avoids and heed:
             self.command = keep_clear(
                 self.free, self.base, self.xz.copy(), self.heading, self.command, self.xz if towards is None else towards,
                 self.person_xz, self.person_velocity, settled=self.person_settled,
             )  # fmt: skip
-        drive_robots(state, self.free, np.array([self.command]), self.base)
+        drive_robots(self.state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         way = self.arm_goal[self._arm] - self.joints[self._arm]
         far = float(np.abs(way).max())
         self.joints[self._arm] = (
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
         )
-        k = self.objects.held(ROBOT)
+        k = self.objects.held(self.number)
         if k >= 0:
-            self.objects.poses[k] = pose_multiply(self.hand_pose, state.grip_pose[0, k])
+            self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
 
 
 @dataclass(eq=False)
@@ -343,6 +349,8 @@ class PersonActor:
     free: FreeSpace
     spec: WalkerSpec
     objects: Objects
+    number: int = HUMAN
+    """Of the agent."""
 
     @property
     def xz(self) -> NDArray:
@@ -355,7 +363,7 @@ class PersonActor:
     def infeasible(self, action: Action) -> str:
         if action.skill in PRIMITIVES:
             return "not_of_a_person"
-        return self.objects.why_not(HUMAN, action)
+        return self.objects.why_not(self.number, action)
 
     def start(self, action: Action) -> Skill:
         k = action.target
@@ -391,21 +399,21 @@ class PersonActor:
 
     def _walk(self, path: NDArray) -> Generator[object, None, None]:
         """Walk along floor points [N, 2] without stopping at them, turning on the spot where they turn (paper 3.1)."""
-        person, state = self.person, WorldState.zeros(1)
+        person, state = self.person, HumanState.zeros(1)
         if len(path):
             dx, dz = path[0] - self.xz
             yield from person.turn(float(np.arctan2(-dz, dx)))
-        state.human_xz[0], state.human_heading[0] = self.xz, self.heading
+        state.xz[0], state.heading[0] = self.xz, self.heading
         clip = person.body.clip_for_speed(self.spec.speed_mps)
         walk, k = person.body.clips[clip], 0
         while k < len(path):
             walk_humans(state, path[k][None], self.spec)
-            person.base = ground_pose(state.human_xz[0], state.human_heading[0], self.free.floor_y)
-            phase = walk.start_phase + (state.human_distance[0] - state.human_set_off[0]) / walk.stride_m
-            person.play(clip, float(phase), float(state.human_blend[0]))
+            person.base = ground_pose(state.xz[0], state.heading[0], self.free.floor_y)
+            phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
+            person.play(clip, float(phase), float(state.blend[0]))
             yield
-            there = np.hypot(*(path[k] - state.human_xz[0])) <= self.spec.arrive_m
-            k += there and (k + 1 < len(path) or state.human_blend[0] == 0)
+            there = np.hypot(*(path[k] - state.xz[0])) <= self.spec.arrive_m
+            k += there and (k + 1 < len(path) or state.blend[0] == 0)
 
     def _handle(self, picks: bool, k: int) -> Skill:
         """Pick or place with the right hand; objects change hands in the step in which the hand is there."""
@@ -430,8 +438,8 @@ class PersonActor:
         held = self.person.held.get("right")
         for k, name in enumerate(self.objects.names):
             if held is not None and held.name == name:
-                self.objects.held_by[k] = HUMAN
+                self.objects.held_by[k] = self.number
                 self.objects.poses[k] = self.person.objects[name]
-            elif self.objects.held_by[k] == HUMAN:
+            elif self.objects.held_by[k] == self.number:
                 self.objects.held_by[k] = NOBODY
                 self.objects.poses[k] = self.person.objects[name]

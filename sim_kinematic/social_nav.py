@@ -22,7 +22,7 @@ from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name
 from sim_kinematic.randomness import generator
 from sim_kinematic.social_nav_log import HUMAN_SKILLS, EpisodeLog, Sink, Step, describe, facing, finished, motion_phase
 from sim_kinematic.spec import SocialNavSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState, RobotState
 from sim_kinematic.step import drive_robots, least_clearance, walk_humans
 from sim_kinematic.waypoint_human import WaypointHuman, human_plan
 
@@ -156,7 +156,7 @@ class Human(Protocol):
     leg: int
     """Index of the way point within the path to it."""
 
-    def advance(self, state: WorldState, step: int) -> Posture:
+    def advance(self, state: HumanState, step: int) -> Posture:
         """Move her by one step, in place; returns what her body does then, in float32 as it is recorded."""
         ...
 
@@ -168,13 +168,13 @@ class ScriptedHuman(WaypointHuman):
         super().__init__(world.free, world.seed, world.spec.human, world.goals)
         self._world, self._clip = world, clip
 
-    def advance(self, state: WorldState, step: int) -> Posture:
+    def advance(self, state: HumanState, step: int) -> Posture:
         """As `Human.advance`."""
         del step  # she remembers where she goes
-        walk_humans(state, self.target(state.human_xz[0])[None], self.spec)
-        since = state.human_distance[0] - state.human_set_off[0]
+        walk_humans(state, self.target(state.xz[0])[None], self.spec)
+        since = state.distance[0] - state.set_off[0]
         phase = motion_phase(self._world, self._clip, since)
-        return Posture(self._clip, float(phase), float(np.float32(state.human_blend[0])))
+        return Posture(self._clip, float(phase), float(np.float32(state.blend[0])))
 
 
 def play(
@@ -187,36 +187,36 @@ def play(
     person (default: her script).
     """
     spec, free, starts = world.spec, world.free, world.starts
-    state = WorldState.zeros(1)
-    state.robot_xz[0], state.robot_heading[0] = starts.robot_xz, starts.robot_heading
-    state.human_xz[0], state.human_heading[0] = starts.human_xz, starts.human_heading
-    robot_xz, human_xz = state.robot_xz[0], state.human_xz[0]  # views: they follow the state
+    robot, person = RobotState.zeros(1), HumanState.zeros(1)
+    robot.xz[0], robot.heading[0] = starts.robot_xz, starts.robot_heading
+    person.xz[0], person.heading[0] = starts.human_xz, starts.human_heading
+    robot_xz, human_xz = robot.xz[0], person.xz[0]  # views: they follow the state
     human = human or ScriptedHuman(world, log.clip)
     contact = RobotHumanContact(world.robot, world.human)
     met = False
     geodesic = float(free.geodesic(robot_xz, human_xz))
     for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
-        heading = float(state.robot_heading[0])
+        heading = float(robot.heading[0])
         view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step)
         command = act(view, spec.robot)
         action = np.array([command.forward, command.turn], np.float32)
-        goal, walked = human.goal, float(state.human_distance[0])
-        posture = human.advance(state, step)
-        drive_robots(state, free, action[None], spec.robot)
+        goal, walked = human.goal, float(person.distance[0])
+        posture = human.advance(person, step)
+        drive_robots(robot, free, action[None], spec.robot)
         geodesic = float(free.geodesic(robot_xz, human_xz))
-        collision = _collides(world, state, contact, posture)
+        collision = _collides(world, robot, person, contact, posture)
         log.add(
             Step(
                 robot_x=robot_xz[0],
                 robot_z=robot_xz[1],
-                robot_heading=state.robot_heading[0],
-                robot_contact=state.robot_contact[0],
+                robot_heading=robot.heading[0],
+                robot_contact=robot.contact[0],
                 human_x=human_xz[0],
                 human_z=human_xz[1],
-                human_heading=state.human_heading[0],
-                human_distance=state.human_distance[0] - state.human_set_off[0],
-                human_blend=state.human_blend[0],
-                human_skill=HUMAN_SKILLS.index("walk" if state.human_distance[0] > walked else "turn"),
+                human_heading=person.heading[0],
+                human_distance=person.distance[0] - person.set_off[0],
+                human_blend=person.blend[0],
+                human_skill=HUMAN_SKILLS.index("walk" if person.distance[0] > walked else "turn"),
                 human_goal=human.goal,
                 human_leg=human.leg,
                 forward=action[0],
@@ -232,7 +232,7 @@ def play(
             x, z = human.goals[-1]
             log.event(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
         if not met and spec.near_m <= geodesic <= spec.far_m:
-            met = bool(facing(robot_xz, state.robot_heading[0], human_xz) > spec.facing_dot)
+            met = bool(facing(robot_xz, robot.heading[0], human_xz) > spec.facing_dot)
             if met:
                 log.event(Event(step=step, agent=ROBOT, kind="found", target="human"))
         if collision:
@@ -242,14 +242,16 @@ def play(
     return "max_steps"
 
 
-def _collides(world: SocialNavWorld, state: WorldState, contact: RobotHumanContact, posture: Posture) -> bool:
+def _collides(
+    world: SocialNavWorld, robot: RobotState, person: HumanState, contact: RobotHumanContact, posture: Posture
+) -> bool:
     """Whether robot and person touch in what is recorded: poses in float32."""
-    if np.hypot(*(state.robot_xz[0] - state.human_xz[0])) > contact.gate_m + 1e-3:
+    if np.hypot(*(robot.xz[0] - person.xz[0])) > contact.gate_m + 1e-3:
         return False
     floor = world.free.floor_y
     return contact.touching(
-        ground_pose(state.robot_xz[0], state.robot_heading[0], floor).astype(np.float32),
-        ground_pose(state.human_xz[0], state.human_heading[0], floor).astype(np.float32),
+        ground_pose(robot.xz[0], robot.heading[0], floor).astype(np.float32),
+        ground_pose(person.xz[0], person.heading[0], floor).astype(np.float32),
         *posture,
     )
 

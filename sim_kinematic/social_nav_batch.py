@@ -7,7 +7,7 @@ for bit, whatever W is. Worlds in one home are stepped together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from sim_kinematic.rewards import Encounter, RewardProfile, RewardStep, SocialNa
 from sim_kinematic.sensors import facing
 from sim_kinematic.social_nav import SocialNavWorld, draw_starts
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState, RobotState, WorldState
 from sim_kinematic.step import drive_robots, walk_humans
 from sim_kinematic.waypoint_human import WaypointHuman
 
@@ -111,6 +111,7 @@ class SocialNavBatch:
         self.clip = self.human.clip_for_speed(spec.human.speed_mps)
         self.rewards = SocialNavReward(self.worlds, profile=reward, rules=spec)
         self.state = WorldState.zeros(self.worlds)
+        (self._robot,), (self._person,) = self.state.robots, self.state.people
         self.before = self.state.copy()
         """The state before the last step."""
         self.place = np.full(self.worlds, -1)
@@ -157,13 +158,11 @@ class SocialNavBatch:
         if not self.episodes:
             self.episodes = [episode for _, episode in drawn]
             self._walkers = [_walker(episode) for episode in self.episodes]
-        blank = WorldState.zeros(1)
         for w, (k, episode) in zip(rows, drawn, strict=True):
-            for name, array in vars(self.state).items():
-                array[w] = vars(blank)[name][0]
             starts = episode.starts
-            self.state.robot_xz[w], self.state.robot_heading[w] = starts.robot_xz, starts.robot_heading
-            self.state.human_xz[w], self.state.human_heading[w] = starts.human_xz, starts.human_heading
+            self.state.put([int(w)], WorldState.zeros(1))
+            self._robot.xz[w], self._robot.heading[w] = starts.robot_xz, starts.robot_heading
+            self._person.xz[w], self._person.heading[w] = starts.human_xz, starts.human_heading
             self.place[w], self.episodes[w], self._walkers[w] = k, episode, _walker(episode)
             if not self._driven:
                 self._targets[w] = self._walkers[w].target(starts.human_xz)
@@ -171,8 +170,7 @@ class SocialNavBatch:
         self.found[fresh] = self.success[fresh] = self.collides[fresh] = False
         self._groups = [(self.episodes[g[0]].free, g) for g in _runs(self.place)]
         self._look(rows)
-        for name, array in vars(self.before).items():
-            array[rows] = vars(self.state)[name][rows]
+        self.before.put(rows, self.state.take(rows))
         worth = self.rewards.reset(self._encounter(), where=fresh)
         self.success[fresh] |= worth.success[fresh]
 
@@ -193,23 +191,21 @@ class SocialNavBatch:
         walks = checked_actions(human_actions, (self.worlds, 2)) if human_actions is not None else None
         if (walks is not None) != self._driven:
             raise InputError("Expected actions of people if, and only if, they are driven (driven_human=True).")
-        for name, array in vars(self.before).items():
-            array[:] = vars(self.state)[name]
+        self.before.put(slice(None), self.state)
         if walks is None:
             self._next_targets()
-            walk_humans(self.state, self._targets, self.spec.human)
+            walk_humans(self._person, self._targets, self.spec.human)
         for free, rows in self._groups:
             alone = len(rows) == self.worlds
-            part = self.state if alone else WorldState(**{n: a[rows] for n, a in vars(self.state).items()})
+            part = self.state if alone else self.state.take(rows)
             if walks is not None:
-                self._drive_people(part, free, walks[rows])
-            drive_robots(part, free, moves[rows], self.spec.robot)
+                self._drive_people(part.people[0], free, walks[rows])
+            drive_robots(part.robots[0], free, moves[rows], self.spec.robot)
             if not alone:
-                for name, array in vars(self.state).items():
-                    array[rows] = vars(part)[name]
+                self.state.put(rows, part)
         self.steps += 1
         self._look(np.arange(self.worlds))
-        self._collisions += self.collides | self.state.robot_contact
+        self._collisions += self.collides | self._robot.contact
         worth = self.rewards.step(self._encounter())
         self.success |= worth.success
         return worth
@@ -227,11 +223,11 @@ class SocialNavBatch:
     # --- parts of a step ----------------------------------------------------------------------------------------------
     def _next_targets(self) -> None:
         """Way points of those who have arrived; the others keep theirs."""
-        gap = self._targets - self.state.human_xz
+        gap = self._targets - self._person.xz
         for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
-            self._targets[w] = self._walkers[w].target(self.state.human_xz[w])
+            self._targets[w] = self._walkers[w].target(self._person.xz[w])
 
-    def _drive_people(self, state: WorldState, free: FreeSpace, actions: Array) -> None:
+    def _drive_people(self, state: HumanState, free: FreeSpace, actions: Array) -> None:
         """Move people as bases of one disc, and their walking cycle with them."""
         walker = self.spec.human
         body = BaseSpec(
@@ -239,54 +235,54 @@ class SocialNavBatch:
             disc_radius_m=self.spec.agent_radius_m,
         )  # fmt: skip
         touched = np.zeros(len(actions), np.bool_)
-        was = state.human_xz.copy()
+        was = state.xz.copy()
         drive_robots(
-            replace(state, robot_xz=state.human_xz, robot_heading=state.human_heading, robot_contact=touched),
-            free, actions, body,
+            RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(actions), 0))), free,
+            actions, body,
         )  # fmt: skip
-        walked = np.hypot(*(state.human_xz - was).T)
+        walked = np.hypot(*(state.xz - was).T)
         goes, rate = walked > 0, STEP_S / walker.blend_s
-        begins = goes & (state.human_blend == 0)
-        state.human_set_off[begins] = state.human_distance[begins]
-        state.human_distance[:] += walked
-        state.human_blend[:] = np.where(
-            goes, np.minimum(np.maximum(state.human_blend, 0.5) + rate, 1), np.maximum(state.human_blend - rate, 0)
+        begins = goes & (state.blend == 0)
+        state.set_off[begins] = state.distance[begins]
+        state.distance[:] += walked
+        state.blend[:] = np.where(
+            goes, np.minimum(np.maximum(state.blend, 0.5) + rate, 1), np.maximum(state.blend - rate, 0)
         )
 
     def _look(self, rows: NDArray[np.intp]) -> None:
         """What the rules ask of the state of some worlds: distances, contact, whether she is found."""
-        state = self.state
+        robot, person = self._robot, self._person
         wanted = np.zeros(self.worlds, np.bool_)
         wanted[rows] = True
         for free, group in self._groups:
             some = group[wanted[group]]
-            self.geodesic[some] = free.geodesic(state.robot_xz[some], state.human_xz[some])
-        gap = state.robot_xz - state.human_xz
+            self.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
+        gap = robot.xz - person.xz
         near = np.hypot(gap[:, 0], gap[:, 1]) <= self._contact.gate_m + 1e-3
         near = rows[near[rows]]
         self.collides[rows] = False
         if len(near):
             self.collides[near] = self._touching(near)
         if len(rows):
-            faces = facing(state.robot_xz[rows], state.robot_heading[rows], state.human_xz[rows])
+            faces = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
             began = self.steps[rows] > 0  # the start itself is no step
             self.found[rows] |= is_found(self.geodesic[rows], faces, self.spec) & began
 
     def _touching(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether robot and person touch in what would be recorded, poses in float32, in some worlds [n]."""
-        state, walk = self.state, self.human.clips[self.clip]
+        robot, person, walk = self._robot, self._person, self.human.clips[self.clip]
         floor = np.array([self.episodes[w].free.floor_y for w in rows])
-        phase = (walk.start_phase + (state.human_distance[rows] - state.human_set_off[rows]) / walk.stride_m) % 1.0
+        phase = (walk.start_phase + (person.distance[rows] - person.set_off[rows]) / walk.stride_m) % 1.0
         return self._contact.touching_many(
-            ground_pose(state.robot_xz[rows], state.robot_heading[rows], floor).astype(np.float32),
-            ground_pose(state.human_xz[rows], state.human_heading[rows], floor).astype(np.float32),
-            np.full(len(rows), self.clip), _recorded(phase), _recorded(state.human_blend[rows]),
+            ground_pose(robot.xz[rows], robot.heading[rows], floor).astype(np.float32),
+            ground_pose(person.xz[rows], person.heading[rows], floor).astype(np.float32),
+            np.full(len(rows), self.clip), _recorded(phase), _recorded(person.blend[rows]),
         )  # fmt: skip
 
     def _encounter(self) -> Encounter:
-        s = self.state
+        robot = self._robot
         return Encounter(
-            robot_xz=s.robot_xz, robot_heading=s.robot_heading, human_xz=s.human_xz, geodesic=self.geodesic,
+            robot_xz=robot.xz, robot_heading=robot.heading, human_xz=self._person.xz, geodesic=self.geodesic,
             collides=self.collides, collisions=self._collisions,
         )  # fmt: skip
 

@@ -1,68 +1,153 @@
-"""The state of W worlds with one robot, one humanoid and O objects each: a struct of arrays, worlds first. One world is
-W = 1."""
+"""The state of W worlds, each with the same robots, people and O objects: structs of arrays, worlds first. One world is
+W = 1; any number of robots and people may be in it, none too."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE
 
-ROBOT, HUMAN, NOBODY = 0, 1, -1
-"""Who holds an object: numbers of agents, as in recordings."""
+NOBODY = -1
+"""Who holds an object that lies about."""
+ROBOT, HUMAN = 0, 1
+"""Numbers of the agents where there is one robot and one person. In general robots are counted first, then people."""
+
+Worlds = NDArray[np.bool_] | NDArray[np.integer] | Sequence[int] | slice
+"""Which worlds: numbers or a mask, which copy, or a slice, which gives views."""
+
+
+class _Arrays:
+    """A struct of arrays whose first axis is the world."""
+
+    @property
+    def worlds(self) -> int:
+        """W."""
+        return len(self.arrays()[0])
+
+    def arrays(self) -> list[NDArray[Any]]:
+        """All its arrays, those of agents first, in a fixed order."""
+        return list(vars(self).values())
+
+    def take(self, worlds: Worlds) -> Self:
+        """Some of the worlds."""
+        return type(self)(**{name: array[worlds] for name, array in vars(self).items()})
+
+    def put(self, worlds: Worlds, other: Self) -> None:
+        """Overwrite some of the worlds by all those of ``other``, or by its only one."""
+        for mine, theirs in zip(self.arrays(), other.arrays(), strict=True):
+            mine[worlds] = theirs
+
+    def copy(self) -> Self:
+        """The same in arrays of its own."""
+        return self.take(np.arange(self.worlds))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WorldState:
-    """Everything that a step reads and writes. The arrays are changed in place; `copy` keeps a moment."""
+class RobotState(_Arrays):
+    """One robot of each world."""
 
-    robot_xz: NDArray[np.float64]
+    xz: NDArray[np.float64]
     """Base position on the floor [m], shape [W, 2]."""
-    robot_heading: NDArray[np.float64]
+    heading: NDArray[np.float64]
     """[rad], shape [W]. Headings are never wrapped: the quaternion of h + 2 pi is minus that of h, so recorded quaternions
     keep their signs continuous in time."""
-    robot_contact: NDArray[np.bool_]
+    contact: NDArray[np.bool_]
     """The base touched an obstacle in the last step, shape [W]."""
-    human_xz: NDArray[np.float64]
+    joints: NDArray[np.float64]
+    """Joint positions [rad or m], shape [W, J]; J = 0 where no arm moves."""
+
+    @classmethod
+    def zeros(cls, worlds: int, *, joints: int = 0) -> RobotState:
+        """At the origin."""
+        return cls(
+            xz=np.zeros((worlds, 2)), heading=np.zeros(worlds), contact=np.zeros(worlds, np.bool_),
+            joints=np.zeros((worlds, joints)),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HumanState(_Arrays):
+    """One person of each world."""
+
+    xz: NDArray[np.float64]
     """[m], shape [W, 2]."""
-    human_heading: NDArray[np.float64]
-    """[rad], shape [W]."""
-    human_distance: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    """[rad], shape [W], never wrapped."""
+    distance: NDArray[np.float64]
     """Distance walked since the start [m], drives the phase of the walking cycle; shape [W]."""
-    human_set_off: NDArray[np.float64]
-    """What `human_distance` was when she last set off from standing [m]: there the cycle began anew; shape [W]."""
-    human_blend: NDArray[np.float64]
+    set_off: NDArray[np.float64]
+    """What `distance` was when she last set off from standing [m]: there the cycle began anew; shape [W]."""
+    blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
-    robot_joints: NDArray[np.float64]
-    """Joint positions of the robot [rad or m], shape [W, J]; J = 0 where no arm moves."""
+
+    @classmethod
+    def zeros(cls, worlds: int) -> HumanState:
+        """Standing at the origin."""
+        return cls(
+            xz=np.zeros((worlds, 2)), **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")}
+        )
+
+
+AgentState = RobotState | HumanState
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorldState(_Arrays):
+    """Everything that a step reads and writes. The arrays are changed in place; `copy` keeps a moment."""
+
+    robots: tuple[RobotState, ...]
+    people: tuple[HumanState, ...]
     object_pose: NDArray[np.float64]
     """pose7 of what can be taken, shape [W, O, 7]."""
     held_by: NDArray[np.int64]
-    """Agent that holds each object (`ROBOT`, `HUMAN`), `NOBODY` where none does, shape [W, O]."""
+    """Number of the agent that holds each object (its index in `agents`), `NOBODY` where none does, shape [W, O]."""
     grip_pose: NDArray[np.float64]
     """pose7 of each held object in the frame of the hand that holds it, shape [W, O, 7]."""
 
     @classmethod
-    def zeros(cls, worlds: int, *, joints: int = 0, objects: int = 0) -> WorldState:
-        """W worlds with everything at the origin, nothing held."""
+    def zeros(
+        cls, worlds: int, *, robots: int = 1, people: int = 1, joints: int | Sequence[int] = 0, objects: int = 0
+    ) -> WorldState:
+        """W worlds with everything at the origin, nothing held. ``joints``: of every robot, or one number for each.
+
+        Raises:
+            InputError: a number is negative, or there is not one number of joints for each robot.
+        """
+        each = [joints] * robots if isinstance(joints, int) else list(joints)
+        if len(each) != robots or min(worlds, robots, people, objects, *each) < 0:
+            raise InputError(
+                f"Expected numbers of 0 or more, and one number of joints for each robot; got {worlds} worlds, {robots} "
+                f"robots, {people} people, joints {joints} and {objects} objects."
+            )
         nowhere = np.tile(IDENTITY_POSE, (worlds, objects, 1))
         return cls(
-            robot_xz=np.zeros((worlds, 2)),
-            robot_heading=np.zeros(worlds),
-            robot_contact=np.zeros(worlds, np.bool_),
-            human_xz=np.zeros((worlds, 2)),
-            human_heading=np.zeros(worlds),
-            human_distance=np.zeros(worlds),
-            human_set_off=np.zeros(worlds),
-            human_blend=np.zeros(worlds),
-            robot_joints=np.zeros((worlds, joints)),
+            robots=tuple(RobotState.zeros(worlds, joints=count) for count in each),
+            people=tuple(HumanState.zeros(worlds) for _ in range(people)),
             object_pose=nowhere,
             held_by=np.full((worlds, objects), NOBODY),
             grip_pose=nowhere.copy(),
         )
 
-    def copy(self) -> WorldState:
-        """The same state in arrays of its own."""
-        return WorldState(**{name: array.copy() for name, array in vars(self).items()})
+    @property
+    def agents(self) -> tuple[AgentState, ...]:
+        """Robots, then people: an agent's index here is its number."""
+        return (*self.robots, *self.people)
+
+    def arrays(self) -> list[NDArray[Any]]:
+        own = [self.object_pose, self.held_by, self.grip_pose]
+        return [array for agent in self.agents for array in agent.arrays()] + own
+
+    def take(self, worlds: Worlds) -> WorldState:
+        return WorldState(
+            robots=tuple(robot.take(worlds) for robot in self.robots),
+            people=tuple(person.take(worlds) for person in self.people),
+            object_pose=self.object_pose[worlds],
+            held_by=self.held_by[worlds],
+            grip_pose=self.grip_pose[worlds],
+        )

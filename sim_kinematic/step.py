@@ -21,7 +21,7 @@ from h3data.scene.freespace import sample_sdf, sdf_gradient
 from h3data.scene.pathfinder import PathFinder
 from sim_kinematic.habitat_motion import slide_as_habitat
 from sim_kinematic.spec import STEP_S, BaseSpec, Slide, WalkerSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import AgentState, HumanState, RobotState
 
 
 @kernel(error_model="numpy")
@@ -178,10 +178,10 @@ def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, t
 
 
 def drive_robots(
-    state: WorldState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
+    state: RobotState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
     finder: PathFinder | None = None,
 ) -> None:  # fmt: skip
-    """Move the robots of all worlds by ``action`` [W, 2], in place: forward and left turn, -1..1 of the limits. With
+    """Move a robot in all its worlds by ``action`` [W, 2], in place: forward and left turn, -1..1 of the limits. With
     ``spec.max_lateral_mps`` it is [W, 3]: sideways comes last.
 
     ``finder`` is the navmesh on which ``slide="habitat"`` moves; None makes one of ``free`` and keeps it.
@@ -191,7 +191,7 @@ def drive_robots(
     """
     action = _per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
-    moved = state.robot_xz, state.robot_heading, state.robot_contact
+    moved = state.xz, state.heading, state.contact
     offsets = np.array(spec.disc_offsets_m)
     if spec.slide == "strict":
         broken = _drive_worlds(
@@ -215,22 +215,22 @@ def _finder(free: FreeSpace) -> PathFinder:
     return PathFinder(free)
 
 
-def walk_humans(state: WorldState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
-    """Move the humanoids of all worlds one step straight towards their way points ``goal_xz`` [W, 2], in place.
+def walk_humans(state: HumanState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
+    """Move a person in all her worlds one step straight towards her way points ``goal_xz`` [W, 2], in place.
 
     The way points come from `FreeSpace.path`, so the straight line to the next one is free.
     """
     _walk_worlds(
-        state.human_xz, state.human_heading, state.human_distance, state.human_set_off, state.human_blend,
+        state.xz, state.heading, state.distance, state.set_off, state.blend,
         _per_world(goal_xz, state, width=2),
         spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
     )  # fmt: skip
 
 
-def _per_world(rows: np.ndarray, state: WorldState, *, width: int) -> np.ndarray:
+def _per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
     """``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
     rows = np.asarray(rows, np.float64)
-    worlds = len(state.robot_heading)
+    worlds = len(state.heading)
     if rows.shape != (worlds, width):
         raise InputError(f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.")
     return rows

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from h3data.scene import FreeSpace
 from sim_kinematic.randomness import generator
 from sim_kinematic.spec import WalkerSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import HumanState
 from sim_kinematic.step import walk_humans
 
 ARC_STEP_M = 0.08
@@ -120,11 +120,11 @@ def human_plan(
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:  # fmt: skip
     """Where the scripted person will be in each of ``steps`` steps, and her goals; the first are those ``given``."""
-    state = WorldState.zeros(1)
-    state.human_xz[0], state.human_heading[0] = start_xz, heading
+    state = HumanState.zeros(1)
+    state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)
     track = np.empty((steps, 2))
     for k in range(steps):
-        walk_humans(state, human.target(state.human_xz[0])[None], spec)
-        track[k] = state.human_xz[0]
+        walk_humans(state, human.target(state.xz[0])[None], spec)
+        track[k] = state.xz[0]
     return HumanPlan(track, human.goals)

@@ -23,8 +23,7 @@ def face_to_face(benchmark: BenchmarkWorlds, apart: float) -> None:
         if np.isclose(free.geodesic(xz, xz + np.array([max(apart, 2.5), 0])), max(apart, 2.5)):
             break
     for agent, place, heading in zip(benchmark.agents, (xz, xz + np.array([apart, 0])), (0.0, np.pi), strict=True):
-        state, who = agent.state, "robot" if isinstance(agent, RobotAgent) else "human"
-        getattr(state, f"{who}_xz")[:], getattr(state, f"{who}_heading")[:] = place, heading
+        agent.own.xz[:], agent.own.heading[:] = place, heading
 
 
 def stay(benchmark: BenchmarkWorlds) -> np.ndarray:
@@ -86,9 +85,13 @@ def test_hands_take_what_they_reach() -> None:
     benchmark.reset(rng)
     (human,) = benchmark.agents
     state = benchmark.state
-    state.human_xz[0] = benchmark.free.sample(rng, 1)[0]
-    state.human_heading[0] = 0.0
-    state.object_pose[0, 0, :3] = [state.human_xz[0, 0] + 0.4, benchmark.free.floor_y + 1.0, state.human_xz[0, 1] + 0.1]
+    state.people[0].xz[0] = benchmark.free.sample(rng, 1)[0]
+    state.people[0].heading[0] = 0.0
+    state.object_pose[0, 0, :3] = [
+        state.people[0].xz[0, 0] + 0.4,
+        benchmark.free.floor_y + 1.0,
+        state.people[0].xz[0, 1] + 0.1,
+    ]
     for _ in range(60):
         benchmark.step([np.array([[0.0, 1.0]])])
     assert state.held_by[0, 0] == human.number

@@ -39,8 +39,9 @@ def facing_each_other(home: Scene, worlds: int, apart: float = 1.6) -> WorldStat
         (xz,), heading = free.sample(rng, 1), rng.uniform(-np.pi, np.pi)
         ahead = xz + apart * np.array([np.cos(heading), -np.sin(heading)])
         if free.geodesic(xz, ahead) < apart + 1e-9:
-            state.robot_xz[w], state.robot_heading[w] = xz, heading
-            state.human_xz[w], state.human_heading[w] = ahead, heading + np.pi
+            robot, person = state.agents
+            robot.xz[w], robot.heading[w] = xz, heading
+            person.xz[w], person.heading[w] = ahead, heading + np.pi
             w += 1
     return state
 
@@ -52,16 +53,17 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
     replay = Replay(recording)
     drawn = StateRenderer(home, robot, human)
     state, step = WorldState.zeros(1), len(recording) - 1
+    (robot,), (walker,) = state.robots, state.people
     base, person = recording.columns["agent_0.base_pose"][step], recording.columns["agent_1.base_pose"][step]
     for pose, xz, heading in (
-        (base, state.robot_xz, state.robot_heading), (person, state.human_xz, state.human_heading),
+        (base, robot.xz, robot.heading), (person, walker.xz, walker.heading),
     ):  # fmt: skip
         xz[0] = pose[[0, 2]]
         heading[0] = 2 * np.arctan2(pose[4], pose[6])
     clip = human.clips[human.clip_for_speed(2.5)]
     phase = float(recording.columns["agent_1.motion_phase"][step])
-    state.human_distance[0] = (phase - clip.start_phase) * clip.stride_m
-    state.human_blend[0] = recording.columns["agent_1.motion_blend"][step]
+    walker.distance[0] = (phase - clip.start_phase) * clip.stride_m
+    walker.blend[0] = recording.columns["agent_1.motion_blend"][step]
     drawn.pose(state, floor_y=float(base[1]))
     ours = ARM.observe(drawn)
     ((_, (theirs,)),) = replay.frames([camera_track(replay, "robot_arm")], [step], outputs=("depth", "semantic"))
@@ -72,7 +74,7 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
 def test_the_detector_sees_who_stands_ahead(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
     drawn = StateRenderer(home, *bodies, worlds=3)
     state = facing_each_other(home, 3)
-    state.human_xz[2] = [50.0, 50.0]
+    state.people[0].xz[2] = [50.0, 50.0]
     drawn.pose(state)
     seen = ARM.observe(drawn)
     assert seen["depth"].shape == (3, 171, 224)
@@ -90,7 +92,7 @@ def test_worlds_do_not_mix(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
     together = ARM.observe(many)
     one = StateRenderer(home, *bodies)
     for w in range(3):
-        one.pose(WorldState(**{k: v[w : w + 1].copy() for k, v in vars(state).items()}))
+        one.pose(state.take([w]))
         for name, picture in ARM.observe(one).items():
             np.testing.assert_array_equal(picture[0], together[name][w], err_msg=name)
 
@@ -104,7 +106,8 @@ def test_objects_are_drawn_where_the_state_has_them(home: Scene, bodies: tuple[R
     (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == moved.name]
     one = facing_each_other(home, 1)
     state = WorldState.zeros(1, joints=len(robot.joint_names), objects=1)
-    state.robot_xz[:], state.robot_heading[:], state.robot_joints[0] = one.robot_xz, one.robot_heading, robot.rest
+    own, there = state.robots[0], one.robots[0]
+    own.xz[:], own.heading[:], own.joints[0] = there.xz, there.heading, robot.rest
     drawn.pose(state)
     camera = drawn.cameras("robot_arm")[0]
     state.object_pose[0, 0, :3] = camera.pose[:3, 3] + 0.4 * camera.pose[:3, 2]  # ahead of the lens

@@ -34,15 +34,16 @@ EVERYTHING = (*PAPER_OBSERVATIONS, "egomotion", "localization")
 
 def expert(batch: SocialNavBatch, w: int = 0) -> np.ndarray:
     """What the expert does in one world, float32 [2]."""
-    s, episode = batch.state, batch.episodes[w]
-    view = View(episode.free, s.robot_xz[w], float(s.robot_heading[w]), s.human_xz[w], float(batch.geodesic[w]), False)
+    (robot,), (person,) = batch.state.robots, batch.state.people
+    episode = batch.episodes[w]
+    view = View(episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(batch.geodesic[w]), False)
     return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
 
 
 def ram(batch: SocialNavBatch) -> np.ndarray:
     """Drives at the person until they touch."""
-    s, geodesic = batch.state, 100.0
-    view = View(batch.episodes[0].free, s.robot_xz[0], float(s.robot_heading[0]), s.human_xz[0], geodesic, False)
+    (robot,), (person,) = batch.state.robots, batch.state.people
+    view = View(batch.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
     return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
 
 
@@ -88,7 +89,7 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
         played.append(expert(env.batch))
         _, _, terminated, truncated, info = env.step(played[-1])
         s = env.batch.state
-        track.append([*s.robot_xz[0], *s.human_xz[0], info["geodesic_m"]])
+        track.append([*s.robots[0].xz[0], *s.people[0].xz[0], info["geodesic_m"]])
         ended = "collision" if terminated else "max_steps" if truncated else ""
     recording = simulate_social_nav(env.batch.episodes[0], policy=again)
     assert recording.episode.info["ended"] == ended
@@ -204,18 +205,18 @@ def test_observations_are_of_the_state() -> None:
         a, b = free.sample(rng, 2)
         if 2.4 < np.hypot(*(a - b)) < 2.6 and free.geodesic(a, b) < np.hypot(*(a - b)) + 1e-9:
             break
-    s.robot_xz[0], s.human_xz[0] = a, b
+    s.robots[0].xz[0], s.people[0].xz[0] = a, b
     towards = float(np.arctan2(-(b - a)[1], (b - a)[0]))
     detected = []
     for turned in (0.0, np.pi):
-        s.robot_heading[0] = towards + turned
+        s.robots[0].heading[0] = towards + turned
         seen = env._observer.observe()
         detected.append(seen["humanoid_detector"][0, 0])
         np.testing.assert_allclose(seen["humanoid_gps"][0, 0], np.hypot(*(a - b)), rtol=1e-6)
         assert abs(seen["humanoid_gps"][0, 1]) == pytest.approx(turned, abs=1e-5)
     assert detected == [1.0, 0.0]
     env.reset(seed=5)
-    heading = float(s.robot_heading[0])
+    heading = float(s.robots[0].heading[0])
     seen = env.step(np.array([0.0, 1.0]))[0]
     np.testing.assert_allclose(seen["egomotion"], [0, 0, 2.5], atol=1e-5)
     np.testing.assert_allclose(np.sin(seen["localization"][3] - heading - 2.5 / 30), 0, atol=1e-5)
@@ -239,20 +240,20 @@ def test_a_driven_person_walks_where_she_can() -> None:
     rng = np.random.default_rng(3)
     turns = np.repeat(rng.uniform(-1, 1, 20), 20)
     for turn in turns:
-        before, heading = s.human_xz[0].copy(), float(s.human_heading[0])
+        before, heading = s.people[0].xz[0].copy(), float(s.people[0].heading[0])
         seen, rewards, _, _, _ = env.step({"robot": rng.uniform(-1, 1, 2), "human": np.array([1.0, turn])})
-        assert free.signed_distance(s.human_xz[0]) >= 0.25 - 2e-3
-        assert (s.human_xz[0] - before) @ (np.cos(heading), -np.sin(heading)) > -0.01
+        assert free.signed_distance(s.people[0].xz[0]) >= 0.25 - 2e-3
+        assert (s.people[0].xz[0] - before) @ (np.cos(heading), -np.sin(heading)) > -0.01
         assert rewards["robot"] == rewards["human"]
         assert seen["robot"]["humanoid_gps"][0] == pytest.approx(seen["human"]["humanoid_gps"][0])
-    assert s.human_distance[0] > 3
-    still = s.human_xz[0].copy()
+    assert s.people[0].distance[0] > 3
+    still = s.people[0].xz[0].copy()
     env.reset(seed=1)
     for _ in range(10):
         env.step({"robot": np.zeros(2), "human": np.array([-1.0, 0.0])})
-    np.testing.assert_array_equal(s.human_xz[0], env.batch.episodes[0].starts.human_xz)
-    assert s.human_blend[0] == s.human_distance[0] == 0
-    assert not np.array_equal(still, s.human_xz[0])
+    np.testing.assert_array_equal(s.people[0].xz[0], env.batch.episodes[0].starts.human_xz)
+    assert s.people[0].blend[0] == s.people[0].distance[0] == 0
+    assert not np.array_equal(still, s.people[0].xz[0])
 
 
 # --- anything goes ------------------------------------------------------------------------------------------------------
@@ -295,15 +296,15 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
         actions = rng.uniform(-2, 2, (c["worlds"], batch.action_width)) + c["habit"]  # some of them always turn or push
         worth = batch.step(actions, rng.uniform(-2, 2, (c["worlds"], 2)) + c["habit"] if c["driven"] else None)
         s = batch.state
-        assert all(np.isfinite(array).all() for array in vars(s).values())
+        assert all(np.isfinite(array).all() for array in s.arrays())
         assert np.isfinite(worth.reward).all()
         assert space.contains(observer.observe())
         for w, episode in enumerate(batch.episodes):
             free = episode.free
             grid = free.sdf, free.origin, free.cell_m
-            clearance = least_clearance(*grid, *s.robot_xz[w], s.robot_heading[w], offsets)
+            clearance = least_clearance(*grid, *s.robots[0].xz[w], s.robots[0].heading[w], offsets)
             assert clearance >= spec.robot.disc_radius_m - 2e-3 - 1e-9
-            assert np.hypot(*(free.snap(s.human_xz[w]) - s.human_xz[w])) <= 2e-3
+            assert np.hypot(*(free.snap(s.people[0].xz[w]) - s.people[0].xz[w])) <= 2e-3
         over = worth.ends | batch.out_of_time
         index, ended = index + over, ended + int(over.sum())
     return ended
@@ -337,7 +338,8 @@ def test_bad_actions_move_nothing(action: Any) -> None:
     before = env.batch.state.copy()
     with pytest.raises(InputError, match=r"[Aa]ctions"):
         env.step(action)
-    assert_same(vars(before), vars(env.batch.state))
+    for was, now in zip(before.arrays(), env.batch.state.arrays(), strict=True):
+        np.testing.assert_array_equal(was, now)
     vector = SocialNavVectorEnv(2, HOME, spec=SHORT)
     vector.reset(seed=1)
     with pytest.raises(InputError, match=r"[Aa]ctions"):

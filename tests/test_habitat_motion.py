@@ -15,7 +15,7 @@ from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.navmesh import free_space_from_navmesh
 from h3data.scene.pathfinder import PathFinder
 from sim_kinematic.spec import STEP_S, BaseSpec, HabitatSlideSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import RobotState
 from sim_kinematic.step import drive_robots
 
 GOLDEN = REAL / "habitat-lab" / "reference"
@@ -64,9 +64,9 @@ def load(file: Path) -> tuple[BaseSpec, np.ndarray, np.ndarray, np.ndarray, np.n
     return spec_of(data), actions, transform[:, [0, 2], 3], heading, data["collided"]
 
 
-def at(xz: np.ndarray, heading: np.ndarray) -> WorldState:
-    state = WorldState.zeros(len(heading))
-    state.robot_xz[:], state.robot_heading[:] = xz, heading
+def at(xz: np.ndarray, heading: np.ndarray) -> RobotState:
+    state = RobotState.zeros(len(heading))
+    state.xz[:], state.heading[:] = xz, heading
     return state
 
 
@@ -81,15 +81,15 @@ def test_every_step_from_its_recorded_pose(file: Path, floor: tuple[FreeSpace, P
     spec, actions, xz, heading, collided = load(file)
     state = at(xz[:-1], heading[:-1])  # 300 worlds, one for each step
     drive_robots(state, free, actions, spec, finder=finder)
-    off = np.hypot(*(state.robot_xz - xz[1:]).T)
-    wrong = (state.robot_contact != collided) | (off > FREE_TOL_M)
+    off = np.hypot(*(state.xz - xz[1:]).T)
+    wrong = (state.contact != collided) | (off > FREE_TOL_M)
     if file.name == SLIPS:  # we are stopped by that wall
         assert wrong.sum() <= 16
-        assert state.robot_contact[wrong].all()
-        assert (state.robot_contact != collided).sum() <= 2
+        assert state.contact[wrong].all()
+        assert (state.contact != collided).sum() <= 2
     else:
         assert not wrong.any(), np.flatnonzero(wrong)
-    turned = np.abs(state.robot_heading - heading[1:])
+    turned = np.abs(state.heading - heading[1:])
     assert turned[~wrong].max() < FREE_TOL_M
 
 
@@ -102,8 +102,8 @@ def test_a_whole_run_from_the_first_pose(file: Path, floor: tuple[FreeSpace, Pat
     steps = FIRST_SLIP if file.name == SLIPS else len(actions)
     for k in range(steps):
         drive_robots(state, free, actions[k : k + 1], spec, finder=finder)
-        assert np.hypot(*(state.robot_xz[0] - xz[k + 1])) < RUN_TOL_M, k
-        assert state.robot_contact[0] == collided[k], k
+        assert np.hypot(*(state.xz[0] - xz[k + 1])) < RUN_TOL_M, k
+        assert state.contact[0] == collided[k], k
 
 
 @needs_real
@@ -116,14 +116,14 @@ def home() -> FreeSpace:
     return FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=5)))
 
 
-def random_drive(free: FreeSpace, spec: BaseSpec, worlds: int, steps: int) -> tuple[WorldState, float]:
+def random_drive(free: FreeSpace, spec: BaseSpec, worlds: int, steps: int) -> tuple[RobotState, float]:
     """The last state, and the least clearance of the middle disc on the way [m]."""
     rng = np.random.default_rng(3)
     state = at(free.sample(rng, worlds), rng.uniform(-3, 3, worlds))
     least = np.inf
     for _ in range(steps):
         drive_robots(state, free, np.stack([rng.choice([1.0, 0.7], worlds), rng.uniform(-1, 1, worlds)], -1), spec)
-        least = min(least, float(free.clearance(state.robot_xz).min()))
+        least = min(least, float(free.clearance(state.xz).min()))
     return state, least
 
 
@@ -135,10 +135,10 @@ def test_in_the_open_both_modes_are_the_same_formula(home: FreeSpace) -> None:
     states = [at(starts, heading), at(starts, heading)]
     for state, slide in zip(states, ("strict", "habitat"), strict=True):
         drive_robots(state, home, action, BaseSpec(slide=slide, max_lateral_mps=1.0))
-        assert not state.robot_contact.any()
+        assert not state.contact.any()
     assert len(starts) > 20
-    np.testing.assert_array_equal(states[0].robot_xz, states[1].robot_xz)
-    np.testing.assert_array_equal(states[0].robot_heading, states[1].robot_heading)
+    np.testing.assert_array_equal(states[0].xz, states[1].xz)
+    np.testing.assert_array_equal(states[0].heading, states[1].heading)
 
 
 def test_only_strict_sliding_keeps_clear(home: FreeSpace) -> None:
@@ -150,4 +150,4 @@ def test_only_strict_sliding_keeps_clear(home: FreeSpace) -> None:
 
 def test_unknown_slides_are_refused(home: FreeSpace) -> None:
     with pytest.raises(InputError, match="strict, habitat"):
-        drive_robots(WorldState.zeros(1), home, np.zeros((1, 2)), BaseSpec(slide="bullet"))  # type: ignore[arg-type]
+        drive_robots(RobotState.zeros(1), home, np.zeros((1, 2)), BaseSpec(slide="bullet"))  # type: ignore[arg-type]

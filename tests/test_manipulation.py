@@ -15,7 +15,7 @@ from sim_kinematic import manipulation
 from sim_kinematic.arm_contact import ArmContact, touch_events
 from sim_kinematic.manipulation import arm_columns, carry_objects, grip_objects, move_arms, robot_hands
 from sim_kinematic.spec import ArmSpec
-from sim_kinematic.state import HUMAN, NOBODY, ROBOT, WorldState
+from sim_kinematic.state import HUMAN, NOBODY, ROBOT, RobotState, WorldState
 
 SPEC = ArmSpec()
 REACH_OUT = np.array([0.0, -1.2, 0.0, 1.6, 0.0, -0.4, 0.0])
@@ -30,13 +30,15 @@ def standing(robot: Robot, worlds: int, objects: int = 2, seed: int = 0) -> Worl
     """Robots at random with stretched arms; the first object lies in the hand's reach, the others far away."""
     rng = np.random.default_rng(seed)
     state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=objects)
-    state.robot_xz[:], state.robot_heading[:] = rng.uniform(-3, 3, (worlds, 2)), rng.uniform(-9, 9, worlds)
-    state.robot_joints[:] = robot.rest
-    state.robot_joints[:, arm_columns(robot)] = REACH_OUT + rng.uniform(-0.2, 0.2, (worlds, 7))
+    state.robots[0].xz[:], state.robots[0].heading[:] = rng.uniform(-3, 3, (worlds, 2)), rng.uniform(-9, 9, worlds)
+    state.robots[0].joints[:] = robot.rest
+    state.robots[0].joints[:, arm_columns(robot)] = REACH_OUT + rng.uniform(-0.2, 0.2, (worlds, 7))
     state.object_pose[..., 3:] = quat_from_rotvec(rng.uniform(-2, 2, (worlds, objects, 3)))
     state.object_pose[..., :3] = [0, 50, 0]
     if objects:
-        state.object_pose[:, 0, :3] = robot_hands(state, robot)[:, :3, 3] + rng.uniform(-0.08, 0.08, (worlds, 3))
+        state.object_pose[:, 0, :3] = robot_hands(state.robots[0], robot)[:, :3, 3] + rng.uniform(
+            -0.08, 0.08, (worlds, 3)
+        )
     return state
 
 
@@ -49,9 +51,9 @@ def test_the_arm_is_what_moves_the_hand(robot: Robot) -> None:
 
 def test_a_joint_moves_by_its_share_of_a_step(robot: Robot) -> None:
     state = standing(robot, 1)
-    before = state.robot_joints.copy()
-    move_arms(state, robot, [[1.0, -1.0, 0.5, 0.0, 7.0, -0.1, 0.0]], SPEC)
-    moved = (state.robot_joints - before)[0]
+    before = state.robots[0].joints.copy()
+    move_arms(state.robots[0], robot, [[1.0, -1.0, 0.5, 0.0, 7.0, -0.1, 0.0]], SPEC)
+    moved = (state.robots[0].joints - before)[0]
     np.testing.assert_allclose(moved[:7], np.array([0.05, -0.05, 0.025, 0.0, 0.05, -0.005, 0.0]), atol=1e-15)
     assert not moved[7:].any()
 
@@ -62,30 +64,30 @@ def test_joints_stay_inside_their_limits(seed: int) -> None:
     state = standing(robot, 4, seed=seed % 100)
     push = rng.choice([-1.0, 1.0], (4, 7))
     for _ in range(150):
-        move_arms(state, robot, push, SPEC)
-        assert (state.robot_joints >= robot.lower).all()
-        assert (state.robot_joints <= robot.upper).all()
+        move_arms(state.robots[0], robot, push, SPEC)
+        assert (state.robots[0].joints >= robot.lower).all()
+        assert (state.robots[0].joints <= robot.upper).all()
     limit = np.where(push > 0, robot.upper[:7], robot.lower[:7])
-    np.testing.assert_array_equal(state.robot_joints[:, :7], limit)
+    np.testing.assert_array_equal(state.robots[0].joints[:, :7], limit)
 
 
 def test_a_hand_takes_what_is_near_and_carries_it_rigidly(robot: Robot) -> None:
     state = standing(robot, 8)
     turned = state.object_pose[:, 0, 3:].copy()
-    grip_objects(state, robot_hands(state, robot), np.ones(8), SPEC)
+    grip_objects(state, robot_hands(state.robots[0], robot), np.ones(8), SPEC)
     assert (state.held_by[:, 0] == ROBOT).all()
     assert (state.held_by[:, 1] == NOBODY).all()
-    hands = robot_hands(state, robot)
+    hands = robot_hands(state.robots[0], robot)
     np.testing.assert_allclose(state.object_pose[:, 0, :3], hands[:, :3, 3], atol=1e-12)  # it snapped
     np.testing.assert_allclose(np.abs(np.sum(turned * state.object_pose[:, 0, 3:], -1)), 1.0, atol=1e-12)
     in_hand = pose_multiply(pose_inverse(pose_from_matrix(hands)), state.object_pose[:, 0])
     rng = np.random.default_rng(1)
     for _ in range(30):
-        state.robot_xz[:] += rng.uniform(-0.1, 0.1, (8, 2))
-        state.robot_heading[:] += rng.uniform(-0.1, 0.1, 8)
-        move_arms(state, robot, rng.uniform(-1, 1, (8, 7)), SPEC)
-        carry_objects(state, robot_hands(state, robot))
-    hands = pose_from_matrix(robot_hands(state, robot))
+        state.robots[0].xz[:] += rng.uniform(-0.1, 0.1, (8, 2))
+        state.robots[0].heading[:] += rng.uniform(-0.1, 0.1, 8)
+        move_arms(state.robots[0], robot, rng.uniform(-1, 1, (8, 7)), SPEC)
+        carry_objects(state, robot_hands(state.robots[0], robot))
+    hands = pose_from_matrix(robot_hands(state.robots[0], robot))
     now = pose_multiply(pose_inverse(hands), state.object_pose[:, 0])
     np.testing.assert_allclose(now[:, :3], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(np.sum(now[:, 3:] * in_hand[:, 3:], -1)), 1.0, atol=1e-9)
@@ -94,19 +96,19 @@ def test_a_hand_takes_what_is_near_and_carries_it_rigidly(robot: Robot) -> None:
 
 def test_what_is_let_go_stays_where_it_is(robot: Robot) -> None:
     state = standing(robot, 3)
-    grip_objects(state, robot_hands(state, robot), [1.0, 1.0, 1.0], SPEC)
-    grip_objects(state, robot_hands(state, robot), [0.0, -1.0, 1.0], SPEC)
+    grip_objects(state, robot_hands(state.robots[0], robot), [1.0, 1.0, 1.0], SPEC)
+    grip_objects(state, robot_hands(state.robots[0], robot), [0.0, -1.0, 1.0], SPEC)
     assert state.held_by[:, 0].tolist() == [ROBOT, NOBODY, ROBOT]
     left = state.object_pose[1].copy()
-    state.robot_xz[:] += 1.0
-    carry_objects(state, robot_hands(state, robot))
+    state.robots[0].xz[:] += 1.0
+    carry_objects(state, robot_hands(state.robots[0], robot))
     np.testing.assert_array_equal(state.object_pose[1], left)
     assert (np.abs(state.object_pose[[0, 2], 0] - left[0]) > 1e-3).any()
 
 
 def test_out_of_reach_or_in_anothers_hand_it_is_not_taken(robot: Robot) -> None:
     state = standing(robot, 2)
-    hands = robot_hands(state, robot)
+    hands = robot_hands(state.robots[0], robot)
     state.object_pose[0, 0, :3] = hands[0, :3, 3] + [0, SPEC.grasp_m + 1e-6, 0]
     state.held_by[1, 0] = HUMAN
     grip_objects(state, hands, [1.0, 1.0], SPEC)
@@ -118,7 +120,7 @@ def test_out_of_reach_or_in_anothers_hand_it_is_not_taken(robot: Robot) -> None:
 
 def test_one_hand_holds_one_thing_and_takes_the_nearest(robot: Robot) -> None:
     state = standing(robot, 1, objects=3)
-    hand = robot_hands(state, robot)
+    hand = robot_hands(state.robots[0], robot)
     state.object_pose[0, :, :3] = hand[0, :3, 3] + np.array([[0.0, 0.12, 0.0], [0.0, 0.05, 0.0], [0.1, 0.0, 0.0]])
     for _ in range(2):
         grip_objects(state, hand, [1.0], SPEC)
@@ -127,38 +129,38 @@ def test_one_hand_holds_one_thing_and_takes_the_nearest(robot: Robot) -> None:
 
 def test_one_world_is_as_many(robot: Robot) -> None:
     many = standing(robot, 64, objects=3)
-    singles = [WorldState(**{k: v[w : w + 1].copy() for k, v in vars(many).items()}) for w in range(64)]
+    singles = [many.take([w]) for w in range(64)]
     rng = np.random.default_rng(5)
     for _ in range(20):
         arm, grip = rng.uniform(-1, 1, (64, 7)), rng.choice([-1.0, 0.0, 1.0], 64)
         for state, rows in [(many, slice(None)), *((s, slice(w, w + 1)) for w, s in enumerate(singles))]:
-            move_arms(state, robot, arm[rows], SPEC)
-            grip_objects(state, robot_hands(state, robot), grip[rows], SPEC)
+            move_arms(state.robots[0], robot, arm[rows], SPEC)
+            grip_objects(state, robot_hands(state.robots[0], robot), grip[rows], SPEC)
     assert (many.held_by == ROBOT).any()
-    for name, array in vars(many).items():
-        np.testing.assert_array_equal(array, np.concatenate([getattr(s, name) for s in singles]), err_msg=name)
+    for array, *alone in zip(many.arrays(), *(s.arrays() for s in singles), strict=True):
+        np.testing.assert_array_equal(array, np.concatenate(alone))
 
 
 @pytest.mark.parametrize("action", [np.full((2, 7), np.nan), np.zeros((2, 6)), np.zeros(7), np.zeros((1, 7))])
 def test_arm_actions_that_are_none_are_refused(robot: Robot, action: np.ndarray) -> None:
     state = standing(robot, 2)
-    before = state.robot_joints.copy()
+    before = state.robots[0].joints.copy()
     with pytest.raises(InputError, match=r"finite|shape"):
-        move_arms(state, robot, action, SPEC)
-    np.testing.assert_array_equal(state.robot_joints, before)
+        move_arms(state.robots[0], robot, action, SPEC)
+    np.testing.assert_array_equal(state.robots[0].joints, before)
 
 
 @pytest.mark.parametrize("action", [[1.0, np.nan], [1.0], [[1.0], [1.0]], [1.0, np.inf]])
 def test_grip_actions_that_are_none_are_refused(robot: Robot, action: object) -> None:
     state = standing(robot, 2)
     with pytest.raises(InputError, match=r"finite|shape"):
-        grip_objects(state, robot_hands(state, robot), np.array(action), SPEC)
+        grip_objects(state, robot_hands(state.robots[0], robot), np.array(action), SPEC)
     assert (state.held_by == NOBODY).all()
 
 
 def test_states_without_joints_and_robots_without_hands_are_told(robot: Robot) -> None:
     with pytest.raises(InputError, match="joints=20"):
-        move_arms(WorldState.zeros(1), robot, np.zeros((1, 7)), SPEC)
+        move_arms(RobotState.zeros(1), robot, np.zeros((1, 7)), SPEC)
 
 
 def test_compiled_is_the_readable_reference(robot: Robot) -> None:
@@ -167,7 +169,7 @@ def test_compiled_is_the_readable_reference(robot: Robot) -> None:
         args = (*rng.uniform(-3, 3, 2), 0.05, -1.0, 2.0)
         assert manipulation.step_joint(*args) == manipulation.step_joint.py_func(*args)
     state = standing(robot, 20, objects=3)
-    for w, hand in enumerate(robot_hands(state, robot)):
+    for w, hand in enumerate(robot_hands(state.robots[0], robot)):
         args = (hand, state.object_pose[w], state.held_by[w], NOBODY)
         assert manipulation.nearest_free(*args) == pytest.approx(manipulation.nearest_free.py_func(*args))
 
@@ -188,10 +190,10 @@ def shelf(depth_m: float, hand: np.ndarray) -> Scene:
 
 def test_a_held_box_in_a_shelf_is_as_deep_as_it_is(robot: Robot) -> None:
     state = standing(robot, 1)
-    state.robot_xz[:], state.robot_heading[:] = 0.0, 0.0
-    hand = robot_hands(state, robot)[0, :3, 3]
+    state.robots[0].xz[:], state.robots[0].heading[:] = 0.0, 0.0
+    hand = robot_hands(state.robots[0], robot)[0, :3, 3]
     held = (Box(pose=IDENTITY_POSE, half_extents=np.array([0.6, 0.03, 0.03])),)  # reaches 0.6 m ahead of the hand
-    base, joints = ground_pose([0.0, 0.0], 0.0), state.robot_joints[0]
+    base, joints = ground_pose([0.0, 0.0], 0.0), state.robots[0].joints[0]
     pose = np.array([*hand, 0, 0, 0, 1.0])
     for depth in (-0.05, 0.0005, 0.04, 0.2):  # the shelf's side is 0.6 m - depth ahead
         touches = ArmContact(shelf(depth - 0.6, hand), robot).touches(
@@ -206,14 +208,14 @@ def test_a_held_box_in_a_shelf_is_as_deep_as_it_is(robot: Robot) -> None:
 
 def test_an_arm_in_a_shelf_is_told_once(robot: Robot) -> None:
     state = standing(robot, 1)
-    state.robot_xz[:], state.robot_heading[:] = 0.0, 0.0
-    hand = robot_hands(state, robot)[0, :3, 3]
+    state.robots[0].xz[:], state.robots[0].heading[:] = 0.0, 0.0
+    hand = robot_hands(state.robots[0], robot)[0, :3, 3]
     contact = ArmContact(shelf(0.1, hand), robot)
     base = ground_pose([0.0, 0.0], 0.0)
-    touches = contact.touches(base, state.robot_joints[0])
+    touches = contact.touches(base, state.robots[0].joints[0])
     assert {t.part for t in touches} >= {"arm_hand"}
     assert touches[0].depth_m > 0.05
-    assert not contact.touches(ground_pose([-1.0, 0.0], 0.0), state.robot_joints[0])
+    assert not contact.touches(ground_pose([-1.0, 0.0], 0.0), state.robots[0].joints[0])
     events = touch_events(touches, [], step=3, agent=ROBOT)
     assert [(e.step, e.kind, e.target) for e in events] == [(3, "contact", "shelf")] * len(touches)
     assert not touch_events(touches, touches, step=4, agent=ROBOT)

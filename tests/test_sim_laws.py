@@ -44,7 +44,7 @@ def started(free: FreeSpace, spec: BaseSpec, worlds: int, rng: np.random.Generat
     """Robots at random where their discs are free, one object near each hand."""
     robot = load_robot("quad_arm")
     state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=2)
-    state.robot_joints[:] = robot.rest
+    state.robots[0].joints[:] = robot.rest
     offsets = np.array(spec.disc_offsets_m)
     for w in range(worlds):
         while True:
@@ -52,21 +52,21 @@ def started(free: FreeSpace, spec: BaseSpec, worlds: int, rng: np.random.Generat
             clear = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
             if clear >= spec.disc_radius_m:
                 break
-        state.robot_xz[w], state.robot_heading[w] = xz, heading
-    state.object_pose[:, 0, :3] = robot_hands(state, robot)[:, :3, 3] + rng.normal(0, 0.05, (worlds, 3))
+        state.robots[0].xz[w], state.robots[0].heading[w] = xz, heading
+    state.object_pose[:, 0, :3] = robot_hands(state.robots[0], robot)[:, :3, 3] + rng.normal(0, 0.05, (worlds, 3))
     return state
 
 
 def act(state: WorldState, free: FreeSpace, spec: BaseSpec, actions: np.ndarray) -> None:
     """One step of everything: actions [W, 11] hold base, arm and grip."""
     robot = load_robot("quad_arm")
-    drive_robots(state, free, actions[:, : 3 if spec.max_lateral_mps else 2], spec)
-    move_arms(state, robot, actions[:, 3:10], ARM)
-    grip_objects(state, robot_hands(state, robot), actions[:, 10], ARM)
+    drive_robots(state.robots[0], free, actions[:, : 3 if spec.max_lateral_mps else 2], spec)
+    move_arms(state.robots[0], robot, actions[:, 3:10], ARM)
+    grip_objects(state, robot_hands(state.robots[0], robot), actions[:, 10], ARM)
 
 
 def digest(state: WorldState) -> list[bytes]:
-    return [array.tobytes() for array in vars(state).values()]
+    return [array.tobytes() for array in state.arrays()]
 
 
 @settings(max_examples=6)
@@ -75,7 +75,7 @@ def test_one_world_is_as_many_and_nothing_breaks(spec: BaseSpec, home: int, seed
     _, free = floor(home)
     many = started(free, spec, 64, np.random.default_rng(seed))
     again = many.copy()
-    singles = {w: WorldState(**{k: v[w : w + 1].copy() for k, v in vars(many).items()}) for w in (0, 17, 63)}
+    singles = {w: many.take([w]) for w in (0, 17, 63)}
     rng = np.random.default_rng(seed)
     robot = load_robot("quad_arm")
     for _ in range(40):
@@ -86,11 +86,10 @@ def test_one_world_is_as_many_and_nothing_breaks(spec: BaseSpec, home: int, seed
             act(single, free, spec, actions[w : w + 1])
     assert digest(many) == digest(again)
     for w, single in singles.items():
-        assert digest(single) == digest(WorldState(**{k: v[w : w + 1] for k, v in vars(many).items()})), w
-    for name, array in vars(many).items():
-        assert np.isfinite(array).all(), name
-    assert (many.robot_joints >= robot.lower).all()
-    assert (many.robot_joints <= robot.upper).all()
+        assert digest(single) == digest(many.take([w])), w
+    assert all(np.isfinite(array).all() for array in many.arrays())
+    assert (many.robots[0].joints >= robot.lower).all()
+    assert (many.robots[0].joints <= robot.upper).all()
 
 
 @settings(max_examples=6)
@@ -109,8 +108,8 @@ def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> Non
         actions = rng.uniform(-1, 1, (40, 11))
         actions[:, 0] = rng.choice([1.0, -1.0, 0.4], 40)
         act(state, free, spec, actions)
-        ahead = np.stack([np.cos(state.robot_heading), -np.sin(state.robot_heading)], -1)
-        centres = (state.robot_xz[:, None] + offsets[:, None] * ahead[:, None]).reshape(-1, 2)
+        ahead = np.stack([np.cos(state.robots[0].heading), -np.sin(state.robots[0].heading)], -1)
+        centres = (state.robots[0].xz[:, None] + offsets[:, None] * ahead[:, None]).reshape(-1, 2)
         clear = free.clearance(centres)
         assert clear.min() >= -spec.clearance_tolerance_m - 1e-9
         for x, z in centres[clear < 1e-3] if k % 10 == 9 else ():
@@ -127,5 +126,5 @@ def test_nan_in_one_world_moves_none(slide: str) -> None:
     actions = np.ones((3, 2))
     actions[2, 1] = np.nan
     with pytest.raises(InputError, match="world 2"):
-        drive_robots(state, free, actions, spec)
+        drive_robots(state.robots[0], free, actions, spec)
     assert digest(state) == before
