@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 GROUP ?=
 
-.PHONY: setup demo test test-all check check-lerobot format bench wheel clean
+.PHONY: setup demo test test-all check check-lerobot check-gltf format bench wheel clean
 
 setup: $(STAMP)
 
@@ -32,6 +32,14 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, in
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --force -o out/lerobot/ds
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
 	$(LEROBOT)/bin/python tests/lerobot_loader/open_datasets.py out/lerobot/ds out/lerobot/export
+
+GLTF := out/gltf
+check-gltf: setup  ## exported animations and scenes pass the Khronos validator (needs npm)
+	$(BIN)/h3data generate social_nav --episodes 1 --seed 5 --force -o $(GLTF)/ds
+	$(BIN)/h3data export $(GLTF)/ds#0 --to gltf --light --force -o $(GLTF)/episode.glb
+	$(BIN)/h3data scenes export small:0 --force -o $(GLTF)/scene
+	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
+	NODE_PATH=$(GLTF)/node_modules node tests/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
 
 check: setup  ## format, lint, types, layers
 	$(BIN)/ruff format --check .
