@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -29,6 +29,11 @@ from h3data.recording.schema import (
     required_columns,
     struct_from_dict,
 )
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import torch
 
 _DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError)
 
@@ -71,7 +76,8 @@ class Dataset:
         return table
 
     @cached_property
-    def _rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[dict[str, Any]]:
+        """`episodes` as Python values."""
         return self.episodes.to_pylist()
 
     def __len__(self) -> int:
@@ -105,7 +111,7 @@ class Dataset:
         self._require_columns(columns or ())
         for group in self._groups(indices):
             rows = [self._row(index) for index in group]
-            shard = self._shard_of(rows[0])
+            shard = self.shard_of(rows[0])
             found = {kind: self._records(kind, shard, group) for kind in kinds}
             names = None
             if columns is not None or records is not None:
@@ -137,13 +143,69 @@ class Dataset:
         return _layout(self._row(index)["columns"])
 
     def __repr__(self) -> str:
-        frames = self._rows[-1]["dataset_to_index"] if self._rows else 0
-        tasks = ", ".join(sorted({row["task"] for row in self._rows})) or "none"
+        frames = self.rows[-1]["dataset_to_index"] if self.rows else 0
+        tasks = ", ".join(sorted({row["task"] for row in self.rows})) or "none"
         lines = [f"Dataset {str(self.root)!r}: {len(self)} episodes, {frames} steps, tasks: {tasks}"]
         lines += [f"  {c.name:<24} {c.dtype:<8} {['T', *c.shape]}".replace("'T'", "T") for c in self.schema.columns]
         return "\n".join(lines)
 
+    # --- as tables ------------------------------------------------------------------------------------------------
+    def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
+        """The steps of ``episodes`` (default: all) as one table, only ``columns`` (default: all, also LeRobot's).
+
+        As stored: a vector is a fixed-size list of the declared width, narrower episodes are padded. Holds all of it in
+        memory; for more than that use `iter_columns` or ``h3data sql``.
+
+        Raises:
+            InputError: no such column or episode.
+            FormatError: damaged data.
+        """
+        from h3data.recording import tables
+
+        return tables.to_arrow(self, columns=columns, episodes=episodes)
+
+    def to_polars(
+        self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
+    ) -> polars.DataFrame:
+        """`to_arrow` as a polars frame, in the same memory. Needs ``pip install "h3data[frames]"``."""
+        from h3data.recording import tables
+
+        return tables.to_polars(self.to_arrow(columns, episodes=episodes))
+
+    def to_pandas(
+        self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
+    ) -> pandas.DataFrame:
+        """`to_arrow` as a pandas frame; vectors stay Arrow lists. Needs ``pip install "h3data[frames]"``."""
+        from h3data.recording import tables
+
+        return tables.to_pandas(self.to_arrow(columns, episodes=episodes))
+
+    def to_torch(
+        self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None
+    ) -> dict[str, torch.Tensor]:
+        """`to_arrow` as tensors [T, *declared shape] on the CPU; of one episode without a copy."""
+        from h3data.recording import tables
+
+        return tables.to_torch(self.to_arrow(columns, episodes=episodes), tables.shapes_of(self))
+
     # --- inside ---
+    def read_group(self, group: Sequence[int], names: Sequence[str]) -> pa.Table:
+        """Stored columns of some episodes of one shard, of which at least one has steps, as Arrow has them."""
+        rows = [self._row(index) for index in group]
+        try:
+            row_groups = [row["row_group"] for row in rows if row["length"]]
+            file = self._file(self.shard_of(rows[0]))
+            table = file.read_row_groups(row_groups, columns=list(names), use_threads=False).select(names)
+            if len(table) != (steps := sum(row["length"] for row in rows)):
+                raise ValueError(f"expected {steps} rows, got {len(table)}")
+        except _DAMAGE as error:
+            raise self._damage(group, error) from error
+        return table.replace_schema_metadata(None)
+
+    def sidecar(self, kind: str, shard: int) -> pa.Table:
+        """The records of a kind in one shard."""
+        return pq.read_table(shard_path(self.root, f"h3/{kind}", shard), page_checksum_verification=True)
+
     def _check_info(self) -> int:
         """Episodes that info.json counts; it is written after the episode tables, so there are at least as many."""
         path = self.root / "meta" / "info.json"
@@ -162,9 +224,10 @@ class Dataset:
     def _row(self, index: int) -> dict[str, Any]:
         if not 0 <= index < len(self):
             raise InputError(f"Episode {index}: the dataset has episodes 0..{len(self) - 1}: {self.root}")
-        return self._rows[index]
+        return self.rows[index]
 
-    def _shard_of(self, row: Mapping[str, Any]) -> int:
+    def shard_of(self, row: Mapping[str, Any]) -> int:
+        """Number of the files that hold an episode, by its row of `episodes`."""
         return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
 
     def _require_columns(self, columns: Sequence[str]) -> None:
@@ -177,7 +240,7 @@ class Dataset:
         start = indices.start
         for index in indices[1:]:
             before, row = self._row(index - 1), self._row(index)
-            if self._shard_of(before) != self._shard_of(row) or before["columns"] != row["columns"]:
+            if self.shard_of(before) != self.shard_of(row) or before["columns"] != row["columns"]:
                 yield range(start, index)
                 start = index
         if len(indices):
@@ -186,7 +249,6 @@ class Dataset:
     def _read(self, group: range, names: Iterable[str] | None) -> list[dict[str, NDArray[Any]]]:
         """The columns of each episode of one group."""
         rows = [self._row(index) for index in group]
-        shard = self._shard_of(rows[0])
         wanted = None if names is None else set(names)
         layout = [c for c in self.layout(group[0]) if wanted is None or c.name in wanted]
         ends = np.cumsum([row["length"] for row in rows])
@@ -194,15 +256,10 @@ class Dataset:
         if not steps or not stored:
             return [{c.name: c.empty(row["length"]) for c in layout} for row in rows]
         try:
-            row_groups = [row["row_group"] for row in rows if row["length"]]
-            table = self._file(shard).read_row_groups(row_groups, columns=stored, use_threads=False)
-            if len(table) != steps:
-                raise ValueError(f"expected {steps} rows, got {len(table)}")
+            table = self.read_group(group, stored)
             whole = {c.name: self._to_numpy(table, c, steps) for c in layout}
         except _DAMAGE as error:
-            path = shard_path(self.root, "data", shard)
-            which = f"Episode {group[0]}" if len(group) == 1 else f"One of the episodes {group[0]} to {group[-1]}"
-            raise FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}") from error
+            raise self._damage(group, error) from error
         return [
             {name: array[end - row["length"] : end] for name, array in whole.items()}
             for row, end in zip(rows, ends, strict=True)
@@ -217,10 +274,15 @@ class Dataset:
         if any(c.null_count for c in chunks):
             raise ValueError(f"column {column.name} has nulls")
         values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
-        wide = values.astype(home.dtype, copy=False).reshape(steps, *home.shape)
+        wide = _as_declared(values, home.dtype).reshape(steps, *home.shape)
         if home.shape == column.shape:
             return wide
         return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
+
+    def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
+        path = shard_path(self.root, "data", self.shard_of(self._row(group[0])))
+        which = f"Episode {group[0]}" if len(group) == 1 else f"One of the episodes {group[0]} to {group[-1]}"
+        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}")
 
     def _file(self, shard: int) -> pq.ParquetFile:
         if shard not in self._files:
@@ -238,7 +300,7 @@ class Dataset:
             if key not in self._sidecars:
                 if len(self._sidecars) >= 2 * len(SIDECARS):
                     self._sidecars.pop(next(iter(self._sidecars)))
-                table = pq.read_table(path, page_checksum_verification=True)
+                table = self.sidecar(kind, shard)
                 self._sidecars[key] = (table, table["episode_index"].to_numpy())
             table, owners = self._sidecars[key]
             bounds = np.searchsorted(owners, [*group, group.stop])
@@ -259,6 +321,15 @@ class Dataset:
             raise FormatError(
                 f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
             ) from error
+
+
+def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
+    """Stored values in the dtype of their column: since version 1.2 a uint64 lies in the file as an int64 of equal bits."""
+    if dtype == "uint64" and stored.dtype == np.int64:
+        return stored.view(np.uint64)
+    if stored.dtype != dtype:
+        raise ValueError(f"expected {dtype}, got {stored.dtype}")
+    return stored
 
 
 @lru_cache(maxsize=64)

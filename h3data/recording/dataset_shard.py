@@ -65,7 +65,7 @@ class Shard:
         self.parts: list[tuple[Path, Path]] = []
         self.spoiled = False
         """A row group was begun and not finished: nothing of this file can be used."""
-        self._arrow = _data_schema(schema)
+        self._arrow = data_schema(schema)
         self._stream = self._open("data")
         self._writer = pq.ParquetWriter(self._stream, self._arrow, **_parquet_options(schema))
 
@@ -117,9 +117,7 @@ class Shard:
         self._writer.close()
         _sync(self._stream)
         for kind, struct in SIDECARS.items():
-            fields = [("episode_index", pa.int64())]
-            fields += [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()]
-            self._write(f"h3/{kind}", pa.Table.from_pylist(self.sidecars[kind], schema=pa.schema(fields)))
+            self._write(f"h3/{kind}", pa.Table.from_pylist(self.sidecars[kind], schema=record_schema(struct)))
         metadata = {"h3data.schema_version": SCHEMA_VERSION, "h3data.moments": pack_moments(self.moments)}
         self._write(
             "meta/episodes", pa.Table.from_pylist(self.rows, schema=pa.schema(_EPISODE_FIELDS, metadata=metadata))
@@ -185,7 +183,14 @@ def _arrow_type(spec: str) -> pa.DataType:
     return pa.list_(plain) if spec.endswith("*") else plain
 
 
-def _data_schema(schema: DatasetSchema) -> pa.Schema:
+def record_schema(struct: str) -> pa.Schema:
+    """Arrow schema of the records of a kind, one of `STRUCTS`."""
+    fields = [("episode_index", pa.int64())]
+    return pa.schema(fields + [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()])
+
+
+def data_schema(schema: DatasetSchema) -> pa.Schema:
+    """Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
     fields = [pa.field(name, pa.from_numpy_dtype(np.dtype(dtype))) for name, dtype in STANDARD.items()]
     for c in schema.columns:
         item = pa.from_numpy_dtype(np.dtype(c.dtype))

@@ -1,0 +1,145 @@
+"""A Parquet dataset as tables: Arrow, polars, pandas, torch; and as a lazy Arrow dataset for query engines.
+
+Tables hold what the files hold: a row per step, arrays of a row flattened in C order to fixed-size lists of the declared
+width, narrower episodes padded (docs/format.md). Vectors are not split into columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as pads
+
+from h3data.errors import InputError, MissingExtraError
+from h3data.recording.dataset_shard import SIDECARS, data_schema, record_schema
+from h3data.recording.lerobot_meta import STANDARD, shard_path
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import torch
+
+    from h3data.recording.dataset import Dataset
+
+
+def to_arrow(
+    dataset: Dataset, *, columns: Sequence[str] | None = None, episodes: Iterable[int] | None = None
+) -> pa.Table:
+    """The steps of ``episodes`` in their order, a chunk for each or for several; see `Dataset.to_arrow`."""
+    schema = table_schema(dataset, columns)
+    tables = [_typed(dataset.read_group(group, schema.names), schema) for group in _groups(dataset, episodes)]
+    return pa.concat_tables(tables) if tables else pa.Table.from_batches([_no_rows(schema)])
+
+
+def to_polars(table: pa.Table) -> polars.DataFrame:
+    """The same memory as a polars frame; fixed-size lists are polars arrays."""
+    try:
+        import polars
+    except ImportError:
+        raise MissingExtraError('A polars frame needs polars. Hint: pip install "h3data[frames]"') from None
+    frame = polars.from_arrow(table)
+    assert isinstance(frame, polars.DataFrame)
+    return frame
+
+
+def to_pandas(table: pa.Table) -> pandas.DataFrame:
+    """A pandas frame: plain columns of numpy, vectors in the same Arrow memory (``frame[name].list[0]``)."""
+    try:
+        import pandas
+    except ImportError:
+        raise MissingExtraError('A pandas frame needs pandas. Hint: pip install "h3data[frames]"') from None
+
+    def kind(arrow: pa.DataType) -> Any:
+        return pandas.ArrowDtype(arrow) if pa.types.is_fixed_size_list(arrow) else None
+
+    return table.to_pandas(types_mapper=kind, split_blocks=True)
+
+
+def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+    """Tensors [T, *shape]; those of one chunk share its memory, except bool, which Arrow packs into bits."""
+    import torch
+
+    tensors = {}
+    for name in table.column_names:
+        chunks = [c.flatten() if pa.types.is_fixed_size_list(c.type) else c for c in table.column(name).chunks]
+        if len(chunks) == 1 and not pa.types.is_boolean(chunks[0].type):
+            flat = torch.from_dlpack(chunks[0])
+        else:
+            flat = torch.from_numpy(np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks]))
+        tensors[name] = flat.reshape(len(table), *shapes.get(name, ()))
+    return tensors
+
+
+def table_schema(dataset: Dataset, columns: Sequence[str] | None = None) -> pa.Schema:
+    """Names and declared types of the columns of the data files: all, or ``columns`` in their order.
+
+    Raises:
+        InputError: there is no such column, or it is of width 0 in the whole dataset and therefore not stored.
+    """
+    kinds = {name: (dtype, 1) for name, dtype in STANDARD.items()}
+    kinds |= {c.name: (c.dtype, c.width) for c in dataset.schema.columns if c.width}
+    unknown = sorted(set(columns or ()) - set(kinds))
+    if unknown:
+        raise InputError(f"No columns {unknown} in this dataset. It has: {', '.join(kinds)}: {dataset.root}")
+    fields = []
+    for name in dict.fromkeys(kinds if columns is None else columns):
+        dtype, width = kinds[name]
+        item = pa.from_numpy_dtype(np.dtype(dtype))
+        fields.append(pa.field(name, item if width == 1 else pa.list_(item, width)))
+    return pa.schema(fields)
+
+
+def shapes_of(dataset: Dataset) -> dict[str, tuple[int, ...]]:
+    """Declared shape of a row of each stored column."""
+    return {**dict.fromkeys(STANDARD, ()), **{c.name: c.shape for c in dataset.schema.columns if c.width}}
+
+
+def step_source(dataset: Dataset) -> pads.Dataset:
+    """All committed steps, lazily: engines read the columns and row groups that they need."""
+    schema = data_schema(dataset.schema)
+    paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
+    if not paths:
+        return pads.dataset(schema.empty_table())
+    return pads.dataset([str(path) for path in paths], schema=schema, format="parquet")
+
+
+def record_table(dataset: Dataset, kind: str) -> pa.Table:
+    """All records of a kind (``bodies``, ``assets``, ``agents``, ``skills``, ``events``) with their ``episode_index``."""
+    schema = record_schema(SIDECARS[kind])
+    tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
+    return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")
+
+
+def committed_shards(dataset: Dataset, *, with_steps: bool = False) -> list[int]:
+    """Numbers of the shards that the episode tables list."""
+    rows = dataset.rows
+    return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
+
+
+def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The same bits under the declared types: uint64 are stored as int64."""
+    for k, field in enumerate(schema):
+        column = table.column(k)
+        if column.type != field.type:
+            table = table.set_column(k, field, pa.chunked_array([c.view(field.type) for c in column.chunks]))
+    return table.cast(schema)
+
+
+def _no_rows(schema: pa.Schema) -> pa.RecordBatch:
+    return pa.record_batch([pa.array([], field.type) for field in schema], schema=schema)
+
+
+def _groups(dataset: Dataset, episodes: Iterable[int] | None) -> Iterator[list[int]]:
+    """Episodes with steps, in their order, in runs that lie in one shard."""
+    wanted = range(len(dataset)) if episodes is None else list(episodes)
+    for index in wanted:
+        if not 0 <= index < len(dataset):
+            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}")
+    rows = dataset.rows
+    with_steps = (index for index in wanted if rows[index]["length"])
+    for _, group in itertools.groupby(with_steps, key=lambda index: dataset.shard_of(rows[index])):
+        yield list(group)
