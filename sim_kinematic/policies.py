@@ -31,6 +31,8 @@ class View(NamedTuple):
     seed: int = 0
     """Of the episode: with ``step`` it decides everything that a policy draws."""
     step: int = 0
+    robot_before: tuple[NDArray[np.float64], float] | None = None
+    """Where the robot was before the last step, place and heading; None at the start."""
 
 
 class Command(NamedTuple):
@@ -54,7 +56,7 @@ def _steer(view: View, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[
     return error, float(np.clip(error / (spec.max_turn_rad_s * STEP_S), -1, 1))
 
 
-def _next_waypoint(view: View, spec: BaseSpec) -> NDArray[np.float64]:
+def next_waypoint(view: View, spec: BaseSpec) -> NDArray[np.float64]:
     """The first way point on the path to the person that is not already underfoot."""
     path = view.free.path(view.robot_xz, view.human_xz)
     for waypoint in path[1:]:
@@ -72,7 +74,7 @@ def heuristic_expert(view: View, spec: BaseSpec) -> Command:
         return Command(0.0, 0.0, "wait")
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
     if gap > 0:
-        error, turn = _steer(view, _next_waypoint(view, spec), spec)
+        error, turn = _steer(view, next_waypoint(view, spec), spec)
         forward = min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2
         return Command(forward, turn, "follow" if view.met else "find")
     error, turn = _steer(view, view.human_xz, spec)
@@ -102,7 +104,18 @@ POLICIES: dict[str, Policy] = {
 
 
 def policy_by_name(name: str) -> Policy:
-    """The policy called ``name``; an `InputError` lists what exists."""
+    """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    from sim_kinematic.learned import LearnedNavigation, is_learned, network_of
+
+    if is_learned(name):
+        return LearnedNavigation(network_of(name))
     if name not in POLICIES:
-        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(POLICIES)}.")
+        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(POLICIES)}, or weights:FILE.")
     return POLICIES[name]
+
+
+def policy_name(policy: str | Policy) -> str:
+    """The name under which a policy is recorded; that of a file of weights says which weights (`stamped`)."""
+    from sim_kinematic.learned import stamped
+
+    return stamped(policy) if isinstance(policy, str) else getattr(policy, "__name__", type(policy).__name__)

@@ -24,7 +24,7 @@ from h3data.geometry import heading_from_quat
 from h3data.interop.social_nav_episodes import SocialNavEpisode
 from h3data.recording import SCHEMA_VERSION, Event, Recording, RecordingHeader, state_hash
 from h3data.scene import FreeSpace, Scene, load_scene
-from sim_kinematic.policies import ROBOT_SKILLS, Command, Policy, View, policy_by_name
+from sim_kinematic.policies import ROBOT_SKILLS, Command, Policy, View, policy_by_name, policy_name
 from sim_kinematic.social_nav import HUMAN, ROBOT, Posture, SocialNavWorld, hindsight, play
 from sim_kinematic.social_nav_episodes import rules_of, world_of
 from sim_kinematic.social_nav_log import EpisodeLog, finished
@@ -314,10 +314,10 @@ def _origin(recording: Recording, step: int) -> dict[str, Any]:
 def _policy(recording: Recording, policy: str | Policy | None) -> tuple[str, Policy]:
     """Name and function of the policy; the recording's own if None."""
     if callable(policy):
-        return getattr(policy, "__name__", type(policy).__name__), policy
+        return policy_name(policy), policy
     name = str(recording.episode.info.get("policy")) if policy is None else policy
     try:
-        return name, policy_by_name(name)
+        return policy_name(name), policy_by_name(name)
     except H3DataError as fault:
         if policy is not None:
             raise

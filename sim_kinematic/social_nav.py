@@ -18,7 +18,7 @@ from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
 from sim_kinematic.oracle import oracle_min_steps
-from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name
+from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name, policy_name
 from sim_kinematic.randomness import generator
 from sim_kinematic.social_nav_log import HUMAN_SKILLS, EpisodeLog, Sink, Step, describe, facing, finished, motion_phase
 from sim_kinematic.spec import SocialNavSpec
@@ -121,7 +121,7 @@ def simulate_social_nav(
     every step.
     """
     act = policy_by_name(policy) if isinstance(policy, str) else policy
-    header = describe(world, episode_id=episode_id, policy=policy if isinstance(policy, str) else act.__name__)
+    header = describe(world, episode_id=episode_id, policy=policy_name(policy))
     clip = world.human.clip_for_speed(world.spec.human.speed_mps)
     log = EpisodeLog(world, clip, sink(header) if sink is not None else None)
     try:
@@ -194,10 +194,12 @@ def play(
     human = human or ScriptedHuman(world, log.clip)
     contact = RobotHumanContact(world.robot, world.human)
     met = False
+    before: tuple[NDArray[np.float64], float] | None = None
     geodesic = float(free.geodesic(robot_xz, human_xz))
     for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
         heading = float(robot.heading[0])
-        view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step)
+        view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before)
+        before = view.robot_xz, heading
         command = act(view, spec.robot)
         action = np.array([command.forward, command.turn], np.float32)
         goal, walked = human.goal, float(person.distance[0])

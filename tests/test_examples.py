@@ -41,3 +41,19 @@ def test_random_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "vector_env.py"))
     assert "% of the worlds found her" in capsys.readouterr().out
+
+
+def test_rearrange_pair(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "rearrange_pair.py"))
+    out = capsys.readouterr().out
+    assert "the person alone:" in out
+    assert "complement: success" in out
+    assert out.count("RE ") == 3
+
+
+@pytest.mark.slow
+def test_learned_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "net.npz")])
+    runpy.run_path(str(EXAMPLES / "learned_policy.py"))
+    followed = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
+    assert followed[0] == 0 < 0.5 < followed[1] <= 1

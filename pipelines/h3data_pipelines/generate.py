@@ -45,6 +45,7 @@ class Generate:
         h3data generate social_nav --scenes h3-homes/test --human any -o ds/
         h3data generate social_nav --scenes h3-homes/train --episodes 1000 --workers 2 -o ds/
         h3data generate social_nav --episodes-file exports/episodes/social_nav_h3-homes_test.json.gz -o ds/
+        h3data generate social_nav --scenes h3-homes/test --policy weights:net.npz -o ds/
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
         h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
     """
@@ -68,7 +69,8 @@ class Generate:
     """Number of different homes of a preset that the episodes go round."""
     policy: str | None = None
     """Robot policy. social_nav: heuristic_expert (default), random or stand_still; rearrange: complement (default),
-    greedy_nearest, same_object, still, or solo (there is no robot)."""
+    greedy_nearest, same_object, still, or solo (there is no robot). Both: weights:FILE, a learned one
+    (docs/learned-policies.md)."""
     partner: str | None = None
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
     plan_pop_2, plan_pop_3 or plan_pop_4."""
@@ -135,12 +137,13 @@ class Generate:
             return self._rearrange_jobs()
         from h3data.interop.scene_names import named_scenes
         from h3data.scene.scene_sets import find_scene_set
+        from sim_kinematic.learned import stamped
         from sim_kinematic.policies import policy_by_name
         from sim_kinematic.social_nav import require_task
         from sim_kinematic.spec import SocialNavSpec
 
         require_task(self.task)
-        policy = self.policy or "heuristic_expert"
+        policy = stamped(self.policy or "heuristic_expert")
         policy_by_name(policy)
         self._check_numbers()
         if self.partner is not None:

@@ -1,0 +1,246 @@
+"""Policies from files of weights: the same numbers as PyTorch, the same observations as the training environment, and
+files that are no weights."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+import h3data
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.cli import main
+from sim_kinematic.env import SocialNavEnv
+from sim_kinematic.learned import LearnedNavigation, navigation_input, network_of, stamped
+from sim_kinematic.network import FILE_FORMAT, Network, from_torch, load_network, save_network
+from sim_kinematic.policies import Command, View, policy_by_name
+from sim_kinematic.resume import verify
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import BaseSpec, SocialNavSpec
+
+NAMES = ("humanoid_gps", "egomotion")
+
+
+def small_network(*, seed: int = 0, outputs: int = 2, task: str = "social_nav") -> Network:
+    rng = np.random.default_rng(seed)
+    weights = [rng.normal(size=shape).astype(np.float32) for shape in ((8, 5), (outputs, 8))]
+    biases = tuple(np.zeros(len(w), np.float32) for w in weights)
+    return Network(task=task, observations=NAMES, weights=tuple(weights), biases=biases)
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    save_network(small_network(), tmp_path / "net.npz")
+    return tmp_path / "net.npz"
+
+
+# --- the network --------------------------------------------------------------------------------------------------------
+@given(
+    widths=st.lists(st.integers(1, 9), min_size=2, max_size=5), kind=st.sampled_from([nn.Tanh, nn.ReLU]),
+    bias=st.booleans(), seed=st.integers(0, 100),
+)  # fmt: skip
+@settings(max_examples=30, deadline=None)
+def test_it_gives_what_pytorch_gives(widths: list[int], kind: type, bias: bool, seed: int) -> None:
+    torch.manual_seed(seed)
+    layers: list[nn.Module] = []
+    for a, b in pairwise(widths):
+        layers += [nn.Linear(a, b, bias=bias), kind()]
+    module = nn.Sequential(*layers[:-1])
+    x = torch.randn(7, widths[0])
+    mean, scale = torch.randn(widths[0]), torch.rand(widths[0]) + 0.5
+    network = from_torch(module, task="t", observations=["o"], mean=mean.numpy(), scale=scale.numpy())
+    wanted = module((x - mean) / scale).detach().numpy()
+    np.testing.assert_allclose(network(x.numpy()), wanted, rtol=1e-4, atol=1e-5)
+    assert (network.inputs, network.outputs) == (widths[0], widths[-1])
+
+
+def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
+    network = small_network()
+    save_network(network, tmp_path / "n.npz")
+    again = load_network(tmp_path / "n.npz")
+    x = np.random.default_rng(1).normal(size=(4, 5))
+    np.testing.assert_array_equal(again(x), network(x))
+    assert again.digest == network.digest != small_network(seed=1).digest
+    assert str(again) == "Network(social_nav, humanoid_gps, egomotion: 5 - 8 - 2, tanh)"
+    with zipfile.ZipFile(tmp_path / "n.npz") as packed:
+        assert {n for n in packed.namelist() if "weight" in n} == {"weight_0.npy", "weight_1.npy"}
+
+
+def test_layers_that_make_no_network_are_refused() -> None:
+    one = small_network()
+    with pytest.raises(InputError, match=r"layer 1 .* for 8 inputs"):
+        Network(task="t", observations=("a",), weights=(one.weights[0], one.weights[0]), biases=one.biases)
+    with pytest.raises(InputError, match="finite"):
+        Network(task="t", observations=("a",), weights=one.weights, biases=(one.biases[0] * np.nan, one.biases[1]))
+    with pytest.raises(InputError, match="at least one"):
+        Network(task="t", observations=("a",), weights=(), biases=())
+    with pytest.raises(InputError, match="scale positive"):
+        Network(task="t", observations=("a",), weights=one.weights, biases=one.biases, scale=np.zeros(1, np.float32))
+    with pytest.raises(InputError, match="takes 5 numbers"):
+        one(np.zeros(4))
+    with pytest.raises(InputError, match=r"got Linear, Linear, Tanh"):
+        from_torch([nn.Linear(2, 2), nn.Linear(2, 2), nn.Tanh()], task="t", observations=["a"])
+
+
+# --- files that are none ------------------------------------------------------------------------------------------------
+class Bomb:
+    def __reduce__(self) -> tuple:
+        return os.mkdir, ("/tmp/this-must-not-be-made",)
+
+
+def other_arrays(**change: object) -> dict:
+    net = small_network()
+    arrays = {
+        "format": FILE_FORMAT, "task": "social_nav", "activation": "tanh", "observations": list(NAMES), "mean": net.mean,
+        "scale": net.scale, "weight_0": net.weights[0], "bias_0": net.biases[0], "weight_1": net.weights[1],
+        "bias_1": net.biases[1], **change,
+    }  # fmt: skip
+    return {name: value for name, value in arrays.items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "h3data.network/9"}, "got h3data.network/9"),
+        ({"format": None}, "another npz"),
+        ({"format": 3}, "an array int64"),
+        ({"task": None}, "'task'"),
+        ({"bias_1": None}, "bias_1"),
+        ({"activation": "sign"}, "tanh, relu"),
+        ({"weight_1": np.zeros((2, 9), np.float32)}, "layer 1"),
+        ({"weight_0": np.zeros(5, np.float32)}, "layer 0"),
+        ({"weight_0": np.zeros((8, 5))}, "float32"),
+        ({"weight_1": np.full((2, 8), np.inf, np.float32)}, "finite"),
+        ({"mean": np.zeros(3, np.float32)}, r"expected \[1\] or \[5\]"),
+        ({"observations": []}, "no observations"),
+        ({"weight_0": np.array([Bomb()], object)}, "allow_pickle"),
+    ],
+)
+def test_arrays_that_are_no_network(tmp_path: Path, change: dict, message: str) -> None:
+    np.savez(tmp_path / "x.npz", **other_arrays(**change))
+    with pytest.raises(FormatError, match=message) as told:
+        load_network(tmp_path / "x.npz")
+    assert str(tmp_path) in str(told.value)
+    assert not Path("/tmp/this-must-not-be-made").exists()
+
+
+def test_files_that_are_no_weights(tmp_path: Path, weights: Path) -> None:
+    torch.save({"a": torch.zeros(2)}, tmp_path / "torch.pt")
+    (tmp_path / "pickle.pkl").write_bytes(pickle.dumps(Bomb()))
+    (tmp_path / "empty.npz").write_bytes(b"")
+    (tmp_path / "text.npz").write_text("weights")
+    (tmp_path / "short.npz").write_bytes(weights.read_bytes()[:-100])
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    for file in tmp_path.iterdir():
+        if file != weights:
+            with pytest.raises(FormatError, match="file of weights"):
+                load_network(file)
+    for missing in (tmp_path / "no.npz", tmp_path):
+        with pytest.raises(InputError, match="found none"):
+            load_network(missing)
+    assert not Path("/tmp/this-must-not-be-made").exists()
+
+
+@given(at=st.floats(0, 1), value=st.integers(0, 255))
+@settings(max_examples=60, deadline=None)
+def test_a_flipped_byte_is_noticed_or_harmless(tmp_path_factory: pytest.TempPathFactory, at: float, value: int) -> None:
+    folder = tmp_path_factory.mktemp("flipped")
+    save_network(small_network(), folder / "a.npz")
+    data = bytearray((folder / "a.npz").read_bytes())
+    data[int(at * (len(data) - 1))] = value
+    (folder / "b.npz").write_bytes(data)
+    with contextlib.suppress(InputError):
+        assert np.isfinite(load_network(folder / "b.npz")(np.ones(5))).all()
+
+
+def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, weights: Path) -> None:
+    monkeypatch.setattr("sim_kinematic.network.MAX_BYTES", 64)
+    with pytest.raises(FormatError, match="at most 0 MiB"):
+        load_network(weights)
+
+
+# --- social navigation --------------------------------------------------------------------------------------------------
+def test_it_is_shown_what_the_training_environment_shows() -> None:
+    names = ("humanoid_gps", "egomotion", "localization")
+    spec = SocialNavSpec(max_steps=25, spawn_distance_m=3.0)
+    env = SocialNavEnv("small:1", spec=spec, observations=names)
+    seen = [env.reset(seed=3)[0]]
+    network = small_network()
+    policy = LearnedNavigation(network)
+
+    def watched(view: View, base: BaseSpec) -> Command:
+        shown.append(navigation_input(view, base, names))
+        return policy(view, base)
+
+    for _ in range(24):
+        x = np.concatenate([seen[-1][name] for name in NAMES])
+        seen.append(env.step(np.clip(network(x), -1, 1))[0])
+    shown: list[np.ndarray] = []
+    simulate_social_nav(env.batch.episodes[0], policy=watched)
+    np.testing.assert_array_equal(shown, [np.concatenate([o[n] for n in names]) for o in seen[: len(shown)]])
+    assert len(shown) > 5
+
+
+def test_by_name_it_drives_and_comes_out_again(weights: Path) -> None:
+    home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
+    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=40, spawn_distance_m=3.0))
+    named = simulate_social_nav(world, policy=f"weights:{weights}")
+    given_ = simulate_social_nav(world, policy=LearnedNavigation(small_network()))
+    np.testing.assert_array_equal(named.columns["state_hash"], given_.columns["state_hash"])
+    assert np.ptp(named.columns["agent_0.action"], axis=0).max() > 0
+    assert verify(named).equal
+
+
+def test_a_name_can_mean_these_very_weights(weights: Path) -> None:
+    name = stamped(f"weights:{weights}")
+    assert name == f"weights:{weights}@{small_network().digest[:12]}"
+    assert stamped(name) == name
+    assert network_of(name).digest == small_network().digest
+    assert stamped("random") == "random"
+    save_network(small_network(seed=5), weights)
+    os.utime(weights, (1, 1))
+    with pytest.raises(InputError, match="no longer those"):
+        network_of(name)
+    assert network_of(f"weights:{weights}").digest == small_network(seed=5).digest
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"task": "chess"}, "for the task social_nav"),
+        ({"observations": ["arm_depth"]}, "arm_depth. There are: humanoid_gps"),
+        ({"weight_1": np.zeros((3, 8), np.float32), "bias_1": np.zeros(3, np.float32)}, "2 outputs"),
+    ],
+)
+def test_networks_for_something_else_are_refused(tmp_path: Path, change: dict, message: str) -> None:
+    np.savez(tmp_path / "x.npz", **other_arrays(**change))
+    with pytest.raises(FormatError, match=message):
+        policy_by_name(f"weights:{tmp_path / 'x.npz'}")
+
+
+def test_inputs_of_another_length_are_told(tmp_path: Path) -> None:
+    np.savez(tmp_path / "x.npz", **other_arrays(observations=["humanoid_gps"]))
+    home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
+    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=4, spawn_distance_m=3.0))
+    with pytest.raises(InputError, match=r"takes 5 numbers.*\[2\]"):
+        simulate_social_nav(world, policy=f"weights:{tmp_path / 'x.npz'}")
+
+
+def test_the_command_takes_weights(tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ["generate", "social_nav", "--episodes", "1", "--max-steps", "20", "--policy"]
+    assert main([*args, f"weights:{weights}", "-o", str(tmp_path / "ds")]) == 0
+    recording = h3data.open(tmp_path / "ds")
+    assert f"@{small_network().digest[:12]}" in str(recording.recording(0).episode.info["policy"])
+    assert main([*args, "weights:nothing.npz", "-o", str(tmp_path / "no")]) == 2
+    assert "found none" in capsys.readouterr().err
+    assert main([*args, "weights:", "-o", str(tmp_path / "no")]) == 2
