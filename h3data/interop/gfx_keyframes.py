@@ -1,4 +1,4 @@
-"""The keyframes of a gfx-replay file, as typed records, and the fold that turns them into instances with lives.
+"""The keyframes of a gfx-replay file, as typed records, read one by one.
 
 The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Lists that are empty
 are left out, unknown members are ignored, the enumeration ``type`` changed over the years and is never used.
@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.interop.sniff import KIND_WORDS, decode_json, json_kind, not_json, read_bytes
+from h3data.interop.json_stream import ArrayElements, ArrayFault
+from h3data.interop.sniff import (
+    BYTE_ORDER_MARK,
+    CHUNK_BYTES,
+    KIND_WORDS,
+    REPLAY_MEMBERS,
+    byte_chunks,
+    content_kind,
+    decode_json,
+    not_json,
+    truncated,
+)
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """What fits a float32 also after a product or two."""
@@ -109,152 +119,157 @@ class Keyframe(msgspec.Struct):
     stateUpdates: list[StateItem] = []
     rigUpdates: list[RigUpdate] = []
     userTransforms: list[UserTransform] = []
-    lights: list[dict[str, Any]] = []
+    lights: msgspec.Raw = msgspec.Raw()
+    """Text of a list of objects."""
     lightsChanged: bool = False
 
 
 class _File(msgspec.Struct):
-    keyframes: list[Keyframe] | None = None
-    keyframe: Keyframe | None = None
+    keyframes: list[msgspec.Raw] | None = None
+    keyframe: msgspec.Raw = msgspec.Raw()
 
 
-@dataclass(eq=False)
-class Life:
-    """One instance from its creation to its deletion."""
+KEYFRAME_BYTES = 64 << 20
+"""One keyframe may be so long; what stands behind the keyframes as well."""
+WHOLE_BYTES = 256 << 20
+"""A file that does not begin with its keyframes is read as a whole, and may be so long."""
 
-    key: int
-    creation: Creation
-    start: int
-    """First keyframe in which it exists."""
-    end: int = -1
-    """First keyframe in which it no longer exists; -1 = it stays to the end."""
-    semantic_id: int = 0
-    steps: list[int] = field(default_factory=list)
-    """Keyframes in which its pose was written, increasing."""
-    transforms: list[Transform] = field(default_factory=list)
+_OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
+_OPENING_BYTES = 4096
 
 
-@dataclass(eq=False)
-class Fold:
-    """Everything that the keyframes say, by instance."""
+def read_keyframes(
+    path: Path, digest: Callable[[bytes], object], *, chunk_bytes: int = CHUNK_BYTES
+) -> Iterator[Keyframe]:
+    """Keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``, one by one.
 
-    steps: int
-    lives: list[Life] = field(default_factory=list)
-    loads: dict[str, list[Load]] = field(default_factory=dict)
-    bone_names: dict[int, list[str]] = field(default_factory=dict)
-    rig_poses: dict[int, list[tuple[int, list[BonePose]]]] = field(default_factory=dict)
-    user: dict[str, list[tuple[int, Transform]]] = field(default_factory=dict)
-    lights: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
-    counts: dict[str, int] = field(default_factory=dict)
-    """How often something odd was met, by what it was."""
+    A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
+    with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
+    """
+    chunks = _digested(byte_chunks(path, chunk_bytes), digest)
+    head = b""
+    while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
+        head += chunk
+    opening = _OPENING.match(head, len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0)
+    found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
+    number, known, strange = -1, False, list[str]()
+    for number, (start, text) in enumerate(found):
+        keyframe = _decoded(path, number, start, text)
+        if not known:
+            members = list(decode_json(text, dict[str, msgspec.Raw]))
+            known = not REPLAY_MEMBERS.isdisjoint(members)
+            strange = strange or members
+        yield keyframe
+    if number < 0:
+        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
+    if strange and not known:
+        held = ", ".join(strange[:8])
+        raise FormatError(f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}")
 
-    def note(self, what: str) -> None:
-        self.counts[what] = self.counts.get(what, 0) + 1
+
+def _digested(chunks: Iterator[bytes], digest: Callable[[bytes], object]) -> Iterator[bytes]:
+    for chunk in chunks:
+        digest(chunk)
+        yield chunk
 
 
-def read_keyframes(path: Path) -> tuple[bytes, list[Keyframe]]:
-    """Bytes and keyframes of a ``.gfx_replay.json`` or ``.json.gz``; also of a single ``{"keyframe": {...}}``."""
-    data = read_bytes(path)
+def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
+    """First byte and text of each keyframe; ``head`` is the beginning of the file, the list opens before ``start``."""
+
+    def behind() -> Iterator[bytes]:
+        yield head[start:]
+        yield from chunks
+
+    elements = ArrayElements(behind(), start, KEYFRAME_BYTES)
+    try:
+        yield from elements
+    except ArrayFault as fault:
+        if str(fault) == "truncated":
+            raise truncated(path, fault.at) from None
+        raise FormatError(
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}"
+        ) from None
+    rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "what stands behind the keyframes")
+    stand_in = b'{"keyframes":[]'
+    try:
+        again = decode_json(stand_in + rest)["keyframes"]
+    except msgspec.DecodeError as fault:
+        raise not_json(path, stand_in + rest, fault, start=elements.rest_at - len(stand_in)) from None
+    if again != []:
+        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}")
+
+
+def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
+    data = _limited(path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
     try:
         file = decode_json(data, _File)
     except msgspec.ValidationError as fault:
-        raise _explain(path, data, str(fault)) from None
+        content = json.loads(data.removeprefix(BYTE_ORDER_MARK))
+        if isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe")):
+            raise _invalid(path, str(fault)) from None
+        raise _other_kind(path, data) from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
-    keyframes = file.keyframes if file.keyframes is not None else [file.keyframe] if file.keyframe is not None else None
-    if keyframes is None:
-        raise _other_kind(path, decode_json(data))
-    if not keyframes:
-        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
-    return data, keyframes
+    single = bytes(file.keyframe)
+    if file.keyframes is None and not single:
+        raise _other_kind(path, data)
+    yield from ((0, bytes(text)) for text in (file.keyframes if file.keyframes is not None else [single]))
 
 
-def fold_keyframes(keyframes: Sequence[Keyframe]) -> Fold:
-    """Instances with their lives and poses: the keyframes applied one after another, as Habitat's player does."""
-    fold = Fold(steps=len(keyframes))
-    live: dict[int, Life] = {}
-    for step, keyframe in enumerate(keyframes):
-        for load in keyframe.loads:
-            fold.loads.setdefault(load.filepath, []).append(load)
-        for rig in keyframe.rigCreations:
-            fold.bone_names[rig.id] = rig.boneNames
-        _create_and_delete(fold, live, step, keyframe)
-        for item in keyframe.metadata:
-            if item.instanceKey in live and item.metadata.semanticId is not None:
-                live[item.instanceKey].semantic_id = item.metadata.semanticId
-        for item in keyframe.stateUpdates:
-            life = live.get(item.instanceKey)
-            if life is None:
-                fold.note("pose updates of instances that do not exist")
-                continue
-            if item.state.semanticId is not None:
-                life.semantic_id = item.state.semanticId
-            life.steps.append(step)
-            life.transforms.append(item.state.absTransform)
-        for update in keyframe.rigUpdates:
-            fold.rig_poses.setdefault(update.id, []).append((step, update.pose))
-        for item in keyframe.userTransforms:
-            fold.user.setdefault(item.name, []).append((step, item.transform))
-        if keyframe.lightsChanged or keyframe.lights:
-            fold.lights.append((step, keyframe.lights))
-    return fold
+def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: str) -> bytes:
+    parts, size = [head], len(head)
+    for chunk in chunks:
+        parts.append(chunk)
+        size += len(chunk)
+        if size > most:
+            raise FormatError(f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}")
+    return b"".join(parts)
 
 
-def _create_and_delete(fold: Fold, live: dict[int, Life], step: int, keyframe: Keyframe) -> None:
-    """Apply one keyframe's deletions and creations.
-
-    The player creates first and then deletes. A key that lived before and is in both lists is another instance that
-    re-uses the key: the old one ends, the new one stays. A key that did not live before cancels itself out.
-    """
-    created = {item.instanceKey for item in keyframe.creations}
-    for key in keyframe.deletions:
-        if key in live:
-            live.pop(key).end = step
-        elif key in created:
-            created.discard(key)
-        else:
-            fold.note("deletions of instances that do not exist")
-    for item in keyframe.creations:
-        if item.instanceKey not in created:
-            continue
-        if item.instanceKey in live:
-            fold.note("creations under a key that was still in use (the older instance ends there)")
-            live[item.instanceKey].end = step
-        live[item.instanceKey] = Life(key=item.instanceKey, creation=item.creation, start=step)
-        fold.lives.append(live[item.instanceKey])
+def _decoded(path: Path, number: int, start: int, text: bytes) -> Keyframe:
+    try:
+        return decode_json(text, Keyframe)
+    except msgspec.ValidationError as fault:
+        raise _explain(path, number, text, str(fault)) from None
+    except msgspec.DecodeError as fault:
+        raise not_json(path, text, fault, start=start) from None
 
 
-def _other_kind(path: Path, content: Any) -> FormatError:
-    kind = json_kind(content, name=path.name)
+def _other_kind(path: Path, data: bytes) -> FormatError:
+    content = decode_json(data)
     if isinstance(content, dict):
         keys = ", ".join(list(content)[:8]) or "none"
+        kind = content_kind(data, name=path.name)
         shape = f"Its top-level keys are: {keys}; it looks like {KIND_WORDS.get(kind, kind)}."
     else:
         shape = f"It holds a JSON {type(content).__name__}."
     return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}")
 
 
-def _explain(path: Path, data: bytes, message: str) -> FormatError:
+def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
     """An error that names keyframe and instance instead of an index path."""
-    try:
-        content = json.loads(data)  # msgspec refuses numbers that are too large, which may be the very fault
-    except (ValueError, RecursionError):
-        return FormatError(f"Not a valid gfx-replay: {message}: {path}")
-    if not isinstance(content, dict) or not content.keys() & {"keyframes", "keyframe"}:
-        return _other_kind(path, content)
     reason, _, where = message.partition(" - at `")
-    where = where.rstrip("`").removeprefix("$.")
-    match = re.match(r"keyframes\[(\d+)\](?:\.(\w+)(?:\[(\d+)\])?)?", where)
+    where = where.rstrip("`").removeprefix("$").removeprefix(".")
+    place = f"keyframe {number}"
+    match = re.match(r"(\w+)(?:\[(\d+)\])?", where)
     if match:
-        number, group, index = match.groups()
-        place = f"keyframe {number}"
-        item = None
-        if group is not None and index is not None:
-            item = content["keyframes"][int(number)][group][int(index)]
+        group, index = match.groups()
+        item = None if index is None else _item(text, group, int(index))
         key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
-        place += f", {group}" if group else ""
+        place += f", {group}"
         place += f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
-        where = f"{place} ({where})"
-    return FormatError(
-        f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {where or 'its top level'}: {path}"
-    )
+        place += f" ({where})"
+    return _invalid(path, f"{reason} - at `{place}`")
+
+
+def _item(text: bytes, group: str, index: int) -> Any:
+    try:
+        return json.loads(text)[group][index]  # msgspec refuses numbers that are too large, which may be the very fault
+    except (ValueError, RecursionError):
+        return None
+
+
+def _invalid(path: Path, message: str) -> FormatError:
+    reason, _, where = message.partition(" - at `")
+    place = where.rstrip("`").removeprefix("$.") or "its top level"
+    return FormatError(f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}")

@@ -10,13 +10,15 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
-from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
+from h3data.geometry import IDENTITY_POSE
 from h3data.interop.assets import EMPTY_URI, clean_path
 from h3data.interop.gfx_agents import add_agents
-from h3data.interop.gfx_keyframes import Fold, Life, Load, Transform, fold_keyframes, read_keyframes
+from h3data.interop.gfx_fold import Fold, Life, Loaded, Updates, fold_keyframes
+from h3data.interop.gfx_keyframes import Load, read_keyframes
+from h3data.interop.limits import check_size
 from h3data.interop.meshes import frame_rotation
 from h3data.interop.primitives import is_primitive
 from h3data.recording.records import STEP_NS, AssetRef, Body, Episode, Recording
@@ -47,14 +49,13 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     """
     path = Path(path)
     dt_ns = STEP_NS if fps is None else _step_ns(fps)
-    data, keyframes = read_keyframes(path)
-    fold = fold_keyframes(keyframes)
+    digest = hashlib.sha256()
+    fold = fold_keyframes(read_keyframes(path, digest.update), path)
     assets, refs, notes = _assets(fold, path)
-    poses = [_life_poses(life, path) for life in fold.lives]
-    bodies, tracks = _bodies(fold, refs, poses)
+    bodies, tracks = _bodies(fold, refs, path)
     columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}
-    if tracks:
-        columns["object_pose"] = np.stack(tracks, axis=1)
+    if tracks.shape[1]:
+        columns["object_pose"] = tracks
     columns |= _user_columns(fold, path) | _rig_columns(fold, path)
     agents, bodies, agent_columns, agent_info = add_agents(bodies, assets, columns.get("object_pose"), fold.steps)
     columns |= agent_columns
@@ -63,7 +64,7 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     )
     stage = next((life.creation.filepath for life in fold.lives if _is_stage(life)), "")
     info: dict[str, Any] = {
-        "source": {"format": "gfx_replay", "file": path.name, "sha256": hashlib.sha256(data).hexdigest()},
+        "source": {"format": "gfx_replay", "file": path.name, "sha256": digest.hexdigest()},
         "nominal_fps": 1e9 / dt_ns,
         "agents": [a.record for a in agent_info],
         "lights": fold.lights[0][1] if fold.lights else [],
@@ -101,11 +102,8 @@ def _step_ns(fps: float) -> int:
 # --- assets -----------------------------------------------------------------------------------------------------------
 def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str]]:
     """Assets of the recording, the asset name of each life, and warnings."""
-    by_path: dict[str, list[Load]] = {}
-    for filepath, loads in fold.loads.items():
-        by_path.setdefault(filepath.split("?", 1)[0], []).extend(loads)
     refs: dict[tuple[Any, ...], AssetRef] = {}
-    used: set[str] = set()
+    used: dict[str, int] = {}
     names, unloaded, hidden = [], set(), 0
     for life in fold.lives:
         plain = life.creation.filepath.split("?", 1)[0]
@@ -114,11 +112,11 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             key: tuple[Any, ...] = (EMPTY_URI,)
             values: dict[str, Any] = {"uri": EMPTY_URI}
         else:
-            loads = by_path.get(plain, [])
-            if not loads and not is_primitive(plain):
+            loaded = fold.loads.get(plain)
+            if loaded is None and not is_primitive(plain):
                 unloaded.add(plain)
-            load = loads[-1] if loads else Load(filepath=plain)  # the last load of a path wins, as in the player
-            color = _color(life.creation.filepath, loads)
+            load = Load(filepath=plain) if loaded is None else loaded.last  # as in the player
+            color = _color(life.creation.filepath, loaded)
             uri = f"primitive:{plain}" if is_primitive(plain) else clean_path(plain)
             values = {"uri": uri, "color": color, "units_m": load.virtualUnitToMeters,
                       "up": _plus_zero(load.frame.up), "front": _plus_zero(load.frame.front)}  # fmt: skip
@@ -140,25 +138,23 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
     return list(refs.values()), names, notes
 
 
-def _color(filepath: str, loads: Sequence[Load]) -> tuple[int, int, int] | None:
+def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
     """sRGB override of an instance's material, or None.
 
     The suffix ``?phong_amb_.._dif_.._spec_..`` of the creation belongs to this instance (sRGB, one uint32 RGBA each).
-    The ``overridePhongMaterial`` of ``loads`` (linear) is shared by the path, and counts only if no plain load
-    exists.
+    The ``overridePhongMaterial`` of the loads (linear) is shared by the path, and counts only if no plain load exists.
     """
     _, _, suffix = filepath.partition("?")
     match = _DIFFUSE.search(suffix)
     if match:
         rgba = int(match.group(1)) & 0xFFFFFFFF
         return (rgba >> 24 & 255, rgba >> 16 & 255, rgba >> 8 & 255)
-    overrides = [load.overridePhongMaterial for load in loads]
-    if not overrides or any(o is None or o.diffuse is None for o in overrides):
+    if loaded is None or not loaded.always_painted:
         return None
-    last = overrides[-1]
-    assert last is not None
-    assert last.diffuse is not None
-    r, g, b = (int(v) for v in linear_to_bytes(last.diffuse[:3]))
+    phong = loaded.last.overridePhongMaterial
+    assert phong is not None
+    assert phong.diffuse is not None
+    r, g, b = (int(v) for v in linear_to_bytes(phong.diffuse[:3]))
     return (r, g, b)
 
 
@@ -178,11 +174,14 @@ def _short_name(uri: str) -> str:
     return next((p for p in reversed(parts.parts[:-1]) if p not in _UNTELLING_FOLDERS), parts.stem)
 
 
-def _unique(name: str, used: set[str]) -> str:
-    candidate, number = name, 2
+def _unique(name: str, used: dict[str, int]) -> str:
+    """The name, or with the first number behind it that is free; ``used`` has the last number of each."""
+    candidate, number = name, used.get(name, 0)
     while candidate in used:
-        candidate, number = f"{name}~{number}", number + 1
-    used.add(candidate)
+        number += 1
+        candidate = f"{name}~{number + 1}"
+    used[name] = number
+    used.setdefault(candidate, 0)
     return candidate
 
 
@@ -191,58 +190,55 @@ def _is_stage(life: Life) -> bool:
 
 
 # --- bodies -----------------------------------------------------------------------------------------------------------
-def _bodies(
-    fold: Fold, refs: Sequence[str], poses: Sequence[NDArray[np.float64]]
-) -> tuple[list[Body], list[NDArray[np.float32]]]:
-    """One body per life and the track [T, 7] of each moving one."""
-    used: set[str] = set()
-    bodies, tracks = [], []
-    for life, ref, pose in zip(fold.lives, refs, poses, strict=True):
-        end = fold.steps if life.end < 0 else life.end
-        moves = life.start > 0 or end < fold.steps or bool(np.any(pose != pose[0]))
-        if moves:
-            starts = [life.start] if not life.steps or life.steps[0] > life.start else []
-            tracks.append(_filled(fold.steps, starts + life.steps, pose, end=end))
+def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], NDArray[np.float32]]:
+    """One body per life and the tracks [T, M, 7] of those that move."""
+    used: dict[str, int] = {}
+    bodies: list[Body] = []
+    movers: list[Life] = []
+    for life, ref in zip(fold.lives, refs, strict=True):
+        poses = _life_poses(life, path)
+        lasts = life.start == 0 and life.end in (-1, fold.steps)
+        if not lasts or np.any(poses != poses[0]):
+            movers.append(life)
         bodies.append(
             Body(
                 name=_unique(f"{ref}_{life.key}", used),
                 asset=ref,
-                pose=pose[0].astype(np.float32),
+                pose=poses[0].astype(np.float32),
                 scale=np.array(life.creation.scale, np.float32),
                 semantic_id=life.semantic_id,
-                moving=len(tracks) - 1 if moves else -1,
+                moving=len(movers) - 1 if movers and movers[-1] is life else -1,
             )
         )
+    check_size(fold.steps, len(movers), path)
+    tracks = np.empty((fold.steps, len(movers), 7), np.float32)
+    for k, life in enumerate(movers):
+        tracks[:, k] = _filled(fold.steps, _steps(life), _life_poses(life, path), end=life.end)
+        life.updates = Updates()  # millions of them are not held twice
     return bodies, tracks
+
+
+def _steps(life: Life) -> NDArray[np.int32]:
+    """Keyframes at which the poses of an instance begin: its creation too, if that came without one."""
+    steps = np.array(life.updates.steps, np.int32)
+    return steps if _placed(life) else np.append(np.int32(life.start), steps)
+
+
+def _placed(life: Life) -> bool:
+    return len(life.updates.steps) > 0 and life.updates.steps[0] == life.start
 
 
 def _life_poses(life: Life, path: Path) -> NDArray[np.float64]:
     """pose7 of each update of an instance, shape [U, 7]; preceded by the identity if it was created without a pose."""
-    poses = _pose7(life.transforms)
+    poses = life.updates.poses()
     bad = np.flatnonzero(_invalid(poses))
     if len(bad):
         raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {life.steps[bad[0]]}, "
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {life.updates.steps[bad[0]]}, "
             f"stateUpdates, instance {life.key}: {path}"
         )
-    if not life.steps or life.steps[0] > life.start:  # the player leaves the node where it was made: at the origin
-        poses = np.concatenate([IDENTITY_POSE[None], poses])
-    return poses
-
-
-def _pose7(transforms: Sequence[Transform]) -> NDArray[np.float64]:
-    """pose7 [N, 7] of recorded transforms (w x y z), quaternions of unit length and sign-continuous."""
-    flat = np.array([(*t.translation, *t.rotation) for t in transforms], np.float64).reshape(-1, 7)
-    return _tidy(flat[:, [0, 1, 2, 4, 5, 6, 3]])
-
-
-def _tidy(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same poses [N, ..., 7], quaternions of unit length (files round to 4 decimals) and sign-continuous on axis 0."""
-    length = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        poses[..., 3:] /= length
-    poses[..., 3:] = quat_sign_continuous(poses[..., 3:])
-    return poses
+    # without one the player leaves the node where it was made: at the origin
+    return poses if _placed(life) else np.concatenate([IDENTITY_POSE[None], poses])
 
 
 def _invalid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -250,52 +246,50 @@ def _invalid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.logical_not(np.isfinite(poses).all(tuple(range(1, poses.ndim))))
 
 
-def _filled(
-    steps: int, at: Sequence[int], values: NDArray[np.float64], *, end: int | None = None
-) -> NDArray[np.float32]:
-    """Rows [T, ...] that hold the latest of ``values`` [U, ...] written at steps ``at``; NaN before, and from ``end``."""
+def _filled(steps: int, at: NDArray[np.int32], values: NDArray[np.float64], *, end: int = -1) -> NDArray[np.float32]:
+    """Rows [T, ...] that hold the latest of ``values`` [U, ...] written at steps ``at``; NaN before, and from ``end`` on
+    unless it is -1."""
     rows = np.full((steps, *values.shape[1:]), np.nan, np.float32)
-    latest = np.searchsorted(np.asarray(at), np.arange(steps), side="right") - 1
+    latest = np.searchsorted(at, np.arange(steps, dtype=np.int32), side="right") - 1
     present = latest >= 0
-    present[steps if end is None else end :] = False
+    present[steps if end < 0 else end :] = False
     rows[present] = values[latest[present]]
     return rows
 
 
 # --- user transforms and rigs -----------------------------------------------------------------------------------------
 def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
+    check_size(fold.steps, len(fold.user), path)
     columns: dict[str, NDArray[Any]] = {}
-    for name, entries in fold.user.items():
-        poses = _pose7([transform for _, transform in entries])
+    for name, updates in fold.user.items():
+        poses = updates.poses()
         if _invalid(poses).any():
             raise FormatError(f"Not a valid gfx-replay: user transform {name!r} has a rotation of length 0: {path}")
         rows = np.full((fold.steps, 7), np.nan, np.float32)
-        rows[[step for step, _ in entries]] = poses  # not sticky: only the keyframes that have it
+        rows[np.array(updates.steps)] = poses  # not sticky: only the keyframes that have it
         columns[f"user.{name}"] = rows
     return columns
 
 
 def _rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
     ends = {life.creation.rigId: life.end for life in fold.lives if life.creation.rigId >= 0}
+    check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
     columns: dict[str, NDArray[Any]] = {}
-    for rig, updates in sorted(fold.rig_poses.items()):
-        bones = len(fold.bone_names.get(rig) or updates[0][1])
-        wrong = next(((step, len(pose)) for step, pose in updates if len(pose) != bones), None)
-        if wrong is not None:
-            raise FormatError(
-                f"Not a valid gfx-replay: rig {rig} has {bones} bones, {wrong[1]} came at keyframe {wrong[0]}, "
-                f"rigUpdates: {path}"
-            )
-        flat: ArrayLike = [[(*bone.t, *bone.r[1:], bone.r[0]) for bone in pose] for _, pose in updates]
-        poses = _tidy(np.array(flat, np.float64).reshape(len(updates), bones, 7))
+    for number, rig in sorted(fold.rigs.items()):
+        if not len(rig.updates.steps):
+            continue
+        poses = rig.updates.poses(rig.bones)
         if _invalid(poses).any():
-            raise FormatError(f"Not a valid gfx-replay: rig {rig} has a bone rotation of length 0: {path}")
-        end = ends.get(rig, -1)
-        columns[f"rig.{rig}"] = _filled(fold.steps, [s for s, _ in updates], poses, end=None if end < 0 else end)
+            raise FormatError(f"Not a valid gfx-replay: rig {number} has a bone rotation of length 0: {path}")
+        columns[f"rig.{number}"] = _filled(
+            fold.steps, np.array(rig.updates.steps, np.int32), poses, end=ends.get(number, -1)
+        )
     return columns
 
 
 def _rig_info(fold: Fold, bodies: Sequence[Body]) -> list[Mapping[str, Any]]:
-    rigs = sorted(set(fold.bone_names) | set(fold.rig_poses))
     owner = {life.creation.rigId: body.name for life, body in zip(fold.lives, bodies, strict=True)}
-    return [{"id": rig, "bones": fold.bone_names.get(rig, []), "body": owner.get(rig, "")} for rig in rigs]
+    return [
+        {"id": number, "bones": rig.bone_names, "body": owner.get(number, "")}
+        for number, rig in sorted(fold.rigs.items())
+    ]

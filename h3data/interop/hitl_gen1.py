@@ -21,18 +21,17 @@ from h3data.interop.hitl_pickle import unpickle_log
 from h3data.interop.hitl_places import find_place
 from h3data.interop.hitl_records import (
     MAX_FLOAT,
-    MAX_TRACK_VALUES,
     HitlEpisode,
     Id,
     PoseTracks,
     Quat,
     Vec3,
-    check_size,
     decoded,
     held,
     scalar_columns,
     unit_rotations,
 )
+from h3data.interop.limits import MAX_TRACK_VALUES, check_size
 from h3data.interop.sniff import KIND_WORDS, read_bytes
 from h3data.recording.records import STEP_NS, Event, Recording
 

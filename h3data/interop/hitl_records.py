@@ -17,6 +17,7 @@ from h3data.errors import FormatError
 from h3data.geometry import quat_sign_continuous
 from h3data.interop.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.interop.hitl_places import Place
+from h3data.interop.limits import check_size
 from h3data.interop.sniff import KIND_WORDS, decode_json, json_kind, not_json
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 
@@ -25,9 +26,6 @@ Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 
-MAX_STEPS = 1_000_000
-MAX_TRACK_VALUES = 1 << 27
-"""Steps times bodies (agents, metrics) that a log may need: what is beyond would not fit into a common memory."""
 MAX_METRICS = 256
 MAX_FLOAT = 3e38
 """What a float32 holds."""
@@ -78,12 +76,6 @@ class PoseTracks:
             track[self._rows[name]] = self._poses[name]
             out.append(unit_rotations(track, name, path))
         return out
-
-
-def check_size(steps: int, things: int, path: Path) -> None:
-    """`FormatError` if so many things over so many steps would not fit into memory."""
-    if steps > MAX_STEPS or steps * things * 7 > MAX_TRACK_VALUES:
-        raise FormatError(f"A log of {steps} steps with {things} bodies is more than can be read: {path}")
 
 
 def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray[np.float64]:

@@ -17,18 +17,17 @@ from h3data.interop.assets import AssetLibrary
 from h3data.interop.hitl_agents import AgentTrack, robot_named_in
 from h3data.interop.hitl_places import find_place
 from h3data.interop.hitl_records import (
-    MAX_TRACK_VALUES,
     HitlEpisode,
     Id,
     Number,
     PoseTracks,
     Quat,
     Vec3,
-    check_size,
     decoded,
     held,
     unit_rotations,
 )
+from h3data.interop.limits import MAX_TRACK_VALUES, check_size
 from h3data.interop.partnr import partnr_result
 from h3data.interop.sniff import KIND_WORDS, read_bytes
 from h3data.recording.records import STEP_NS, Event, Recording

@@ -1,0 +1,25 @@
+"""How much a recording of others may ask for: what is beyond would not fit into a common memory, and nobody recorded it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from h3data.errors import FormatError
+
+MAX_STEPS = 1_000_000
+MAX_TRACK_VALUES = 1 << 27
+"""Steps times bodies (agents, metrics) times what each has."""
+MAX_BODIES = 100_000
+MAX_AGENTS = 256
+
+
+def check_size(steps: int, things: int, path: Path, *, values: int = 7) -> None:
+    """`FormatError` if so many things with so many values each over so many steps would not fit into memory."""
+    if steps > MAX_STEPS or steps * things * values > MAX_TRACK_VALUES:
+        raise FormatError(f"A log of {steps} steps with {things} bodies is more than can be read: {path}")
+
+
+def check_count(count: int, most: int, what: str, path: Path) -> None:
+    """`FormatError` if there are more than ``most`` of them."""
+    if count > most:
+        raise FormatError(f"More than {most} {what} are more than can be read. Hint: cut the file into parts. {path}")
