@@ -46,6 +46,7 @@ PROFILE = "h3data"
 TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metrics": "Metrics"}
 FLUSH_ROWS = 30
 FLUSH_S = 1.0
+_SLICE_ROWS = 8192
 _LAST_LOG_TIME = 2**63 - 1
 
 
@@ -377,7 +378,8 @@ def _start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> 
 def write_mcap(recording: Recording, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write a finished recording as one MCAP file and return its path; equal recordings make equal files."""
     with RecordingWriter(path, recording, overwrite=overwrite) as writer:
-        writer.append(recording.columns)
+        for start in range(0, max(len(recording), 1), _SLICE_ROWS):  # each append copies what it is given
+            writer.append({name: column[start : start + _SLICE_ROWS] for name, column in recording.columns.items()})
         for span in recording.skills:
             writer.skill(span)
         for event in recording.events:
