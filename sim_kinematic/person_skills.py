@@ -1,0 +1,123 @@
+"""The skills of a person (paper sections 3.1 and 4.2; spec/habitat.md 2.3, 2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import ground_pose, heading_from_quat
+from h3data.scene import FreeSpace
+from sim_kinematic.person import Person, SkillResult
+from sim_kinematic.skills import PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.spec import WalkerSpec
+from sim_kinematic.stands import nearest_stand, person_stands
+from sim_kinematic.state import HUMAN, NOBODY, HumanState
+from sim_kinematic.step import walk_humans
+from sim_kinematic.waypoint_human import sharp_corners
+
+
+@dataclass(eq=False)
+class PersonActor:
+    """A person with two hands, of which she uses the right one. She does not give way (as Habitat's planners)."""
+
+    person: Person
+    free: FreeSpace
+    spec: WalkerSpec
+    objects: Objects
+    number: int = HUMAN
+    """Of the agent."""
+
+    @property
+    def xz(self) -> NDArray:
+        return self.person.base[[0, 2]]
+
+    @property
+    def heading(self) -> float:
+        return float(heading_from_quat(self.person.base[3:]))
+
+    def infeasible(self, action: Action) -> str:
+        if action.skill in PRIMITIVES:
+            return "not_of_a_person"
+        return self.objects.why_not(self.number, action)
+
+    def start(self, action: Action) -> Skill:
+        k = action.target
+        if action.skill == "wait":
+            return self._wait(action.steps)
+        if action.skill.startswith("nav"):
+            return self._navigate(
+                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
+            )
+        return self._handle(action.skill == "pick", k)
+
+    def idle(self) -> None:
+        pass
+
+    def _wait(self, steps: int) -> Skill:
+        for _ in range(steps):
+            yield
+        return Ending("done")
+
+    def _navigate(self, point: NDArray) -> Skill:
+        """Walk to where the hand reaches a world point [3], and turn to it."""
+        stands = person_stands(self.free, self.person.body, point)
+        k, left = nearest_stand(self.free, stands, self.xz)
+        if not np.isfinite(left):
+            return Ending("failed", "no_way")
+        for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
+            self._follow()
+            yield
+        for _ in self.person.turn(float(stands[k, 2])):
+            self._follow()
+            yield
+        return Ending("done")
+
+    def _walk(self, path: NDArray) -> Generator[object, None, None]:
+        """Walk along floor points [N, 2] without stopping at them, turning on the spot where they turn (paper 3.1)."""
+        person, state = self.person, HumanState.zeros(1)
+        if len(path):
+            dx, dz = path[0] - self.xz
+            yield from person.turn(float(np.arctan2(-dz, dx)))
+        state.xz[0], state.heading[0] = self.xz, self.heading
+        clip = person.body.clip_for_speed(self.spec.speed_mps)
+        walk, k = person.body.clips[clip], 0
+        while k < len(path):
+            walk_humans(state, path[k][None], self.spec)
+            person.base = ground_pose(state.xz[0], state.heading[0], self.free.floor_y)
+            phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
+            person.play(clip, float(phase), float(state.blend[0]))
+            yield
+            there = np.hypot(*(path[k] - state.xz[0])) <= self.spec.arrive_m
+            k += there and (k + 1 < len(path) or state.blend[0] == 0)
+
+    def _handle(self, picks: bool, k: int) -> Skill:
+        """Pick or place with the right hand; objects change hands in the step in which the hand is there."""
+        name = self.objects.names[k]
+        self.person.objects[name] = self.objects.poses[k].copy()
+        skill = self.person.pick(name) if picks else self.person.place(self.objects.goals[k])
+        result = SkillResult(success=False)
+        while True:
+            try:
+                next(skill)
+            except StopIteration as end:
+                result = end.value
+                break
+            self._follow()
+            if picks and "right" not in self.person.held:  # it may go away under her hand
+                self.person.objects[name] = self.objects.poses[k].copy()
+            yield
+        return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+
+    def _follow(self) -> None:
+        """Tell the others what the hand holds."""
+        held = self.person.held.get("right")
+        for k, name in enumerate(self.objects.names):
+            if held is not None and held.name == name:
+                self.objects.held_by[k] = self.number
+                self.objects.poses[k] = self.person.objects[name]
+            elif self.objects.held_by[k] == self.number:
+                self.objects.held_by[k] = NOBODY
+                self.objects.poses[k] = self.person.objects[name]

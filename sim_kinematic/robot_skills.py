@@ -1,0 +1,239 @@
+"""The skills of a robot with an arm (paper section 4.2; spec/habitat.md 2.3, 2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot, solve_ik
+from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
+from h3data.scene import FreeSpace
+from sim_kinematic.avoidance import is_crowded, keep_clear, way_round
+from sim_kinematic.skills import PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.spec import STEP_S, BaseSpec
+from sim_kinematic.stands import hand_turn, nearest_stand, robot_stands
+from sim_kinematic.state import NOBODY, ROBOT, RobotState
+from sim_kinematic.step import drive_robots
+
+STUCK_STEPS = 60
+"""A base that has not come nearer to where it wants to be for so long gives up."""
+LOOKS_ROUND = (10, 40)
+"""After so many steps without progress it looks for a way round a person who stands in the way,"""
+DETOURS = 3
+"""at most so often on one way,"""
+VIA_M = 0.25
+"""which it has taken when it is this near to the point beside her."""
+ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
+APPROACH_M = 0.1
+"""The robot's hand comes to an object from so far above it and lifts it as high."""
+
+
+@dataclass(eq=False)
+class RobotActor:
+    """A robot with an arm. It moves ``objects.state``."""
+
+    robot: Robot
+    free: FreeSpace
+    base: BaseSpec
+    objects: Objects
+    grip_m: float
+    arm_rad_s: float
+    number: int = ROBOT
+    """Of the agent."""
+    avoids: bool = True
+    """Whether its base keeps clear of the person (`keep_clear`), whatever the skill."""
+    person_xz: NDArray = field(default_factory=lambda: np.full(2, np.inf))
+    person_velocity: NDArray = field(default_factory=lambda: np.zeros(2))
+    person_settled: bool = False
+    """She has been standing for long (`AvoidanceSpec.still_steps`)."""
+    command: tuple[float, float] = (0.0, 0.0)
+    """What the base was last told, -1..1 of the limits."""
+    arm_goal: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.arm_goal = self.robot.rest.copy()
+        self.hand = self.robot.links[self.robot.hand_link].name
+        self._arm = np.flatnonzero(np.arange(len(self.robot.rest)) < 7)
+
+    # --- where it is --------------------------------------------------------------------------------------------------
+    @property
+    def state(self) -> RobotState:
+        """Its own part of the state of one world."""
+        return self.objects.state.robots[self.number]
+
+    @property
+    def xz(self) -> NDArray:
+        return self.state.xz[0]
+
+    @property
+    def heading(self) -> float:
+        return float(self.state.heading[0])
+
+    @property
+    def joints(self) -> NDArray:
+        return self.state.joints[0]
+
+    @property
+    def pose(self) -> Array:
+        """pose7 of the agent root."""
+        return ground_pose(self.xz, self.heading, self.free.floor_y)
+
+    @property
+    def hand_pose(self) -> Array:
+        """pose7 of the place where the hand holds things, in the world."""
+        frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
+        out = pose_from_matrix(frame)
+        out[:3] += frame[:3, :3] @ self.robot.hand_position
+        return out
+
+    # --- skills -------------------------------------------------------------------------------------------------------
+    def infeasible(self, action: Action) -> str:
+        why = self.objects.why_not(self.number, action)
+        if not why and action.skill in ("pick", "place") and self._posture(self._hand_target(action)) is None:
+            return "out_of_reach"
+        return why
+
+    def start(self, action: Action) -> Skill:
+        k = action.target
+        if action.skill in PRIMITIVES:
+            forward, turn, steps = PRIMITIVES[action.skill]
+            return self._move(forward, turn, steps)
+        if action.skill == "wait":
+            return self._move(0.0, 0.0, action.steps)
+        if action.skill.startswith("nav"):
+            return self._navigate(
+                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
+            )
+        return self._pick(k) if action.skill == "pick" else self._place(k)
+
+    def idle(self) -> None:
+        self._step(0.0, 0.0)
+
+    def _move(self, forward: float, turn: float, steps: int) -> Skill:
+        for _ in range(steps):
+            self._step(forward, turn)
+            yield
+        return Ending("done")
+
+    def _navigate(self, point: NDArray) -> Skill:
+        """Drive to where the hand reaches a world point [3], and turn to it."""
+        stands = robot_stands(self.free, self.robot, self.base, point)
+        k, left = nearest_stand(self.free, stands, self.xz, is_crowded(self.base, stands, self.person_xz))
+        if not np.isfinite(left):
+            return Ending("failed", "no_way")
+        goal, best, since, detours = stands[k, :2], np.inf, 0, 0
+        via: NDArray | None = None  # where to pass somebody who stands in the way
+        while since <= STUCK_STEPS:
+            if since in LOOKS_ROUND and detours < DETOURS and not self.person_velocity.any():
+                via = way_round(self.free, self.xz, goal, self.person_xz)
+                best, detours = (best, detours) if via is None else (np.inf, detours + 1)
+            if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
+                via, best = None, np.inf
+            left = float(self.free.geodesic(self.xz, goal if via is None else via, max_snap_m=1.0))
+            if via is None and (left <= ARRIVED_M or (left <= NEARLY_M and since > LOOKS_ROUND[0])):
+                error = self._error_to(point[[0, 2]])
+                if abs(error) < FACING_RAD:
+                    return Ending("done")
+                self._step(0.0, self._turn(error), goal)
+                left = 0.1 * abs(error) - 1.0
+            else:
+                towards = self._waypoint(goal if via is None else via)
+                error = self._error_to(towards)
+                forward = min(left / (self.base.max_speed_mps * STEP_S), 1.0) * max(0.0, np.cos(error)) ** 2
+                self._step(forward, self._turn(error), towards)
+            yield
+            best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
+        return Ending("failed", "stuck")
+
+    def _turn(self, error: float) -> float:
+        """The command that removes a heading error [rad] in one step, if the limit allows."""
+        return float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1))
+
+    def _waypoint(self, goal: NDArray) -> NDArray:
+        found = self.free.next_waypoint(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
+        return goal if np.isnan(found).any() else found
+
+    def _pick(self, k: int) -> Skill:
+        over, at = self._reach_line(self._hand_target(Action("pick", k)))
+        for posture in (over, at):
+            yield from self._bring_arm(posture)
+        gap = float(np.linalg.norm(self.hand_pose[:3] - self.objects.poses[k, :3]))
+        if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
+            self.arm_goal = self.robot.rest.copy()
+            return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
+        self.objects.held_by[k] = self.number
+        self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
+        yield from self._bring_arm(over)
+        self.arm_goal = self.robot.rest.copy()  # carried there while it drives on
+        return Ending("done")
+
+    def _place(self, k: int) -> Skill:
+        over, at = self._reach_line(self._hand_target(Action("place", k)))
+        for posture in (over, at):
+            yield from self._bring_arm(posture)
+        self.objects.held_by[k] = NOBODY
+        yield from self._bring_arm(over)
+        self.arm_goal = self.robot.rest.copy()
+        return Ending("done")
+
+    # --- how ----------------------------------------------------------------------------------------------------------
+    def _hand_target(self, action: Action) -> Array:
+        """pose7 of the hand's place in the agent root frame for a pick or a place."""
+        k = action.target
+        there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
+        local = pose_multiply(pose_inverse(self.pose), np.append(there, [0, 0, 0, 1.0]))
+        if action.skill == "pick":
+            return np.concatenate([local[:3], hand_turn(self.robot)])
+        grip = self.objects.state.grip_pose[0, k]
+        turned = pose_multiply(np.append(np.zeros(3), hand_turn(self.robot)), grip)
+        return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
+
+    def _posture(self, hand: Array) -> Array | None:
+        answer = solve_ik(self.robot, self.hand, hand, offset=self.robot.hand_position)
+        return answer.joint_pos if answer.reached else None
+
+    def _reach_line(self, hand: Array) -> tuple[Array, Array]:
+        """Postures over the target and at it."""
+        at = self._posture(hand)
+        assert at is not None, "checked before it starts"
+        over = solve_ik(
+            self.robot,
+            self.hand,
+            hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0]),
+            at,
+            offset=self.robot.hand_position,
+            restarts=0,
+        )
+        return over.joint_pos, at
+
+    def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
+        self.arm_goal = posture
+        while np.any(self.joints[self._arm] != posture[self._arm]):
+            self._step(0.0, 0.0, heed=False)
+            yield
+
+    def _error_to(self, xz: NDArray) -> float:
+        dx, dz = xz - self.xz
+        return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
+
+    def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
+        """One step of base and arm; what is held follows."""
+        self.command = forward, turn
+        if self.avoids and heed:
+            self.command = keep_clear(
+                self.free, self.base, self.xz.copy(), self.heading, self.command, self.xz if towards is None else towards,
+                self.person_xz, self.person_velocity, settled=self.person_settled,
+            )  # fmt: skip
+        drive_robots(self.state, self.free, np.array([self.command]), self.base)
+        most = self.arm_rad_s * STEP_S
+        way = self.arm_goal[self._arm] - self.joints[self._arm]
+        far = float(np.abs(way).max())
+        self.joints[self._arm] = (
+            self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
+        )
+        k = self.objects.held(self.number)
+        if k >= 0:
+            self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
