@@ -1,9 +1,10 @@
 """Size and speed of the stores, on synthetic 1500-step episodes: a robot, a free-form human, 20 objects of which 3 move.
 
-As in ``research/formats.md`` 2, half of the episodes loop a 60-frame clip in ``joint_quat`` and half move every joint
-freely all the time, which is the worst case (85 % of the bytes are joint rotations). ``*.clip_coded_bytes_per_step`` is
-what our own episodes have: a clip and a phase instead of rotations. Speeds are steps per CPU second, files closed and
-synced, from and to numpy arrays.
+The mix is that of ``research/formats.md`` 2, column by column: agents move in 70 % of the steps, commands are held for 20
+steps; half of the episodes loop a 60-frame clip in ``joint_quat`` and half move every joint all the time with noise,
+which is the worst case (85 % of the bytes are joint rotations; alone it is ``*_free``). ``*_clips`` is what our own
+episodes have: a clip and a phase instead of rotations. ``mcap_live`` is a log whose rows came one by one, flushed each
+second. Speeds are steps per CPU second, files closed and synced, from and to numpy arrays.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import ground_pose
+from h3data.bodies import load_humanoid
+from h3data.geometry import ground_pose, pose_from_matrix
 from h3data.recording import (
     STEP_NS,
     Agent,
@@ -28,12 +30,13 @@ from h3data.recording import (
     DatasetWriter,
     Episode,
     Recording,
+    RecordingWriter,
     SkillSpan,
     read_mcap,
     write_mcap,
 )
 
-STEPS, OBJECTS, EPISODES = 1500, 20, 8
+STEPS, OBJECTS, EPISODES, THOUSAND = 1500, 20, 10, 1000
 
 
 def synthetic_episode(seed: int, *, human: str) -> Recording:
@@ -51,10 +54,10 @@ def synthetic_episode(seed: int, *, human: str) -> Recording:
         "agent_0.base_pose": robot,
         "agent_0.joint_pos": np.cumsum(rng.normal(0, 0.01, (STEPS, 7)), 0).astype(np.float32),
         "agent_0.grasp_body": np.where(np.arange(STEPS) % 500 < 300, 0, -1).astype(np.int32),
-        "agent_0.action": np.repeat(rng.normal(0, 1, (STEPS // 5, 10)), 5, axis=0).astype(np.float32),
+        "agent_0.action": np.repeat(rng.normal(0, 1, (STEPS // 20, 10)), 20, axis=0).astype(np.float32),
         "agent_0.skill": (np.arange(STEPS) // 300).astype(np.int32),
         "agent_1.base_pose": person,
-        "agent_1.action": np.repeat(rng.normal(0, 1, (STEPS // 30, 10)), 30, axis=0).astype(np.float32),
+        "agent_1.action": np.repeat(rng.normal(0, 1, (STEPS // 20, 10)), 20, axis=0).astype(np.float32),
         "agent_1.skill": (np.arange(STEPS) // 200).astype(np.int32),
         "metrics.dist_agents": np.linalg.norm(robot[:, :3] - person[:, :3], axis=1),
         "metrics.collision": np.zeros(STEPS, bool),
@@ -64,7 +67,7 @@ def synthetic_episode(seed: int, *, human: str) -> Recording:
         columns["agent_1.motion_phase"] = (np.arange(STEPS) / 60 % 1).astype(np.float32)
         columns["agent_1.motion_blend"] = np.ones(STEPS, np.float32)
     else:
-        columns["agent_1.root_pose"] = person + np.float32([0, 0.9, 0, 0, 0, 0, 0])
+        columns["agent_1.root_pose"] = person + np.array([0, 0.9, 0, 0, 0, 0, 0], np.float32)
         columns["agent_1.joint_quat"] = _joints(rng, free=human == "free")
     return Recording(
         episode=Episode(uid=f"bench-{human}-{seed}", episode_id=str(seed), task="bench", scene="none", seed=seed),
@@ -78,39 +81,76 @@ def synthetic_episode(seed: int, *, human: str) -> Recording:
 
 def run(emit: Callable[[str, float, str], None]) -> None:
     """Measure both stores and say what they found."""
-    mixed = [synthetic_episode(k, human="free" if k % 2 else "clip") for k in range(EPISODES)]
+    free = [synthetic_episode(k, human="free") for k in range(EPISODES)]
+    clip = [synthetic_episode(k, human="clip") for k in range(EPISODES)]
     coded = [synthetic_episode(k, human="coded") for k in range(EPISODES)]
+    mixed = [episode for pair in zip(clip, free, strict=True) for episode in pair]
     for store in (_parquet, _mcap):
         name = store.__name__.strip("_")
         with tempfile.TemporaryDirectory() as folder:
             store(coded, Path(folder) / "warm")  # imports, page cache
-            bytes_coded, *_ = store(coded, Path(folder) / "coded")
+            for suffix, episodes in (("_clips", coded), ("_free", free)):
+                emit(
+                    f"recording.{name}{suffix}.bytes_per_step",
+                    _per_step(store(episodes * 2, Path(folder) / suffix)[0]),
+                    "B",
+                )
             size, write_s, read_s = store(mixed, Path(folder) / "mixed")
-        steps = STEPS * EPISODES
-        emit(f"recording.{name}.bytes_per_step", size / steps, "B")
-        emit(f"recording.{name}.clip_coded_bytes_per_step", bytes_coded / steps, "B")
-        emit(f"recording.{name}.write_steps_per_cpu_s", steps / write_s, "steps/s")
-        emit(f"recording.{name}.read_steps_per_cpu_s", steps / read_s, "steps/s")
+        emit(f"recording.{name}.bytes_per_step", _per_step(size), "B")
+        emit(f"recording.{name}.write_steps_per_cpu_s", STEPS * len(mixed) / write_s, "steps/s")
+        emit(f"recording.{name}.read_steps_per_cpu_s", STEPS * len(mixed) / read_s, "steps/s")
         if store is _parquet:
-            _against_gfx_replay(emit, mixed[:2], size / EPISODES, read_s / EPISODES)
+            _against_gfx_replay(emit, mixed[:2], size / len(mixed), read_s / len(mixed))
+    _live_log(emit, mixed[:4])
+    _one_of_a_thousand(emit, mixed)
+
+
+def _per_step(size: int) -> float:
+    return size / (2 * EPISODES * STEPS)
+
+
+def _live_log(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path, size = Path(folder) / "live.mcap", 0
+        for episode in episodes:
+            with RecordingWriter(path, episode, overwrite=True, flush_s=float("inf")) as writer:
+                for k in range(STEPS):
+                    writer.append({name: array[k : k + 1] for name, array in episode.columns.items()})
+            size += path.stat().st_size
+    emit("recording.mcap_live.bytes_per_step", size / (STEPS * len(episodes)), "B")
+
+
+def _one_of_a_thousand(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
+    """Open a dataset of 1,000 episodes (640 MB), and read whole episodes of it in random order, page cache warm."""
+    with tempfile.TemporaryDirectory() as folder:
+        with DatasetWriter(folder) as writer:
+            for k in range(THOUSAND):
+                writer.add(episodes[k % len(episodes)])
+        dataset, order = Dataset(folder), np.random.default_rng(0).permutation(THOUSAND)[:100].tolist()
+        read = _cpu_s(lambda: [dataset.recording(index) for index in order])
+        emit("recording.parquet.open_1000_cpu_ms", 1e3 * _cpu_s(lambda: len(Dataset(folder))), "ms")
+        emit("recording.parquet.episode_of_1000_cpu_ms", 1e3 * read / len(order), "ms")
 
 
 def _against_gfx_replay(
     emit: Callable[[str, float, str], None], episodes: list[Recording], size: float, read_s: float
 ) -> None:
-    """The same episodes as Habitat's replay files (compact JSON, 7 digits), against one Parquet episode."""
+    """The same episodes as Habitat's replay files, against one Parquet episode. Parsing alone counts as loading."""
     texts = [_gfx_replay(e) for e in episodes]
     parse_s = _cpu_s(lambda: [json.loads(t) for t in texts]) / len(texts)
+    emit("recording.vs_gfx_replay.json_bytes_per_step", float(np.mean([len(t) for t in texts])) / STEPS, "B")
     emit("recording.vs_gfx_replay.size_ratio", float(np.mean([len(t) for t in texts])) / size, "x")
     emit("recording.vs_gfx_replay.gzip_ratio", float(np.mean([len(gzip.compress(t)) for t in texts])) / size, "x")
     emit("recording.vs_gfx_replay.load_ratio", parse_s / read_s, "x")
 
 
 def _gfx_replay(episode: Recording) -> bytes:
-    """Keyframes with the instances that changed (objects, robot base) and the bones of the human's rig."""
+    """Keyframes as habitat-sim writes them: the instances that changed (objects and the robot's base, its links are left
+    out), and the world poses of all bones of the human; float32 numbers with the digits of a double."""
     columns = episode.columns
     poses = np.concatenate([columns["object_pose"], columns["agent_0.base_pose"][:, None]], axis=1)
-    bones = columns["agent_1.joint_quat"]
+    joints = load_humanoid("female_0").joint_matrices_free(columns["agent_1.root_pose"], columns["agent_1.joint_quat"])
+    bones = pose_from_matrix(joints).astype(np.float32).astype(np.float64)
     changed = np.ones(poses.shape[:2], bool)
     changed[1:] = np.any(poses[1:] != poses[:-1], axis=-1)
 
@@ -118,12 +158,12 @@ def _gfx_replay(episode: Recording) -> bytes:
         return {"translation": pose[:3], "rotation": [pose[6], *pose[3:6]]}
 
     frames = []
-    for k, rows in enumerate(np.round(poses.astype(float), 7).tolist()):
+    for k, rows in enumerate(poses.astype(np.float64).tolist()):
         updates = [
-            {"instanceKey": i, "state": {"absTransform": transform(rows[i])}}
+            {"instanceKey": i, "state": {"absTransform": transform(rows[i]), "semanticId": 0}}
             for i in np.flatnonzero(changed[k]).tolist()
         ]
-        rig = [{"t": [0.0, 0.0, 0.0], "r": q} for q in np.round(bones[k].astype(float), 7).tolist()]
+        rig = [{"t": bone[:3], "r": [bone[6], *bone[3:6]]} for bone in bones[k].tolist()]
         frames.append({"stateUpdates": updates, "rigUpdates": [{"id": 0, "pose": rig}]})
     return json.dumps({"keyframes": frames}, separators=(",", ":")).encode()
 
@@ -160,10 +200,11 @@ def _cpu_s(work: Callable[[], object]) -> float:
 
 
 def _stroll(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A walk at about 1 m/s with slowly changing heading, pose7 [T, 7]."""
+    """A walk at about 1 m/s with slowly changing heading that pauses for 5 s now and then, pose7 [T, 7]."""
     heading = np.cumsum(np.cumsum(rng.normal(0, 0.002, STEPS)) * 0.2)
     xz = np.cumsum(np.stack([np.cos(heading), -np.sin(heading)], -1) / 30, axis=0)
-    return ground_pose(xz, heading).astype(np.float32)
+    moving = (np.arange(STEPS) + rng.integers(500)) % 500 < 350
+    return ground_pose(xz, heading).astype(np.float32)[np.cumsum(moving) - moving[0]]
 
 
 def _unit_poses(rng: np.random.Generator, count: int) -> NDArray[np.float32]:

@@ -29,10 +29,11 @@ from h3data.recording import (
     read_mcap,
     recordings_equal,
     recover_mcap,
+    wire,
     write_mcap,
 )
 from h3data.recording.mcap_scan import MAGIC
-from h3data.recording.schema import RECORD_TYPES, STRUCTS
+from h3data.recording.schema import RECORD_TYPES, STRUCTS, topic_of
 from h3data.recording.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 
 SOME = settings(
@@ -89,7 +90,6 @@ def test_other_readers_decode_the_messages(tmp_path):
         "/h3/scene": 1,
         "/h3/state": 5,
         "/h3/action": 5,
-        "/h3/metrics": 5,
         "/h3/skill": 1,
         "/h3/event": 1,
     }
@@ -105,7 +105,7 @@ def test_rerun_opens_it(tmp_path):
     chunk = pytest.importorskip("rerun.chunk")
     write_mcap(simple_recording(steps=50), tmp_path / "a.mcap")
     rows = {c.entity_path: c.num_rows for c in chunk.McapReader(str(tmp_path / "a.mcap")).stream() if c.num_rows > 1}
-    assert rows == {"/h3/state": 50, "/h3/action": 50, "/h3/metrics": 50}
+    assert rows == {"/h3/state": 50, "/h3/action": 50}
 
 
 def test_field_names_are_unique_protobuf_names():
@@ -165,6 +165,16 @@ def test_messages_without_zeros_take_the_slow_path(tmp_path):
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
 
 
+def test_metrics_on_a_topic_of_their_own_are_read(tmp_path, monkeypatch):
+    rec = simple_recording(steps=9)
+    with monkeypatch.context() as patch:
+        patch.setattr(wire, "log_topic_of", topic_of)  # as schema versions 1.0 and 1.1 wrote them
+        old = write_mcap(rec, tmp_path / "old.mcap")
+    topics = {channel.topic for _, channel, _ in make_reader(io.BytesIO(old.read_bytes())).iter_messages()}
+    assert "/h3/metrics" in topics
+    assert recordings_equal(rec, read_mcap(old)) == []
+
+
 def test_unknown_topics_and_fields_are_skipped(tmp_path):
     rec = simple_recording(steps=9)
 
@@ -184,7 +194,7 @@ def test_unknown_topics_and_fields_are_skipped(tmp_path):
 
 def test_a_lost_message_is_noticed(tmp_path):
     rec = simple_recording(steps=9)
-    for topic in ("/h3/state", "/h3/metrics"):
+    for topic in ("/h3/state", "/h3/action"):
         data = rewritten(
             write_mcap(rec, tmp_path / "b.mcap", overwrite=True).read_bytes(),
             lambda t, m, lost=topic: None if t == lost and m.step == 4 else m.SerializeToString(),

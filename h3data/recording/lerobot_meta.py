@@ -22,7 +22,15 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.recording.records import SCHEMA_VERSION
-from h3data.recording.schema import CONVENTIONS, Column, Layout, check_version, layout_from_json, layout_hash
+from h3data.recording.schema import (
+    CONVENTIONS,
+    Column,
+    Layout,
+    check_version,
+    layout_from_json,
+    layout_hash,
+    version_numbers,
+)
 
 FILES_PER_CHUNK = 1000
 FILE_MB = 128
@@ -72,11 +80,20 @@ class DatasetSchema:
     """Widest shape of every column."""
     fps: int
     robot_type: str
+    version: str = SCHEMA_VERSION
+    """Schema version of the whole dataset, also of the files that are added to it later."""
+
+    def stored_dtype(self, column: Column) -> str:
+        """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
+
+        Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
+        """
+        return "int64" if column.dtype == "uint64" and version_numbers(self.version) >= (1, 2) else column.dtype
 
     def to_json(self) -> bytes:
         """Contents of ``h3/schema.json``."""
         columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
-        values = {"schema_version": SCHEMA_VERSION, "layout_hash": layout_hash(self.columns)}
+        values = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
         values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
@@ -88,7 +105,9 @@ class DatasetSchema:
             values = json.loads(path.read_bytes())
             check_version(values["schema_version"], path=path)
             text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
-            return cls(columns=layout_from_json(text), fps=int(values["fps"]), robot_type=str(values["robot_type"]))
+            fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
+            version_numbers(version)
+            return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version)
         except FileNotFoundError:
             raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
         except (OSError, KeyError, ValueError, TypeError) as error:
@@ -118,7 +137,7 @@ def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) ->
 def features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
     """``features`` of info.json: every column of the data files, as LeRobot demands."""
     out: dict[str, dict[str, Any]] = {
-        c.name: {"dtype": c.dtype, "shape": [c.width], "names": _POSE7 if c.shape == (7,) else None}
+        c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _POSE7 if c.shape == (7,) else None}
         for c in schema.columns
         if c.width
     }
@@ -241,7 +260,7 @@ def write_meta(root: Path, schema: DatasetSchema, totals: Totals) -> None:
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH,
         "features": features(schema),
-        "h3data": {"schema_version": SCHEMA_VERSION, "layout_hash": layout_hash(schema.columns)},
+        "h3data": {"schema_version": schema.version, "layout_hash": layout_hash(schema.columns)},
     }
     write_atomic(root / "meta" / "info.json", json.dumps(info, indent=1, ensure_ascii=False).encode())
 

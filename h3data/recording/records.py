@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
 STEP_NS = 33_333_333

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
-from h3data.recording.schema import STRUCTS, Column, Layout, Topic, layout_from_json, layout_to_json, topic_of
+from h3data.recording.schema import STRUCTS, Column, Layout, Topic, layout_from_json, layout_to_json, log_topic_of
 
 STEP = Column("", "uint32", ())
 """Not a column: the row number that ties the messages of the topics together. Field ``step``, number 2."""
@@ -94,10 +94,10 @@ def varint(value: int) -> bytes:
 
 def wire_layouts(layout: Layout) -> dict[Topic, WireLayout]:
     """Fields of each per-step message that these columns need; ``state`` is always there."""
-    topics: dict[Topic, list[Column]] = {"state": [], "action": [], "metrics": []}
+    topics: dict[Topic, list[Column]] = {"state": []}
     for column in layout:
-        topics[topic_of(column.name)].append(column)
-    return {topic: _number(columns) for topic, columns in topics.items() if columns or topic == "state"}
+        topics.setdefault(log_topic_of(column.name), []).append(column)
+    return {topic: _number(columns) for topic, columns in topics.items()}
 
 
 def _number(columns: Sequence[Column]) -> WireLayout:
