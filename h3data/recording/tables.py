@@ -99,8 +99,8 @@ def shapes_of(dataset: Dataset) -> dict[str, tuple[int, ...]]:
 
 
 def step_source(dataset: Dataset) -> pads.Dataset:
-    """All committed steps, lazily: engines read the columns and row groups that they need."""
-    schema = data_schema(dataset.schema)
+    """All committed steps, lazily: engines read the columns and row groups that they need. float16 becomes float32."""
+    schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
     paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
     if not paths:
         return pads.dataset(schema.empty_table())
@@ -118,6 +118,13 @@ def committed_shards(dataset: Dataset, *, with_steps: bool = False) -> list[int]
     """Numbers of the shards that the episode tables list."""
     rows = dataset.rows
     return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
+
+
+def _without_halves(kind: pa.DataType) -> pa.DataType:
+    """DuckDB refuses every table with a column of half floats."""
+    if pa.types.is_fixed_size_list(kind):
+        return pa.list_(_without_halves(kind.value_type), kind.list_size)
+    return pa.float32() if kind == pa.float16() else kind
 
 
 def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:

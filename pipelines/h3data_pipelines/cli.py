@@ -34,6 +34,7 @@ from h3data_pipelines.report import ReportCommand
 from h3data_pipelines.rerender import Rerender
 from h3data_pipelines.robots import Robots
 from h3data_pipelines.scenes import Scenes
+from h3data_pipelines.sql import Sql
 from h3data_pipelines.validating import Validate
 from h3data_pipelines.viewing import View
 
@@ -45,6 +46,7 @@ COMMANDS: dict[str, type[Command]] = {
     "export": Export,
     "rerender": Rerender,
     "metrics": Metrics,
+    "sql": Sql,
     "view": View,
     "report": ReportCommand,
     "scenes": Scenes,
