@@ -4,7 +4,6 @@ section 3 and appendix, benchmarking; spec/habitat.md 7)."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -13,14 +12,14 @@ import numpy as np
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
-from h3data.geometry import pose_to_matrix
-from h3data.render import Renderer, RenderInstance, RenderScene
-from h3data.scene import FreeSpace, HomeSpec, Mesh, Scene, build_home
-from h3data.scene.records import instance_matrix
+from h3data.render import pinhole
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.arm_contact import ArmContact
-from sim_kinematic.benchmark_agents import Action, Agent, HumanAgent, RobotAgent, cameras_of
-from sim_kinematic.collision import AgentContact, MovingShapes, collide
+from sim_kinematic.benchmark_agents import Action, Agent, HumanAgent, RobotAgent
+from sim_kinematic.camera_sensor import StateRenderer
+from sim_kinematic.collision import AgentContacts
 from sim_kinematic.contact import clear_of_furniture
+from sim_kinematic.posing import body_shapes, shape_frames
 from sim_kinematic.spec import SocialNavSpec
 from sim_kinematic.state import NOBODY, WorldState
 
@@ -28,6 +27,8 @@ Agents = Literal["robot", "human", "robot_robot", "human_robot"]
 STEPS, UNTIMED = 300, 10
 """Steps of a run, and how many of the first are not timed."""
 ROBOT, HUMAN, HOME_SEED = "quad_arm", "female_0", 1
+CAMERA, HFOV_DEG = "robot_arm", 90.0
+"""A robot looks from its arm, a person from between her eyes: square pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +70,14 @@ class BenchmarkWorlds:
             raise InputError(f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.")
         self._loose = loose[: cell.objects]
         self.agents = self._make_agents()
-        self._touching = self._contact()
+        self._contact = AgentContacts(*(body_shapes(agent.body) for agent in self.agents))
         robots = [a for a in self.agents if isinstance(a, RobotAgent)]
-        self._arm = ArmContact(self.home, robots[0].robot) if robots and cell.action == "pick" else None
-        self.renderer = self._renderer(backend)
+        self._arm = ArmContact(self.home, robots[0].body) if robots and cell.action == "pick" else None
+        self.drawn = StateRenderer(
+            self.home, [agent.body for agent in self._in_order()], worlds=self.worlds, skinned=cell.skinned,
+            objects=[i.name for i in self._loose], backend=backend,
+        )  # fmt: skip
+        self.renderer = self.drawn.renderer
         self.touched = np.zeros(self.worlds, np.bool_)
         """Whether the two agents touch, [W], after the last step."""
         self.arm_touches = 0
@@ -91,58 +96,10 @@ class BenchmarkWorlds:
         for kind in kinds:
             number = next(numbers[kind])
             if kind == "human":
-                agents.append(HumanAgent(human, self.free, self.state, number=number, skinned=self.cell.skinned))
+                agents.append(HumanAgent(human, self.free, self.state, number=number))
             else:
                 agents.append(RobotAgent(robot, self.free, self.state, number=number, is_clear=is_clear))
         return agents
-
-    def _renderer(self, backend: Literal["cpu", "gpu"]) -> Renderer:
-        meshes: list[Mesh] = []
-        instances: list[RenderInstance] = []
-        assets: dict[str, int] = {}
-        moved: dict[str, int] = {}
-        for name, asset in self.home.assets.items():
-            if len(asset.mesh.faces):
-                assets[name] = len(meshes)
-                meshes.append(asset.mesh)
-        for i in self.home.instances:
-            if i.asset in assets:
-                moved[i.name] = len(instances)
-                instances.append(RenderInstance(assets[i.asset], instance_matrix(i), layer=i.layer, name=i.name))
-        self._objects = [moved[i.name] for i in self._loose]
-        self._scales = np.array([i.scale for i in self._loose], np.float64).reshape(-1, 1, 3)
-        deformable: list[int] = []
-        for agent in self.agents:
-            drawn = agent.drawn(len(meshes), len(instances))
-            meshes += drawn.meshes
-            instances += drawn.instances
-            deformable += drawn.deformable
-        scene = RenderScene(meshes, instances, deformable=tuple(deformable))
-        return Renderer(scene, backend=backend, worlds=self.worlds)
-
-    def _contact(self) -> Callable[[int], bool]:
-        """Whether the two agents touch in a world, by FCL."""
-        robots = [agent for agent in self.agents if isinstance(agent, RobotAgent)]
-        humans = [agent for agent in self.agents if isinstance(agent, HumanAgent)]
-        if len(robots) == 2:
-            shapes = [MovingShapes(robot.shapes) for robot in robots]
-
-            def robots_touch(world: int) -> bool:
-                for moving, robot in zip(shapes, robots, strict=True):
-                    moving.set_transforms(robot.shape_frames[world])
-                return collide(*shapes)
-
-            return robots_touch
-        if robots and humans:
-            pair = AgentContact(robots[0].shapes, *humans[0].capsules)
-
-            def touch(world: int) -> bool:
-                start, end = humans[0].capsule_ends
-                pair.update(robots[0].shape_frames[world], start[world], end[world])
-                return pair.collides()
-
-            return touch
-        return lambda world: False
 
     # --- running ----------------------------------------------------------------------------------------------------------
     def reset(self, rng: np.random.Generator) -> None:
@@ -160,7 +117,11 @@ class BenchmarkWorlds:
         """One step of all worlds: actions, contact, one depth image of each agent [agents * W, H, W']."""
         for agent, values in zip(self.agents, actions, strict=True):
             agent.step(self.cell.action, values)
-        self.touched = np.array([self._touching(w) for w in range(self.worlds)])
+        frames = [shape_frames(agent.body, agent.frames) for agent in self.agents]
+        for w in range(self.worlds):
+            for k, of in enumerate(frames):
+                self._contact.update(k, of[w])
+            self.touched[w] = bool(self._contact.touching())
         if self._arm is not None:
             robots = [agent for agent in self.agents if isinstance(agent, RobotAgent)]
             self.arm_touches = sum(
@@ -172,15 +133,18 @@ class BenchmarkWorlds:
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
         """What each agent sees in each world, by output, [agents * W, H, W', ...]: all worlds of the first agent come first."""
-        objects = pose_to_matrix(self.state.object_pose)
-        objects[..., :3, :3] *= self._scales
-        cameras, eyes = cameras_of(self.agents, self.cell.image_px)
-        for agent in self.agents:
-            agent.show(self.renderer, cameras[0].fx, eyes)
-        for w in range(self.worlds):
-            self.renderer.set_transforms(self._objects, objects[w], world=w)
-        worlds = list(range(self.worlds)) * len(self.agents)
-        return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
+        self.drawn.pose(self.state, frames=[agent.frames for agent in self._in_order()])
+        size = self.cell.image_px
+        cameras = [
+            pinhole(size, size, hfov_deg=HFOV_DEG, near=camera.near, pose=camera.pose)
+            for agent in self.agents
+            for camera in self.drawn.cameras(CAMERA, agent=agent.number)
+        ]
+        return self.drawn.picture(cameras, outputs)
+
+    def _in_order(self) -> list[Agent]:
+        """The agents in the order of their numbers."""
+        return sorted(self.agents, key=lambda agent: agent.number)
 
     def run(self, seed: int, *, steps: int = STEPS, untimed: int = UNTIMED) -> Run:
         """Time ``steps`` random steps but the first ``untimed``. Sampling actions is not timed, nor is the reset."""

@@ -1,4 +1,4 @@
-"""Does the robot touch the person, or the furniture where it starts? FCL on the exact shapes says."""
+"""Do two agents touch, or a robot the furniture where it starts? FCL on the exact shapes says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
-from sim_kinematic.collision import AgentContact, FclScene, MovingShapes, collide
+from sim_kinematic.collision import AgentContacts, FclScene, MovingShapes, capsule_transforms, collide
+from sim_kinematic.posing import body_shapes, shape_frames
 
 FLOOR_M = 0.02
 """What lies on the floor lower than this, such as a rug, is stood on."""
@@ -28,9 +29,8 @@ class RobotHumanContact:
         self._human = human
         joints = np.asarray(robot.rest if posture is None else posture, np.float64)
         links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
-        self._shapes_at = links[[k for k, link in enumerate(robot.links) for _ in link.shapes]]
-        start, end, radius = _clip_capsules(human, np.zeros(1, int), np.zeros(1), np.zeros(1))
-        self._pair = AgentContact([s for link in robot.links for s in link.shapes], start[0], end[0], radius)
+        self._shapes_at = shape_frames(robot, links)
+        self._pair = AgentContacts(body_shapes(robot), body_shapes(human))
         self.gate_m = robot_reach(robot, joints) + clip_reach(human)
         """Bases farther apart than this on the floor [m] cannot touch."""
 
@@ -54,7 +54,8 @@ class RobotHumanContact:
         start, end, _ = _clip_capsules(self._human, clip[near], phase[near], blend[near], human_base[near])
         bases = pose_to_matrix(robot_base[near].astype(np.float64))
         for n, base, starts, ends in zip(near, bases, start, end, strict=True):
-            self._pair.update(base @ self._shapes_at, starts, ends)
+            self._pair.update(0, base @ self._shapes_at)
+            self._pair.update(1, capsule_transforms(starts, ends))
             result[n] = self._pair.collides()
         return result
 
@@ -65,9 +66,9 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
     """
     scenery = _scenery(scene)
-    shapes = MovingShapes([s for link in robot.links for s in link.shapes])
+    shapes = MovingShapes(body_shapes(robot))
     links = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
-    shapes_at = links[[k for k, link in enumerate(robot.links) for _ in link.shapes]]
+    shapes_at = shape_frames(robot, links)
 
     def is_clear(base: Array) -> bool:
         raised = base + np.array([0, FLOOR_M, 0, 0, 0, 0, 0])

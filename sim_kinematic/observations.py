@@ -145,7 +145,7 @@ class Observer:
         if place not in self._drawn:
             batch = self._batch
             self._drawn[place] = StateRenderer(
-                batch.places[place].scene, batch.robot, batch.human, threads=self._threads,
+                batch.places[place].scene, [batch.robot, batch.human], threads=self._threads,
                 worlds=batch.worlds if len(batch.places) == 1 else 1, speed_mps=batch.spec.human.speed_mps,
             )  # fmt: skip
         return self._drawn[place]

@@ -16,10 +16,11 @@ from h3data.bodies import Humanoid, Robot
 from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, SkillSpan
 from sim_kinematic.avoidance import AVOIDANCE
-from sim_kinematic.collision import AgentContact
+from sim_kinematic.collision import AgentContacts
 from sim_kinematic.person import Frame, Person
 from sim_kinematic.person_skills import PersonActor
 from sim_kinematic.planners import HighLevelPolicy, TaskView
+from sim_kinematic.posing import body_shapes, shape_frames
 from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import RearrangeLog, Row, body_indices
 from sim_kinematic.rewards import REARRANGE_REWARDS
@@ -264,10 +265,8 @@ class _PosedContact:
     """Contact between a robot with a moving arm and a person in any pose, as recorded: in float32."""
 
     def __init__(self, robot: Robot, human: Humanoid) -> None:
-        self._shape_links = [k for k, link in enumerate(robot.links) for _ in link.shapes]
         self._human = human
-        start, end, radius = human.capsules_world(np.tile(np.eye(4), (1, 55, 1, 1)))
-        self._pair = AgentContact([s for link in robot.links for s in link.shapes], start[0], end[0], radius)
+        self._pair = AgentContacts(body_shapes(robot), body_shapes(human))
 
     def touching(self, robot: RobotActor, frame: Frame) -> bool:
         if np.hypot(*(robot.pose[[0, 2]] - frame.base[[0, 2]])) > CONTACT_GATE_M:
@@ -275,8 +274,8 @@ class _PosedContact:
         base, joints = _stored(robot.pose), _stored(robot.joints)
         links = robot.robot.link_matrices(base[None], joints[None])[0]
         bones = self._human.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
-        start, end, _ = self._human.capsules_world(bones)
-        self._pair.update(links[self._shape_links], start[0], end[0])
+        self._pair.update(0, shape_frames(robot.robot, links))
+        self._pair.update(1, shape_frames(self._human, bones)[0])
         return self._pair.collides()
 
 

@@ -11,7 +11,7 @@ import pytest
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from sim_kinematic.benchmark import BenchmarkWorlds, Cell
-from sim_kinematic.benchmark_agents import HumanAgent, RobotAgent
+from sim_kinematic.benchmark_agents import RobotAgent
 
 
 def face_to_face(benchmark: BenchmarkWorlds, apart: float) -> None:
@@ -37,7 +37,7 @@ def test_every_kind_of_cell_runs(agents: str, action: str) -> None:
     benchmark, rng = BenchmarkWorlds(cell), np.random.default_rng(1)
     count = len(agents.split("_"))
     benchmark.reset(rng)
-    first = [a.joints if isinstance(a, HumanAgent) else a.links for a in benchmark.agents]
+    first = [agent.frames for agent in benchmark.agents]
     bases = [agent.base for agent in benchmark.agents]
     for _ in range(39):
         benchmark.step(benchmark.sample(rng))
@@ -45,8 +45,7 @@ def test_every_kind_of_cell_runs(agents: str, action: str) -> None:
     assert depth.shape == (count * 2, *(2 * [128 if count == 1 else 256]))
     assert (depth > 0).any((1, 2)).all()
     for agent, before, base in zip(benchmark.agents, first, bases, strict=True):
-        after = agent.joints if isinstance(agent, HumanAgent) else agent.links
-        assert (np.abs(after - before).max((1, 2, 3)) > 0.02).all()
+        assert (np.abs(agent.frames - before).max((1, 2, 3)) > 0.02).all()
         stands = (agent.base == base).all(-1)
         assert stands.all() if action == "pick" else not stands.any()
 
@@ -62,7 +61,7 @@ def test_two_agents_see_and_touch_each_other(agents: str) -> None:
     stay(benchmark)
     seen = benchmark.render(("instance", "depth"))
     for picture, depth, other in zip(seen["instance"], seen["depth"], benchmark.agents[::-1], strict=True):
-        there = np.isin(picture, other.instances)
+        there = np.isin(picture, benchmark.drawn.instances(other.number))
         assert there.sum() > 500
         assert 0.8 < np.median(depth[there]) < 3.2
 
@@ -74,7 +73,7 @@ def test_bones_fill_nearly_what_skin_does() -> None:
         face_to_face(benchmark, 2.5)
         stay(benchmark)
         human, robot = benchmark.agents
-        masks.append(np.isin(benchmark.render(("instance",))["instance"][1], human.instances))
+        masks.append(np.isin(benchmark.render(("instance",))["instance"][1], benchmark.drawn.instances(human.number)))
         assert isinstance(robot, RobotAgent)
     skin, bones = masks
     assert (skin & bones).sum() > 0.7 * (skin | bones).sum()

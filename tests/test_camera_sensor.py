@@ -51,7 +51,7 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
     world = SocialNavWorld.create(home, seed=3, spec=SocialNavSpec(max_steps=60))
     recording = simulate_social_nav(world)
     replay = Replay(recording)
-    drawn = StateRenderer(home, robot, human)
+    drawn = StateRenderer(home, [robot, human])
     state, step = WorldState.zeros(1), len(recording) - 1
     (robot,), (walker,) = state.robots, state.people
     base, person = recording.columns["agent_0.base_pose"][step], recording.columns["agent_1.base_pose"][step]
@@ -72,7 +72,7 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
 
 
 def test_the_detector_sees_who_stands_ahead(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
-    drawn = StateRenderer(home, *bodies, worlds=3)
+    drawn = StateRenderer(home, bodies, worlds=3)
     state = facing_each_other(home, 3)
     state.people[0].xz[2] = [50.0, 50.0]
     drawn.pose(state)
@@ -87,10 +87,10 @@ def test_the_detector_sees_who_stands_ahead(home: Scene, bodies: tuple[Robot, Hu
 
 def test_worlds_do_not_mix(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
     state = facing_each_other(home, 3)
-    many = StateRenderer(home, *bodies, worlds=3)
+    many = StateRenderer(home, bodies, worlds=3)
     many.pose(state)
     together = ARM.observe(many)
-    one = StateRenderer(home, *bodies)
+    one = StateRenderer(home, bodies)
     for w in range(3):
         one.pose(state.take([w]))
         for name, picture in ARM.observe(one).items():
@@ -102,10 +102,10 @@ def test_objects_are_drawn_where_the_state_has_them(home: Scene, bodies: tuple[R
     moved = max(
         (i for i in home.instances if i.motion != "static"), key=lambda i: home.assets[i.asset].mesh.bounds[1, 1]
     )
-    drawn = StateRenderer(home, robot, objects=[moved.name])
+    drawn = StateRenderer(home, [robot], objects=[moved.name])
     (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == moved.name]
     one = facing_each_other(home, 1)
-    state = WorldState.zeros(1, joints=len(robot.joint_names), objects=1)
+    state = WorldState.zeros(1, people=0, joints=len(robot.joint_names), objects=1)
     own, there = state.robots[0], one.robots[0]
     own.xz[:], own.heading[:], own.joints[0] = there.xz, there.heading, robot.rest
     drawn.pose(state)
@@ -123,7 +123,7 @@ def test_objects_are_drawn_where_the_state_has_them(home: Scene, bodies: tuple[R
 
 
 def test_depth_is_scaled_as_habitats(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
-    drawn = StateRenderer(home, *bodies)
+    drawn = StateRenderer(home, bodies)
     drawn.pose(facing_each_other(home, 1))
     metres = CameraSensor().observe(drawn)["depth"]
     scaled = CameraSensor(depth_range_m=(0.0, 10.0)).observe(drawn)["depth"]
@@ -134,7 +134,7 @@ def test_depth_is_scaled_as_habitats(home: Scene, bodies: tuple[Robot, Humanoid]
 
 
 def test_what_cannot_be_seen_is_told(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
-    drawn = StateRenderer(home, *bodies)
+    drawn = StateRenderer(home, bodies)
     with pytest.raises(InputError, match="pose"):
         ARM.observe(drawn)
     with pytest.raises(InputError, match="1 worlds"):
@@ -143,4 +143,4 @@ def test_what_cannot_be_seen_is_told(home: Scene, bodies: tuple[Robot, Humanoid]
     with pytest.raises(InputError, match="robot_arm"):
         CameraSensor(camera="periscope").observe(drawn)
     with pytest.raises(InputError, match="unicorn"):
-        StateRenderer(home, bodies[0], objects=["unicorn"])
+        StateRenderer(home, bodies[:1], objects=["unicorn"])

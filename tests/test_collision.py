@@ -18,7 +18,7 @@ from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_mat
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Mesh, Room, Scene, Shape
 from sim_kinematic.collision import (
-    AgentContact,
+    AgentContacts,
     FclScene,
     MovingShapes,
     capsule_transforms,
@@ -366,7 +366,7 @@ BODY = (
 def test_agent_contact_equals_the_ungated_check():
     rng = np.random.default_rng(0)
     start, end, radius = BONES[:, 0], BONES[:, 1], np.array([0.15, 0.05, 0.08])
-    pair = AgentContact(BODY, start, end, radius)
+    pair = AgentContacts(BODY, shapes_from_capsules(start, end, radius))
     robot, human = MovingShapes(BODY), MovingShapes(shapes_from_capsules(start, end, radius))
     hits = 0
     for _ in range(300):
@@ -377,11 +377,13 @@ def test_agent_contact_equals_the_ungated_check():
         frames = np.stack([base, base @ at([0.4, 0.3, 0])])
         turn = at(rng.uniform(-0.3, 0.3, 3), quat_to_matrix(quat_from_heading(rng.uniform(-3, 3))))
         a, b = transform_points(turn, start), transform_points(turn, end)
-        pair.update(frames, a, b)
+        pair.update(0, frames)
+        pair.update(1, capsule_transforms(a, b))
         robot.set_transforms(frames)
         human.set_transforms(capsule_transforms(a, b))
         expected = collide(robot, human)
         assert pair.collides() is expected
+        assert pair.touching() == [(0, 1)] * expected
         assert bool(pair.contacts()) is expected
         assert pair.distance() == pytest.approx(distance(robot, human), abs=1e-9)
         hits += expected
@@ -389,12 +391,13 @@ def test_agent_contact_equals_the_ungated_check():
 
 
 def test_agents_far_apart_never_reach_fcl():
-    pair = AgentContact(BODY, BONES[:, 0], BONES[:, 1], 0.1)
-    pair.update(np.stack([at([5, 0.5, 0]), at([5.4, 0.8, 0])]), BONES[:, 0], BONES[:, 1])
+    pair = AgentContacts(BODY, shapes_from_capsules(BONES[:, 0], BONES[:, 1], 0.1))
+    pair.update(0, np.stack([at([5, 0.5, 0]), at([5.4, 0.8, 0])]))
+    pair.update(1, capsule_transforms(BONES[:, 0], BONES[:, 1]))
     assert not pair.collides()
-    assert pair._stale  # nothing was posed in FCL
+    assert all(body._stale for body in pair._bodies)  # nothing was posed in FCL
     assert pair.distance() > 4
-    pair.update(np.stack([at([0, 1.0, 0]), at([0.4, 1.3, 0])]), BONES[:, 0], BONES[:, 1])
+    pair.update(0, np.stack([at([0, 1.0, 0]), at([0.4, 1.3, 0])]))
     assert pair.collides()
     assert {c.index_b for c in pair.contacts()} >= {0}
 

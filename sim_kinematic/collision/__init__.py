@@ -1,12 +1,12 @@
 """Exact collision of convex shapes, through FCL: what touches what, how deep, how far apart."""
 
-from sim_kinematic.collision.agent_contact import AgentContact
+from sim_kinematic.collision.agent_contact import AgentContacts
 from sim_kinematic.collision.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance
 from sim_kinematic.collision.overlaps import Overlap, overlapping_instances
 from sim_kinematic.collision.shapes import capsule_transforms, shapes_from_capsules
 
 __all__ = [
-    "AgentContact",
+    "AgentContacts",
     "Contact",
     "FclScene",
     "MovingShapes",
