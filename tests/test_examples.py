@@ -57,3 +57,18 @@ def test_learned_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     runpy.run_path(str(EXAMPLES / "learned_policy.py"))
     followed = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
     assert followed[0] == 0 < 0.5 < followed[1] <= 1
+
+
+def test_behaviour_cloning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from h3data.recording import DatasetWriter
+
+    spec = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
+    with DatasetWriter(tmp_path / "ds") as writer:
+        for seed in range(2):
+            world = SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=seed, spec=spec)
+            writer.add(simulate_social_nav(world))
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "ds"), "3"])
+    runpy.run_path(str(EXAMPLES / "behaviour_cloning.py"))
+    errors = [float(line.rpartition(" ")[2]) for line in capsys.readouterr().out.splitlines()[1:]]
+    assert len(errors) == 3
+    assert errors[2] < errors[0]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from h3data.recording.mcap_log import RecordingWriter, write_mcap
     from h3data.recording.mcap_read import Recovery, read_mcap, recover_mcap
     from h3data.recording.opening import looks_like, open_recording
+    from h3data.recording.windows import WindowDataset
 
 _HOMES = {
     "recordings_equal": "compare",
@@ -40,6 +41,7 @@ _HOMES = {
     "recover_mcap": "mcap_read",
     "looks_like": "opening",
     "open_recording": "opening",
+    "WindowDataset": "windows",
 }
 
 __all__ = [
@@ -57,6 +59,7 @@ __all__ = [
     "RecordingWriter",
     "Recovery",
     "SkillSpan",
+    "WindowDataset",
     "looks_like",
     "open_recording",
     "read_mcap",

@@ -149,6 +149,10 @@ class Dataset:
         lines += [f"  {c.name:<24} {c.dtype:<8} {['T', *c.shape]}".replace("'T'", "T") for c in self.schema.columns]
         return "\n".join(lines)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The same episodes in another process, which opens the files for itself."""
+        return {**self.__dict__, "_files": {}, "_sidecars": {}}
+
     # --- as tables ------------------------------------------------------------------------------------------------
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
         """The steps of ``episodes`` (default: all) as one table, only ``columns`` (default: all, also LeRobot's).

@@ -93,6 +93,15 @@ def table_schema(dataset: Dataset, columns: Sequence[str] | None = None) -> pa.S
     return pa.schema(fields)
 
 
+def chosen_episodes(dataset: Dataset, episodes: Iterable[int] | None) -> Sequence[int]:
+    """``episodes``, or all; an `InputError` if there is no such one."""
+    chosen = range(len(dataset)) if episodes is None else list(episodes)
+    for index in chosen:
+        if not 0 <= index < len(dataset):
+            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}")
+    return chosen
+
+
 def shapes_of(dataset: Dataset) -> dict[str, tuple[int, ...]]:
     """Declared shape of a row of each stored column."""
     return {**dict.fromkeys(STANDARD, ()), **{c.name: c.shape for c in dataset.schema.columns if c.width}}
@@ -142,11 +151,7 @@ def _no_rows(schema: pa.Schema) -> pa.RecordBatch:
 
 def _groups(dataset: Dataset, episodes: Iterable[int] | None) -> Iterator[list[int]]:
     """Episodes with steps, in their order, in runs that lie in one shard."""
-    wanted = range(len(dataset)) if episodes is None else list(episodes)
-    for index in wanted:
-        if not 0 <= index < len(dataset):
-            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(dataset) - 1}: {dataset.root}")
     rows = dataset.rows
-    with_steps = (index for index in wanted if rows[index]["length"])
+    with_steps = (index for index in chosen_episodes(dataset, episodes) if rows[index]["length"])
     for _, group in itertools.groupby(with_steps, key=lambda index: dataset.shard_of(rows[index])):
         yield list(group)
