@@ -117,11 +117,12 @@ class BenchmarkWorlds:
         """One step of all worlds: actions, contact, one depth image of each agent [agents * W, H, W']."""
         for agent, values in zip(self.agents, actions, strict=True):
             agent.step(self.cell.action, values)
-        frames = [shape_frames(agent.body, agent.frames) for agent in self.agents]
-        for w in range(self.worlds):
-            for k, of in enumerate(frames):
-                self._contact.update(k, of[w])
-            self.touched[w] = bool(self._contact.touching())
+        if len(self.agents) > 1:
+            frames = [shape_frames(agent.body, agent.frames) for agent in self.agents]
+            for w in range(self.worlds):
+                for k, of in enumerate(frames):
+                    self._contact.update(k, of[w])
+                self.touched[w] = bool(self._contact.touching())
         if self._arm is not None:
             robots = [agent for agent in self.agents if isinstance(agent, RobotAgent)]
             self.arm_touches = sum(

@@ -43,7 +43,9 @@ def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mp
         return body.link_matrices(base, joints)
     if isinstance(body, Humanoid) and isinstance(state, HumanState):
         clip = body.clip_for_speed(WalkerSpec().speed_mps if speed_mps is None else speed_mps)
-        posture = body.clip_pose(np.full(state.worlds, clip), walking_phase(body, clip, state), state.blend)
+        stands = state.blend == 0  # the first clip stands: cheaper than a walk of no weight
+        phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
+        posture = body.clip_pose(np.where(stands, 0, clip), phase, blend)
         return body.joint_matrices(base, *posture)
     raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.")
 
