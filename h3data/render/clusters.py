@@ -32,9 +32,21 @@ class Clusters(NamedTuple):
     """Half box sizes, shape [C, 3] [m]."""
 
 
-def build_clusters(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Clusters:
-    """Clusters of a mesh [V, 3], [F, 3] by median splits of the triangles' centres along the longest axis."""
-    order, starts = _split(_centroids(vertices, faces))
+def build_clusters(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
+) -> Clusters:
+    """Clusters of a mesh [V, 3], [F, 3] by median splits of the triangles' centres along the longest axis.
+
+    Triangles that are cut out (``cut_out`` [F]) share no cluster with others.
+    """
+    centroids = _centroids(vertices, faces)
+    if cut_out is None or not cut_out.any():
+        order, starts = _split(centroids)
+    else:
+        plain, cut = np.flatnonzero(~cut_out), np.flatnonzero(cut_out)
+        (plain_order, plain_starts), (cut_order, cut_starts) = _split(centroids[plain]), _split(centroids[cut])
+        order = np.concatenate([plain[plain_order], cut[cut_order]]).astype(np.int32)
+        starts = np.concatenate([plain_starts[:-1], cut_starts + np.int32(len(plain))])
     triangles, first = _lanes(order, starts)
     count = len(first) - 1
     packets = np.zeros((len(triangles), 9, 8), np.float32)

@@ -103,7 +103,7 @@ class CpuEngine:
         placement = Placement(scene.instance_mesh, world.matrix, world.shown(camera.hidden_layers))
         if view.parallel:
             view = view._replace(reach=reach_of(world.geometry, placement, view))
-        rasterise(world.geometry, placement, view, target)
+        rasterise(world.geometry, scene.cutouts, placement, view, target)
         return view, target
 
     def _read(self, world: World, view: View, target: Target, results: Mapping[str, NDArray], *, rgb: bool) -> None:

@@ -4,8 +4,8 @@ One picture: (1) instances, then their clusters, against the view frustum; (2) t
 counting sort; (3) each against the coarse depth of 8x8-pixel tiles, kept lazily; (4) eight triangles at a time set up
 in SIMD (`raster_simd.setup_triangles`); (5) three fillers: small boxes (one block of 8 pixels a row), medium ones (float32
 spans), and everything large, thin or near (homogeneous edge functions in double, which need no clipping: there is no
-near plane unless the camera asks for one), all in `raster_fill`. A pixel's word is ``draw * 128 + triangle within the
-cluster``, -1 where nothing is.
+near plane unless the camera asks for one), all in `raster_fill`; (6) after all that what is cut out (`raster_cutouts`). A
+pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
 
 Nearness is what is linear on the screen and grows towards the camera: 1/z, or ``reach - z`` for an orthographic camera,
 whose rays are parallel.
@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
+from h3data.render.raster_cutouts import draw_cutouts
 from h3data.render.raster_draw import (
     CLUSTER,
     INSTANCE,
@@ -143,14 +144,17 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def rasterise(geometry, placement, view, target):
+def rasterise(geometry, cutouts, placement, view, target):
     """Draw one picture into ``target``; returns the number of clusters in the frustum."""
     _clear(target, view.width, view.height)
     count = _collect(geometry, placement, view, target)
     order = _front_to_back(target.near, count)
-    draw_clusters(geometry, view, target, order)
+    cut_first = cutouts.first
+    draw_clusters(geometry, cut_first, view, target, order)
     if has_near_plane(view):
-        draw_cut(geometry, view, target, order)
+        draw_cut(geometry, cut_first, view, target, order)
+    if len(cutouts.uv):
+        draw_cutouts(geometry, cutouts, view, target, order)
     if view.far < np.inf:
         _cut_far(view, target)
     return count

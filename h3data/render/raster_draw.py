@@ -41,6 +41,15 @@ def nearness_of(z, view):
 
 
 @njit(nogil=True)
+def screen_words(view):
+    """What `setup_triangles` reads of the camera."""
+    screen = np.empty(SCREEN_WORDS, np.float32)
+    screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
+    screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
+    return screen
+
+
+@njit(nogil=True)
 def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
     """Whether everything in these tiles is nearer than the nearness ``inv_z``; refreshes stale tiles on the way."""
     for ty in range(tile_y0, tile_y1 + 1):
@@ -57,8 +66,9 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
 
 
 @njit(nogil=True)
-def draw_clusters(geometry, view, target, order):
-    """Draw the clusters in this order."""
+def draw_clusters(geometry, cut_first, view, target, order):
+    """Draw the clusters in this order, but for those that pass through the near plane or are cut out (``cut_first`` [C]
+    is not -1)."""
     stride = target.inv_z.shape[1]
     row_bytes = np.uintp(stride * 4)
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
@@ -66,14 +76,12 @@ def draw_clusters(geometry, view, target, order):
     own_at = np.uintp(geometry.own_packets.ctypes.data)
     shared_count = len(geometry.shared_packets)
     matrices_at = np.uintp(target.pixel_from_mesh.ctypes.data)
-    screen = np.empty(SCREEN_WORDS, np.float32)
-    screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
-    screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
+    screen = screen_words(view)
     table = np.empty((SETUP_ROWS, 8), np.float32)
     boxes = table.view(np.int32)
     screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
     corners = np.empty(9)
-    cuts = has_near_plane(view)
+    cuts, cuts_out = has_near_plane(view), len(cut_first) > 0
     bounds, stale = target.tile_inv_z, target.tile_stale
     for draw in order:
         instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
@@ -82,6 +90,8 @@ def draw_clusters(geometry, view, target, order):
         near = target.near[draw]
         if cuts and near <= np.float32(view.near):
             continue  # `draw_cut` follows
+        if cuts_out and cut_first[cluster] >= 0:
+            continue  # `draw_cutouts` follows
         if near > 0 or view.parallel:
             nearest = np.float32(nearness_of(near, view)) * OCCLUSION_MARGIN
             if hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, bounds, stale, inv_z_at, row_bytes):
@@ -105,7 +115,7 @@ def draw_clusters(geometry, view, target, order):
             while medium:
                 lane = count_trailing_zeros(medium)
                 medium &= medium - 1
-                if not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+                if not lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
                     fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
             while large:
                 lane = count_trailing_zeros(large)
@@ -116,7 +126,7 @@ def draw_clusters(geometry, view, target, order):
                     soup, p = geometry.own_packets, p - shared_count
                 nearest = camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
                 is_near = nearest < NEAR_M * 1.001 and not view.parallel
-                if is_near or not _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+                if is_near or not lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
                     fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
             packet_at += np.uintp(PACKET_BYTES)
             word += np.int32(8)
@@ -132,16 +142,16 @@ def has_near_plane(view):
 
 
 @njit(nogil=True)
-def draw_cut(geometry, view, target, order):
+def draw_cut(geometry, cut_first, view, target, order):
     """Draw the clusters that pass through the near plane, which `draw_clusters` leaves out: exactly, one by one."""
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)
     pieces, no_box = np.empty((2, 9)), np.zeros(SETUP_ROWS, np.int32)
     for draw in order:
-        if target.near[draw] > np.float32(view.near):
-            continue
         instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
+        if target.near[draw] > np.float32(view.near) or (len(cut_first) and cut_first[cluster] >= 0):
+            continue
         first, end = geometry.cluster_packets[cluster]
         for packet in range(first, end):
             soup, p = geometry.shared_packets, packet
@@ -155,7 +165,8 @@ def draw_cut(geometry, view, target, order):
 
 
 @njit(nogil=True, forceinline=True)
-def _lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+    """As `hidden`, of one triangle of a packet that is set up."""
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
     return hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

@@ -133,15 +133,15 @@ def clip_near(pieces, near):
 
 
 @njit(nogil=True)
-def _visible_box(p, view):
+def visible_box(p, view):
     """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye's plane."""
     fx, fy, cx, cy = view.intrinsics
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
     smallest_z = 1e-4
     for v in range(3):
-        ax, ay, az = p[3 * v], p[3 * v + 1], p[3 * v + 2]
         n = 3 * ((v + 1) % 3)
-        bx, by, bz = p[n], p[n + 1], p[n + 2]
+        ax, ay, az = p[3 * v], p[3 * v + 1], 1.0 if view.parallel else p[3 * v + 2]
+        bx, by, bz = p[n], p[n + 1], 1.0 if view.parallel else p[n + 2]
         if az >= smallest_z:
             x, y = fx * ax / az + cx, fy * ay / az + cy
             left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
@@ -160,7 +160,7 @@ def _visible_box(p, view):
 
 
 @njit(nogil=True, forceinline=True)
-def _cut_exact(low, high, edge, step, minus_inverse):
+def cut_exact(low, high, edge, step, minus_inverse):
     """As `_cut`, in double; a zero step keeps all or nothing."""
     crossing = edge * minus_inverse
     if step > 0:
@@ -170,28 +170,24 @@ def _cut_exact(low, high, edge, step, minus_inverse):
     return low, (high if edge >= 0 else -1.0)
 
 
-@njit(nogil=True, error_model="numpy")
-def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
-    """Any triangle [9] in camera space: homogeneous edge functions in double (Olano & Greer 1997), without clipping.
+@njit(nogil=True, forceinline=True, error_model="numpy")
+def edge_functions(p, view, x0, y0):
+    """Homogeneous edge functions of a triangle [9] in camera space (Olano & Greer 1997) and its nearness, in double.
+
+    Whether it has an area; the three barycentrics over z (orthographic: the barycentrics) and nearness at pixel (x0, y0);
+    what they change by from pixel to pixel to the right; and downwards.
 
     The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1). For an
     orthographic camera 1 stands in the place of z there, and nearness follows from the corners'. Changes ``p``.
     """
+    fx, fy, cx, cy = view.intrinsics
     start, to_second, to_third = view.reach - p[2], p[2] - p[5], p[2] - p[8]
     if view.parallel:
         p[2] = p[5] = p[8] = 1.0
-    fx, fy, cx, cy = view.intrinsics
-    x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
-    if is_near:
-        x0, x1, y0, y1 = _visible_box(p, view)
-    if x1 < x0 or y1 < y0:
-        return
     ax, ay, az = p[4] * p[8] - p[5] * p[7], p[5] * p[6] - p[3] * p[8], p[3] * p[7] - p[4] * p[6]
     bx, by, bz = p[7] * p[2] - p[8] * p[1], p[8] * p[0] - p[6] * p[2], p[6] * p[1] - p[7] * p[0]
     gx, gy, gz = p[1] * p[5] - p[2] * p[4], p[2] * p[3] - p[0] * p[5], p[0] * p[4] - p[1] * p[3]
     determinant = p[0] * ax + p[1] * ay + p[2] * az
-    if determinant == 0:
-        return
     k = 1 / determinant
     # 1/z from the edge vectors: their normal does not suffer from cancellation
     sx, sy, sz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
@@ -210,14 +206,28 @@ def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
     e1 = (bx * u + by * v + bz) * k + 1e-5 * (abs(d1) + abs(c1))
     e2 = (gx * u + gy * v + gz) * k + 1e-5 * (abs(d2) + abs(c2))
     inv_z = nx * u + ny * v + nz
+    return determinant != 0, (e0, e1, e2, inv_z), (d0, d1, d2, dw), (c0, c1, c2, cw)
+
+
+@njit(nogil=True, error_model="numpy")
+def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
+    """Any triangle [9] in camera space by `edge_functions`: it needs no clipping. Changes ``p``."""
+    x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
+    if is_near:
+        x0, x1, y0, y1 = visible_box(p, view)
+    if x1 < x0 or y1 < y0:
+        return
+    found, (e0, e1, e2, inv_z), (d0, d1, d2, dw), (c0, c1, c2, cw) = edge_functions(p, view, x0, y0)
+    if not found:
+        return
     last = float(x1 - x0)
     inverse0, inverse1, inverse2 = -1 / d0, -1 / d1, -1 / d2
     f0, f1, f2, fw = np.float32(d0), np.float32(d1), np.float32(d2), np.float32(dw)
     row = np.uintp((y0 * stride + x0) * 4)
     for _ in range(y0, y1 + 1):
-        low, high = _cut_exact(0.0, last, e0, d0, inverse0)
-        low, high = _cut_exact(low, high, e1, d1, inverse1)
-        low, high = _cut_exact(low, high, e2, d2, inverse2)
+        low, high = cut_exact(0.0, last, e0, d0, inverse0)
+        low, high = cut_exact(low, high, e1, d1, inverse1)
+        low, high = cut_exact(low, high, e2, d2, inverse2)
         if high >= 0 and high >= low - 1:
             x, end = int(low), int(high)
             while x <= end:

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import normalized
+from h3data.render.cutouts import solid_points
 from h3data.render.pictures import Poses
 from h3data.render.scene import RenderScene
 from h3data.render.shading import Light
 
 _FAR_M = 1e30
+_HAIR = 1e-6
 _OFFSET_M = 2e-3
 """Shadow rays start so far off their surface."""
 
@@ -36,29 +38,75 @@ class Hits(NamedTuple):
 
 
 class Part:
-    """Some instances as one Embree scene."""
+    """Some instances as one Embree scene, or two: what is cut out (`cutouts`) apart from the rest."""
 
     def __init__(self, scene: RenderScene, poses: Poses, instances: NDArray[np.intp]) -> None:
-        embree = _embree()
-        self._scene: Any = embree.rtcore_scene.EmbreeScene(robust=True)
-        vertices, faces, counts, first = [], [], [], 0
+        self._surface, self._tables = scene.surface, scene.cutouts
+        vertices, faces, scene_faces, counts, first = [], [], [], [], 0
         for index in instances:
-            mesh, matrix = scene.meshes[scene.instance_mesh[index]], poses.matrix[index]
-            local = poses.vertices.get(int(scene.instance_mesh[index]), mesh.vertices)
+            slot = int(scene.instance_mesh[index])
+            mesh, matrix = scene.meshes[slot], poses.matrix[index]
+            local = poses.vertices.get(slot, mesh.vertices)
             placed = (local @ matrix[:, :3].T + matrix[:, 3]).astype(np.float32)
             used = mesh.faces if np.isfinite(placed).all() else mesh.faces[:0]
             vertices.append(placed)
-            faces.append(used + np.int32(first))
+            faces.append((used + first).astype(np.int32))
+            scene_faces.append(np.arange(len(used)) + scene.first_face[slot])
             counts.append(len(used))
             first += len(placed)
+        self._vertices = np.concatenate([np.zeros((0, 3), np.float32), *vertices])
+        self._faces: NDArray[np.int32] = np.concatenate([np.zeros((0, 3), np.int32), *faces])
+        self._scene_face = np.concatenate([np.zeros(0, np.int64), *scene_faces])
         self.instance = np.repeat(instances.astype(np.int32), counts)
-        self.triangle = np.concatenate([np.zeros(0, np.int32), *(np.arange(n, dtype=np.int32) for n in counts)])
-        if len(self.instance):
-            embree.mesh_construction.TriangleMesh(self._scene, np.concatenate(vertices), np.concatenate(faces))
+        cut_out = scene.cut_out_faces[self._scene_face]
+        self._whole = int((~cut_out).sum())
+        """Triangles that are not cut out; they come first."""
+        if self._whole < len(cut_out):
+            order = np.argsort(cut_out, kind="stable")
+            self._faces = self._faces[order]
+            self._scene_face, self.instance = self._scene_face[order], self.instance[order]
+        self.triangle = (self._scene_face - scene.first_face[scene.instance_mesh[self.instance]]).astype(np.int32)
+        self._scene = _embree_scene(self._vertices, self._faces[: self._whole])
+        self._cut_scene = _embree_scene(self._vertices, self._faces[self._whole :])
 
     def cast(self, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
-        """Embree's answer for rays [N, 3] up to ``limits`` [N]."""
-        return self._scene.run(origins, directions, dists=limits, query="INTERSECT", output=1)
+        """Embree's answer for rays [N, 3] up to ``limits`` [N]; holes stop none."""
+        found = _run(self._scene, origins, directions, limits)
+        if self._whole == len(self._faces):
+            return found
+        rays = np.arange(len(limits))
+        start, ahead = origins, np.zeros(len(limits), np.float32)
+        while len(rays):
+            limit = np.minimum(found["tfar"][rays], limits[rays])
+            behind = _run(self._cut_scene, start, directions[rays], np.maximum(limit - ahead, 0))
+            hit = behind["primID"] >= 0
+            rays, behind = rays[hit], {name: values[hit] for name, values in behind.items()}
+            behind["tfar"] += ahead[hit]
+            behind["primID"] += self._whole
+            solid = self._solid(behind["primID"], origins[rays], directions[rays])
+            for name, values in behind.items():
+                found[name][rays[solid]] = values[solid]
+            rays, passed = rays[~solid], behind["tfar"][~solid]
+            # a hair further, as far as float32 can tell points there apart
+            reach = np.abs(origins[rays]).max(1, initial=0) + np.abs(directions[rays]).max(1, initial=0) * passed
+            ahead = passed + (_HAIR * (1 + reach) / np.linalg.norm(directions[rays], axis=1)).astype(np.float32)
+            start = origins[rays] + directions[rays] * ahead[:, None]
+        return found
+
+    def _solid(self, triangles: NDArray[np.int32], origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
+        """Whether rays meet their triangles where these have no hole."""
+        # Embree's own barycentrics have few digits on slivers (Moeller & Trumbore 1997)
+        a, b, c = self._vertices[self._faces[triangles]].astype(np.float64).swapaxes(0, 1)
+        ray, start = directions.astype(np.float64), origins - a
+        p, q = np.cross(ray, c - a), np.cross(start, b - a)
+        area = ((b - a) * p).sum(1, keepdims=True)
+        scale = np.divide(1, area, out=np.zeros_like(area), where=area != 0)
+        u, v = (start * p).sum(1, keepdims=True) * scale, (ray * q).sum(1, keepdims=True) * scale
+        face = self._scene_face[triangles]
+        corners = self._surface.uv[self._surface.faces[face]].astype(np.float64)
+        corners -= np.floor(corners[:, :1])
+        uv = corners[:, 0] + u * (corners[:, 1] - corners[:, 0]) + v * (corners[:, 2] - corners[:, 0])
+        return solid_points(self._tables.maps, self._tables.opacity, self._surface.face_textures[face], uv)
 
     def occluded(self, origins: NDArray, directions: NDArray, limits: NDArray) -> NDArray[np.bool_]:
         """Whether rays [N, 3] meet anything up to ``limits`` [N]."""
@@ -219,6 +267,19 @@ def _rays(
     return (
         np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d, np.float32), limits.astype(np.float32), shape,
     )  # fmt: skip
+
+
+def _embree_scene(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
+    embree = _embree()
+    scene = embree.rtcore_scene.EmbreeScene(robust=True)
+    if len(faces):
+        embree.mesh_construction.TriangleMesh(scene, vertices, faces)
+    return scene
+
+
+def _run(scene: Any, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
+    # Embree writes into the limits
+    return scene.run(origins, directions, dists=limits.copy(), query="INTERSECT", output=1)
 
 
 def _embree() -> Any:

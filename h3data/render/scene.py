@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.render.clusters import Clusters, build_clusters, enclosing_box, normal_groups
+from h3data.render.cutouts import cut_out_faces, pack_cutouts
 from h3data.render.raster import Geometry
-from h3data.render.textures import Textures, pack_textures
+from h3data.render.surface import Surface
+from h3data.render.textures import pack_textures
 from h3data.scene.meshes import face_texture_indices
-from h3data.scene.records import Mesh
+from h3data.scene.records import Mesh, Texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,30 +34,11 @@ class RenderInstance:
     """Its id in pictures; -1: its position in the scene's list."""
 
 
-class Surface(NamedTuple):
-    """What shading needs to know of the meshes; vertices of all meshes one after another."""
-
-    faces: NDArray[np.int32]
-    """Shape [F, 3]."""
-    colors: NDArray[np.uint8]
-    """sRGB, shape [V, 3]."""
-    normals: NDArray[np.float32]
-    """Shape [V, 3]; zero where a mesh is shaded flat."""
-    packet_faces: NDArray[np.int32]
-    """Face of every lane of every packet, -1 = padding, shape [P, 8]."""
-    uv: NDArray[np.float32]
-    """Texture coordinates [repeats], shape [V, 2]; [0, 2] if no mesh has any textures."""
-    face_textures: NDArray[np.int32]
-    """Index into ``textures``, -1 = none, shape [F]."""
-    textures: Textures
-    """Those of all meshes, each once."""
-
-
 class RenderScene:
     """Meshes and instances, ready to be drawn. Immutable; what changes over time lives in a `Renderer`.
 
-    Textures are packed once, however many meshes share one (the same object). Their opacity is not drawn: every triangle
-    hides what is behind it, and its texels of no opacity show the colour of those around them.
+    Textures are packed once, however many meshes share one (the same object). Where one is less than half opaque there is
+    a hole (`cutouts`).
     """
 
     def __init__(
@@ -76,13 +58,18 @@ class RenderScene:
         self.semantic_ids = np.array([i.semantic_id for i in self.instances], np.int32).reshape(count)
         self.layers = np.array([i.layer for i in self.instances], dtype=np.str_).reshape(count)
 
-        parts = [build_clusters(mesh.vertices, mesh.faces) for mesh in self.meshes]
+        cut_out = [_cut_out(mesh) for mesh in self.meshes]
+        self.cut_out_faces = np.concatenate([np.zeros(0, np.bool_), *cut_out])
+        """Triangles that may have holes (`cutouts`), of all meshes one after another, shape [F]."""
+        parts = [build_clusters(mesh.vertices, mesh.faces, cut) for mesh, cut in zip(self.meshes, cut_out, strict=True)]
         self.geometry, self.packet_triangles = _join(parts, self.deformable)
         mesh_first = self.geometry.mesh_first
         self.draw_limit = int(np.sum(np.diff(mesh_first)[self.instance_mesh])) if count else 0
         self.first_vertex = _starts(len(mesh.vertices) for mesh in self.meshes)
         self.first_face = _starts(len(mesh.faces) for mesh in self.meshes)
-        self.surface = self._build_surface()
+        textures = list(dict.fromkeys(texture for mesh in self.meshes for texture in mesh.textures))
+        self.surface = self._build_surface(textures)
+        self.cutouts = pack_cutouts(self.cut_out_faces, self.surface, self.geometry.cluster_packets, textures)
         self.parts = {m: parts[m] for m in self.deformable}
         self.groups = {
             m: normal_groups(mesh.vertices, mesh.normals)
@@ -90,9 +77,8 @@ class RenderScene:
             if m in self.deformable and mesh.normals is not None
         }
 
-    def _build_surface(self) -> Surface:
+    def _build_surface(self, textures: list[Texture]) -> Surface:
         vertices, faces = int(self.first_vertex[-1]), int(self.first_face[-1])
-        textures = list(dict.fromkeys(texture for mesh in self.meshes for texture in mesh.textures))
         number = {texture: k for k, texture in enumerate(textures)}
         surface = Surface(
             faces=np.zeros((faces, 3), np.int32),
@@ -139,6 +125,17 @@ class RenderScene:
             f"RenderScene({len(self.meshes)} meshes, {len(self.instances)} instances, {self.triangle_count} triangles, "
             f"{len(self.deformable)} deformable)"
         )
+
+
+def _cut_out(mesh: Mesh) -> NDArray[np.bool_]:
+    """Which triangles may have holes, shape [F]."""
+    out = np.zeros(len(mesh.faces), np.bool_)
+    if mesh.uv is not None:
+        numbers = face_texture_indices(mesh)
+        for number, texture in enumerate(mesh.textures):
+            chosen = np.flatnonzero(numbers == number)
+            out[chosen] = cut_out_faces(np.nan_to_num(mesh.uv)[mesh.faces[chosen]], texture.pixels)
+    return out
 
 
 def _starts(lengths: Iterable[int]) -> NDArray[np.int64]:

@@ -17,7 +17,6 @@ from h3data.geometry import normalized
 from h3data.kernels import kernel
 from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.raster import FAR_PADDING, Geometry, Placement, Target, View
-from h3data.render.scene import Surface
 from h3data.render.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
 from h3data.render.shading_simd import (
     ATTRIBUTES,
@@ -31,6 +30,7 @@ from h3data.render.shading_simd import (
     sky_block,
     texture_block,
 )
+from h3data.render.surface import Surface
 from h3data.render.textures_simd import LEVEL_WORDS, ONE_LEVEL
 from h3data.srgb import bytes_to_linear, linear_to_srgb
 
