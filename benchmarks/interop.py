@@ -1,12 +1,15 @@
-"""Opening mesh files of other programs: a GLB of a million triangles with textures, in a process of its own."""
+"""Files of other programs, each in a process of its own: a GLB of a million triangles, a gfx-replay of 500 MB."""
 
 from __future__ import annotations
 
+import gzip
+import json
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,38 +18,80 @@ from h3data.scene import Mesh, Texture
 
 TRIANGLES = 1_000_000
 PARTS = 4
+REPLAY_BYTES = 500 << 20
+REPLAY_BODIES = 22
+"""As many move in a real session with a Spot and a person."""
 
-_OPEN = """
+_PEAK = """
 import sys, time
-from h3data.interop import load_habitat_scene, load_mesh
 def peak_mib():
     with open("/proc/self/status") as file:
         return next(int(line.split()[1]) / 1024 for line in file if line.startswith("VmHWM"))
+"""
+_OPEN = """
+from h3data.interop import load_habitat_scene, load_mesh
 start = time.perf_counter()
 mesh = load_mesh(sys.argv[2]) if sys.argv[1] == "mesh" else load_habitat_scene(sys.argv[2])
+print(time.perf_counter() - start, peak_mib())
+"""
+_IMPORT = """
+start = time.perf_counter()
+from h3data_pipelines.cli import main
+assert main(["import", sys.argv[1], "-o", sys.argv[2], "--force"]) == 0
 print(time.perf_counter() - start, peak_mib())
 """
 
 
 def run(emit: Callable[[str, float, str], None]) -> None:
-    """Emits ``interop.glb_1m.open_s`` and ``.peak_mib`` (`load_mesh`), ``.scene_s`` and ``.scene_peak_mib`` (as a stage).
+    """Emits ``interop.glb_1m.open_s`` and ``.peak_mib`` (`load_mesh`), ``.scene_s`` and ``.scene_peak_mib`` (as a stage);
+    ``interop.gfx_replay_500mb.s`` and ``.peak_mib`` (`h3data import`), ``.gz_s`` and ``.gz_peak_mib`` (the same packed).
 
-    Best of three; the peak is that of the whole process.
+    Best of three, of replays of one; the peak is that of the whole process.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.glb"
         path.write_bytes(glb_bytes([_terrain(seed) for seed in range(PARTS)]))
         for kind, name in (("mesh", ""), ("scene", "scene_")):
-            runs = [_measured(kind, path) for _ in range(3)]
+            runs = [_measured(_OPEN, kind, path) for _ in range(3)]
             emit(f"interop.glb_1m.{name or 'open_'}s", min(r[0] for r in runs), "s")
             emit(f"interop.glb_1m.{name}peak_mib", min(r[1] for r in runs), "MiB")
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix, name in ((".json", ""), (".json.gz", "gz_")):
+            path = Path(folder) / f"long.gfx_replay{suffix}"
+            _write_replay(path)
+            seconds, mib = _measured(_IMPORT, path, Path(folder) / "rec")
+            emit(f"interop.gfx_replay_500mb.{name}s", seconds, "s")
+            emit(f"interop.gfx_replay_500mb.{name}peak_mib", mib, "MiB")
+            path.unlink()
 
 
-def _measured(kind: str, path: Path) -> tuple[float, float]:
-    """Seconds and MiB."""
-    out = subprocess.run([sys.executable, "-c", _OPEN, kind, str(path)], check=True, capture_output=True, text=True)
-    seconds, mib = map(float, out.stdout.split())
+def _measured(code: str, *arguments: str | Path) -> tuple[float, float]:
+    """Seconds and MiB, which the code prints last."""
+    out = subprocess.run(
+        [sys.executable, "-c", _PEAK + code, *map(str, arguments)], check=True, capture_output=True, text=True
+    )
+    seconds, mib = map(float, out.stdout.splitlines()[-1].split())
     return seconds, mib
+
+
+def _write_replay(path: Path) -> None:
+    """Bodies that all move in every keyframe, written with 7 decimals as habitat-sim does it."""
+    rng = np.random.default_rng(0)
+
+    def updates() -> list[dict[str, Any]]:
+        transforms = [
+            {"translation": rng.normal(size=3).round(7).tolist(), "rotation": rng.normal(size=4).round(7).tolist()}
+            for _ in range(REPLAY_BODIES)
+        ]
+        return [{"instanceKey": k, "state": {"absTransform": t}} for k, t in enumerate(transforms)]
+
+    creations = [{"instanceKey": k, "creation": {"filepath": f"part_{k}.glb"}} for k in range(REPLAY_BODIES)]
+    block = b",".join(json.dumps({"stateUpdates": updates()}, separators=(",", ":")).encode() for _ in range(500))
+    with gzip.open(path, "wb", 1) if path.suffix == ".gz" else path.open("wb") as out:
+        out.write(b'{"keyframes":[' + json.dumps({"creations": creations}).encode())
+        for _ in range(REPLAY_BYTES // len(block)):
+            out.write(b"," + block)
+        out.write(b"]}")
 
 
 def _terrain(seed: int) -> Mesh:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
-from h3data.geometry import quat_sign_continuous
+from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data.interop.gfx_keyframes import BonePose, Creation, Keyframe, Load, Transform
 from h3data.interop.limits import MAX_BODIES, MAX_STEPS, check_count
 
+_BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
 """So much text about lights is kept; a light takes 90 bytes."""
 
@@ -28,6 +30,8 @@ class Updates:
     steps: array[int] = field(default_factory=lambda: array("i"))
     """Keyframes, not decreasing."""
     _values: array[float] = field(default_factory=lambda: array("f"))
+    _tidy: bool = False
+    """The values are pose7 already; before, x y z and w x y z."""
 
     def add(self, step: int, transform: Transform) -> None:
         """The pose of a node."""
@@ -42,15 +46,29 @@ class Updates:
             self._values.extend(bone.t)
             self._values.extend(bone.r)
 
-    def poses(self, bones: int | None = None) -> NDArray[np.float64]:
-        """pose7 [U, 7] or [U, bones, 7]; quaternions xyzw of unit length, NaN if theirs is 0, sign-continuous on axis 0."""
-        shape = (-1, 7) if bones is None else (len(self.steps), bones, 7)
-        poses = np.array(self._values, np.float32).reshape(shape)[..., [0, 1, 2, 4, 5, 6, 3]].astype(np.float64)
-        length = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)  # files round to 4 decimals
-        with np.errstate(invalid="ignore", divide="ignore"):
-            poses[..., 3:] /= length
-        poses[..., 3:] = quat_sign_continuous(poses[..., 3:])
+    def poses(self, bones: int = 1) -> NDArray[np.float32]:
+        """pose7 [U, bones, 7], quaternions sign-continuous on axis 0 and of unit length (files round to 4 decimals), NaN if
+        theirs is 0. A view: updates can neither be added nor removed as long as it is held."""
+        if not self.steps:
+            return np.zeros((0, bones, 7), np.float32)
+        poses = np.frombuffer(self._values, np.float32).reshape(-1, bones, 7)
+        if not self._tidy:
+            for start in range(0, len(poses), _BLOCK):
+                part = poses[start : start + _BLOCK]
+                quats = part[..., [4, 5, 6, 3]].astype(np.float64)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+                before = poses[max(start - 1, 0) : start, :, 3:]
+                part[..., 3:] = quat_sign_continuous(np.concatenate([before, quats]))[len(before) :]
+            self._tidy = True
         return poses
+
+    def drop_after(self, step: int) -> None:
+        """Forget what was written later than the latest update at or before ``step``."""
+        keep = bisect_right(self.steps, step)
+        width = len(self._values) // max(len(self.steps), 1)
+        del self.steps[keep:]
+        del self._values[keep * width :]
 
 
 @dataclass(eq=False)
@@ -65,6 +83,20 @@ class Life:
     """First keyframe in which it no longer exists; -1 = it stays to the end."""
     semantic_id: int = 0
     updates: Updates = field(default_factory=Updates)
+
+    @property
+    def placed(self) -> bool:
+        """Whether it was created with a pose; without one the player leaves it where nodes are made, at the origin."""
+        return bool(self.updates.steps) and self.updates.steps[0] == self.start
+
+    def first_pose(self) -> NDArray[np.float32]:
+        """pose7 [7]."""
+        return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
+
+    def moves(self, steps: int) -> bool:
+        """Whether it has more than one pose in ``steps`` keyframes; being away counts as one."""
+        lasts = self.start == 0 and self.end in (-1, steps)
+        return not lasts or bool(np.any(self.updates.poses() != self.first_pose()))
 
 
 @dataclass(eq=False)
@@ -146,6 +178,41 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
         check_count(len(fold.loads), MAX_BODIES, "assets", path)
         check_count(len(fold.lives), MAX_BODIES, "instances", path)
     return fold
+
+
+def fold_tracks(fold: Fold, movers: Sequence[Life]) -> NDArray[np.float32]:
+    """pose7 [T, M, 7] of instances at every keyframe, NaN where they are away. Their updates are used up.
+
+    From the last keyframes to the first, and what was used is freed: both are never in memory as a whole.
+    """
+    tracks = np.empty((fold.steps, len(movers), 7), np.float32)
+    for stop in range(fold.steps, 0, -_BLOCK):
+        start = max(stop - _BLOCK, 0)
+        for k, life in enumerate(movers):
+            tracks[start:stop, k] = _rows(life, start, stop)
+            life.updates.drop_after(start)
+    return tracks
+
+
+def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
+    """pose7 [stop - start, 7] of an instance."""
+    rows = filled(life.updates, start, stop, end=life.end)[:, 0]
+    if not life.placed:
+        until = life.updates.steps[0] if life.updates.steps else stop
+        until = min(until, stop if life.end < 0 else life.end)
+        rows[max(life.start - start, 0) : max(until - start, 0)] = IDENTITY_POSE
+    return rows
+
+
+def filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
+    """The latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7]; NaN before the first
+    update, and from the keyframe ``end`` on unless that is -1."""
+    at = np.arange(start, stop, dtype=np.int32)
+    latest = np.searchsorted(np.array(updates.steps, np.int32), at, side="right") - 1
+    rows = np.full((len(at), bones, 7), np.nan, np.float32)
+    there = (latest >= 0) & ((end < 0) | (at < end))
+    rows[there] = updates.poses(bones)[latest[there]]
+    return rows
 
 
 def _pose_rig(rig: Rig, step: int, number: int, pose: list[BonePose], path: Path) -> None:

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
-from h3data.geometry import IDENTITY_POSE
 from h3data.interop.assets import EMPTY_URI, clean_path
 from h3data.interop.gfx_agents import add_agents
-from h3data.interop.gfx_fold import Fold, Life, Loaded, Updates, fold_keyframes
+from h3data.interop.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data.interop.gfx_keyframes import Load, read_keyframes
 from h3data.interop.limits import check_size
 from h3data.interop.meshes import frame_rotation
@@ -196,65 +195,32 @@ def _bodies(fold: Fold, refs: Sequence[str], path: Path) -> tuple[list[Body], ND
     bodies: list[Body] = []
     movers: list[Life] = []
     for life, ref in zip(fold.lives, refs, strict=True):
-        poses = _life_poses(life, path)
-        lasts = life.start == 0 and life.end in (-1, fold.steps)
-        if not lasts or np.any(poses != poses[0]):
+        where = f"stateUpdates, instance {life.key}"
+        _check_rotations(life.updates, 1, where, path)
+        moves = life.moves(fold.steps)
+        if moves:
             movers.append(life)
         bodies.append(
             Body(
                 name=_unique(f"{ref}_{life.key}", used),
                 asset=ref,
-                pose=poses[0].astype(np.float32),
+                pose=life.first_pose(),
                 scale=np.array(life.creation.scale, np.float32),
                 semantic_id=life.semantic_id,
-                moving=len(movers) - 1 if movers and movers[-1] is life else -1,
+                moving=len(movers) - 1 if moves else -1,
             )
         )
     check_size(fold.steps, len(movers), path)
-    tracks = np.empty((fold.steps, len(movers), 7), np.float32)
-    for k, life in enumerate(movers):
-        tracks[:, k] = _filled(fold.steps, _steps(life), _life_poses(life, path), end=life.end)
-        life.updates = Updates()  # millions of them are not held twice
-    return bodies, tracks
+    return bodies, fold_tracks(fold, movers)
 
 
-def _steps(life: Life) -> NDArray[np.int32]:
-    """Keyframes at which the poses of an instance begin: its creation too, if that came without one."""
-    steps = np.array(life.updates.steps, np.int32)
-    return steps if _placed(life) else np.append(np.int32(life.start), steps)
-
-
-def _placed(life: Life) -> bool:
-    return len(life.updates.steps) > 0 and life.updates.steps[0] == life.start
-
-
-def _life_poses(life: Life, path: Path) -> NDArray[np.float64]:
-    """pose7 of each update of an instance, shape [U, 7]; preceded by the identity if it was created without a pose."""
-    poses = life.updates.poses()
-    bad = np.flatnonzero(_invalid(poses))
-    if len(bad):
+def _check_rotations(updates: Updates, bones: int, where: str, path: Path) -> None:
+    bad = np.isnan(updates.poses(bones)).any((1, 2))
+    if bad.any():
+        step = updates.steps[int(np.argmax(bad))]
         raise FormatError(
-            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {life.updates.steps[bad[0]]}, "
-            f"stateUpdates, instance {life.key}: {path}"
+            f"Not a valid gfx-replay: the rotation is not a quaternion (length 0) at keyframe {step}, {where}: {path}"
         )
-    # without one the player leaves the node where it was made: at the origin
-    return poses if _placed(life) else np.concatenate([IDENTITY_POSE[None], poses])
-
-
-def _invalid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which poses [N, ..., 7] hold something that is not finite, shape [N]."""
-    return np.logical_not(np.isfinite(poses).all(tuple(range(1, poses.ndim))))
-
-
-def _filled(steps: int, at: NDArray[np.int32], values: NDArray[np.float64], *, end: int = -1) -> NDArray[np.float32]:
-    """Rows [T, ...] that hold the latest of ``values`` [U, ...] written at steps ``at``; NaN before, and from ``end`` on
-    unless it is -1."""
-    rows = np.full((steps, *values.shape[1:]), np.nan, np.float32)
-    latest = np.searchsorted(at, np.arange(steps, dtype=np.int32), side="right") - 1
-    present = latest >= 0
-    present[steps if end < 0 else end :] = False
-    rows[present] = values[latest[present]]
-    return rows
 
 
 # --- user transforms and rigs -----------------------------------------------------------------------------------------
@@ -262,11 +228,9 @@ def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
     check_size(fold.steps, len(fold.user), path)
     columns: dict[str, NDArray[Any]] = {}
     for name, updates in fold.user.items():
-        poses = updates.poses()
-        if _invalid(poses).any():
-            raise FormatError(f"Not a valid gfx-replay: user transform {name!r} has a rotation of length 0: {path}")
+        _check_rotations(updates, 1, f"userTransforms, {name!r}", path)
         rows = np.full((fold.steps, 7), np.nan, np.float32)
-        rows[np.array(updates.steps)] = poses  # not sticky: only the keyframes that have it
+        rows[np.array(updates.steps)] = updates.poses()[:, 0]  # not sticky: only the keyframes that have it
         columns[f"user.{name}"] = rows
     return columns
 
@@ -276,14 +240,10 @@ def _rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
     check_size(fold.steps, sum(rig.bones for rig in fold.rigs.values()), path)
     columns: dict[str, NDArray[Any]] = {}
     for number, rig in sorted(fold.rigs.items()):
-        if not len(rig.updates.steps):
-            continue
-        poses = rig.updates.poses(rig.bones)
-        if _invalid(poses).any():
-            raise FormatError(f"Not a valid gfx-replay: rig {number} has a bone rotation of length 0: {path}")
-        columns[f"rig.{number}"] = _filled(
-            fold.steps, np.array(rig.updates.steps, np.int32), poses, end=ends.get(number, -1)
-        )
+        if rig.updates.steps and rig.bones:
+            _check_rotations(rig.updates, rig.bones, f"rigUpdates, rig {number}", path)
+            end = ends.get(number, -1)
+            columns[f"rig.{number}"] = filled(rig.updates, 0, fold.steps, bones=rig.bones, end=end)
     return columns
 
 
