@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import ground_pose, heading_from_quat
+from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.person import Person, SkillResult
-from sim_kinematic.skills import PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands
 from sim_kinematic.state import HUMAN, NOBODY, HumanState
@@ -38,8 +38,18 @@ class PersonActor:
     def heading(self) -> float:
         return float(heading_from_quat(self.person.base[3:]))
 
+    @property
+    def hand_pose(self) -> Array:
+        """pose7 of the right palm in the world."""
+        return self.person.palm("right")
+
+    @property
+    def arm(self) -> NDArray:
+        """She has no joints that could be driven, [0]."""
+        return np.zeros(0)
+
     def infeasible(self, action: Action) -> str:
-        if action.skill in PRIMITIVES:
+        if action.skill in (*PRIMITIVES, CONTROL):
             return "not_of_a_person"
         return self.objects.why_not(self.number, action)
 

@@ -60,6 +60,12 @@ class TaskView(NamedTuple):
     """What it is doing or, between two actions, has done last."""
     last: Ending | None
     """How that ended; None while it goes on."""
+    starts: NDArray[np.float64]
+    """Where the objects were at the beginning, shape [K, 3] [m]."""
+    hand: Callable[[], NDArray[np.floating]]
+    """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
+    arm: NDArray[np.float64]
+    """Positions of the arm's joints of a robot [n]; of a person [0]."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""
@@ -205,21 +211,41 @@ ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
 PARTNERS = (*POPULATIONS, *PLANS)
 
 
-def robot_policy(name: str) -> HighLevelPolicy:
-    """A fresh robot policy; an `InputError` lists what exists."""
+def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
+    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    from sim_kinematic.learned import is_learned
+    from sim_kinematic.learned_chooser import learned_chooser
+
+    if is_learned(name):
+        return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
-        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(ROBOT_POLICIES)}.")
+        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(ROBOT_POLICIES)}, or weights:FILE.")
     return ROBOT_POLICIES[name]()
 
 
 def partner_plan(name: str, seed: int) -> str:
-    """The plan (a name in `PLANS`) that a partner has in the episode with this seed."""
+    """The plan (a name in `PLANS`) that a partner has in the episode with this seed; a learned one (``weights:FILE``) plans
+    nothing: it is its name, as it is recorded."""
+    from sim_kinematic.learned import is_learned, stamped
+
+    if is_learned(name):
+        return stamped(name)
     if name in PLANS:
         return name
     if name not in POPULATIONS:
-        raise InputError(f"Unknown partner {name!r}. Expected one of: {', '.join(PARTNERS)}.")
+        raise InputError(f"Unknown partner {name!r}. Expected one of: {', '.join(PARTNERS)}, or weights:FILE.")
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
+
+
+def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
+    """A fresh partner for the episode with this seed."""
+    from sim_kinematic.learned import is_learned
+    from sim_kinematic.learned_chooser import learned_chooser
+
+    if is_learned(name):
+        return learned_chooser(name, objects, robot=False)
+    return planner(partner_plan(name, seed), seed, objects)
 
 
 def planner(plan: str, seed: int, objects: int = 2) -> Planner:

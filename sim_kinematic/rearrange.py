@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from h3data.recording import Recording, RecordingHeader
-from sim_kinematic.planners import HighLevelPolicy, partner_plan, planner, robot_policy
+from sim_kinematic.learned import stamped
+from sim_kinematic.planners import HighLevelPolicy, partner_plan, partner_policy, planner, robot_policy
 from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import SOLO, RearrangeLog, describe, finished
 from sim_kinematic.rearrange_play import RearrangePlay
@@ -29,15 +30,16 @@ def simulate_rearrange(
     """Run one episode to its end and return its recording.
 
     ``policy`` moves the robot (a name in `ROBOT_POLICIES`; ``solo``: there is no robot), ``partner`` the person (a name in
-    `PARTNERS`). ``solo_steps`` is what the person alone needs, by which RE is measured; None finds out (`solo_steps_of`).
-    ``sink`` and ``progress`` as of `simulate_social_nav`.
+    `PARTNERS`); either may be ``weights:FILE``, a learned one. ``solo_steps`` is what the person alone needs, by which RE is
+    measured; None finds out (`solo_steps_of`). ``sink`` and ``progress`` as of `simulate_social_nav`.
 
     Raises:
         InputError: no such policy or partner.
     """
     plan = partner_plan(partner, world.seed) if isinstance(partner, str) else ""
-    robot = None if policy == SOLO else robot_policy(policy) if isinstance(policy, str) else policy
-    person = planner(plan, world.seed, len(world.targets)) if isinstance(partner, str) else partner
+    objects = len(world.targets)
+    robot = None if policy == SOLO else robot_policy(policy, objects) if isinstance(policy, str) else policy
+    person = partner_policy(partner, world.seed, objects) if isinstance(partner, str) else partner
     header = describe(world, episode_id=episode_id, policy=_name(policy), partner=_name(partner), plan=plan)
     log = RearrangeLog(sink(header) if sink is not None else None)
     try:
@@ -66,4 +68,4 @@ def solo_steps_of(world: RearrangeWorld) -> int:
 
 
 def _name(policy: str | HighLevelPolicy) -> str:
-    return policy if isinstance(policy, str) else type(policy).__name__
+    return stamped(policy) if isinstance(policy, str) else type(policy).__name__

@@ -25,7 +25,7 @@ from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import RearrangeLog, Row, body_indices
 from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.robot_skills import RobotActor
-from sim_kinematic.skills import SKILLS, Action, Actor, Ending, Objects, Skill
+from sim_kinematic.skills import CONTROL, SKILLS, Action, Actor, Ending, Objects, Skill
 from sim_kinematic.spec import STEP_S
 from sim_kinematic.state import HUMAN, NOBODY, ROBOT, WorldState
 
@@ -55,6 +55,11 @@ class Runner:
     ending: Ending | None = None
     skill: Skill | None = None
     begun: int = 0
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it will have to choose in its next step."""
+        return self.skill is None or self.action.skill == CONTROL
 
     def act(self, step: int, view: Callable[[Runner], TaskView]) -> Generator[Runner, Action, None]:
         """One step: go on, or choose until something takes time; every ``yield`` asks what to do next.
@@ -111,6 +116,9 @@ class RearrangePlay:
     person_policy: HighLevelPolicy
     log: RearrangeLog | None = None
     step: int = 0
+    """The step that is being played, from 0."""
+    steps: int = 0
+    """How many are over."""
     reward: float = 0.0
     """Of the last step."""
     collision: bool = False
@@ -142,6 +150,7 @@ class RearrangePlay:
         ]
         self.tracks = {number: [actor.xz.copy()] for number, actor in self.actors.items()}
         self.contact = _PosedContact(world.robot, world.human)
+        self.starts = state.object_pose[0, :, :3].copy()
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.paid = np.zeros((1, 2 * len(names)), np.bool_)
@@ -175,6 +184,7 @@ class RearrangePlay:
             if self.log is not None:
                 self.log.add(self._row(frame))
                 self._tell(held, success)
+            self.steps += 1
             if progress is not None:
                 progress(1)
             if success or (self.collision and spec.end_on_collision):
@@ -207,6 +217,7 @@ class RearrangePlay:
             other_xz=other_xz, other_track=np.stack(track[-TRACK:]), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
+            starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
         )  # fmt: skip
 
     def _at_goal(self) -> NDArray[np.bool_]:

@@ -6,14 +6,16 @@ from collections.abc import Generator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Robot, solve_ik
+from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import is_crowded, keep_clear, way_round
-from sim_kinematic.skills import PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.spec import STEP_S, BaseSpec
+from sim_kinematic.manipulation import arm_columns, grip_objects, move_arms, robot_hands
+from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.stands import hand_turn, nearest_stand, robot_stands
 from sim_kinematic.state import NOBODY, ROBOT, RobotState
 from sim_kinematic.step import drive_robots
@@ -29,6 +31,20 @@ VIA_M = 0.25
 ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
 APPROACH_M = 0.1
 """The robot's hand comes to an object from so far above it and lifts it as high."""
+
+
+def checked_command(command: ArrayLike, robot: Robot) -> Array:
+    """A command of the lower layer in -1..1: base [2], arm [n], grip [1].
+
+    Raises:
+        InputError: it has another length or is not finite.
+    """
+    action = np.asarray(command, np.float64)
+    if action.shape != (len(arm_columns(robot)) + 3,) or not np.isfinite(action).all():
+        raise InputError(
+            f"Expected a command of {len(arm_columns(robot)) + 3} finite numbers (base 2, arm, grip 1), got {action.tolist()}."
+        )
+    return np.clip(action, -1.0, 1.0)
 
 
 @dataclass(eq=False)
@@ -77,6 +93,11 @@ class RobotActor:
         return self.state.joints[0]
 
     @property
+    def arm(self) -> NDArray:
+        """Positions of the joints that move the hand [n], a copy."""
+        return self.joints[list(arm_columns(self.robot))]
+
+    @property
     def pose(self) -> Array:
         """pose7 of the agent root."""
         return ground_pose(self.xz, self.heading, self.free.floor_y)
@@ -101,6 +122,8 @@ class RobotActor:
         if action.skill in PRIMITIVES:
             forward, turn, steps = PRIMITIVES[action.skill]
             return self._move(forward, turn, steps)
+        if action.skill == CONTROL:
+            return self._control(action.command)
         if action.skill == "wait":
             return self._move(0.0, 0.0, action.steps)
         if action.skill.startswith("nav"):
@@ -116,6 +139,19 @@ class RobotActor:
         for _ in range(steps):
             self._step(forward, turn)
             yield
+        return Ending("done")
+
+    def _control(self, command: tuple[float, ...]) -> Skill:
+        """One step by base velocity, arm joints and grip; it gives way to nobody."""
+        state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
+        action = checked_command(command, robot)
+        self.command = float(action[0]), float(action[1])
+        drive_robots(self.state, self.free, action[None, :2], self.base)
+        move_arms(self.state, robot, action[None, 2:-1], rules)
+        self.arm_goal = self.joints.copy()
+        hand = robot_hands(self.state, robot, self.free.floor_y)
+        grip_objects(state, hand, action[-1:], rules, agent=self.number)
+        yield
         return Ending("done")
 
     def _navigate(self, point: NDArray) -> Skill:

@@ -18,7 +18,9 @@ from sim_kinematic.state import NOBODY, WorldState
 
 SKILLS = (
     "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
+    "control",
 )  # fmt: skip
+"""What there is; recordings number them in this order."""
 PRIMITIVES = {
     "move_forward": (1.0, 0.0, 4),
     "move_backward": (-1.0, 0.0, 4),
@@ -26,6 +28,10 @@ PRIMITIVES = {
     "turn_right": (0.0, -1.0, 2),
 }
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
+CONTROL = "control"
+"""One step of a robot's lower layer: base, arm and hand by `Action.command`."""
+CHOICE_WAIT_STEPS = 5
+"""How long `choices` wait."""
 
 
 class Action(NamedTuple):
@@ -36,6 +42,8 @@ class Action(NamedTuple):
     """Index of the object (or of the object whose goal it is) of the skills that have one."""
     steps: int = 30
     """How long ``wait`` waits."""
+    command: tuple[float, ...] = ()
+    """Of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows."""
 
 
 class Ending(NamedTuple):
@@ -46,6 +54,14 @@ class Ending(NamedTuple):
 
 
 Skill = Generator[None, None, Ending]
+
+
+def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
+    """What can be chosen among, as a learned policy numbers it: each of the four skills with each of the objects, ``wait``
+    and, for robots, the four primitives: 4 K + 5 or 4 K + 1 actions."""
+    with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
+    primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
+    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
 
 
 class Actor(Protocol):

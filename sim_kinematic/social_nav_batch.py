@@ -106,7 +106,7 @@ class SocialNavBatch:
         self.robot, self.human = load_robot(robot), load_humanoid(human)
         self.places = tuple(
             Place(source=source, spec=spec, robot=self.robot, human=self.human, names=(robot, human))
-            for source in _sources(scenes)
+            for source in scene_sources(scenes)
         )
         self.clip = self.human.clip_for_speed(spec.human.speed_mps)
         self.rewards = SocialNavReward(self.worlds, profile=reward, rules=spec)
@@ -318,7 +318,12 @@ def _runs(place: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(place == k) for k in np.unique(place)]
 
 
-def _sources(scenes: str | Scene | Sequence[str | Scene]) -> list[Scene | SceneSource]:
+def scene_sources(scenes: str | Scene | Sequence[str | Scene]) -> list[Scene | SceneSource]:
+    """Where to play: names as the command line takes them, and scenes, one after the other.
+
+    Raises:
+        InputError: there are no such scenes.
+    """
     listed = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
     found: list[Scene | SceneSource] = []
     for one in listed:

@@ -48,7 +48,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
     fine = run_json(capsys, *args, tmp_path / "fine")
     made = []
 
-    def first_breaks(_: str) -> planners.HighLevelPolicy:
+    def first_breaks(*_: object) -> planners.HighLevelPolicy:
         made.append(1)
         if len(made) == 1:
             raise RuntimeError("boom")

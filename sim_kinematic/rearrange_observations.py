@@ -1,0 +1,130 @@
+"""What a learned policy of rearrangement is shown: named numbers from a `TaskView`, the same for training environments and
+for policies from a file.
+
+Places are (distance [m], angle [rad], positive to the RIGHT) from the agent's base, or ``(x, y, z)`` [m] in the frame of its
+hand, as Habitat's sensors of the same names (spec/habitat.md 2.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from sim_kinematic.planners import TaskView
+from sim_kinematic.sensors import gps_compass, in_frame, localization, other_agent_gps
+from sim_kinematic.skills import choices
+from sim_kinematic.state import NOBODY
+
+Floats = NDArray[np.floating]
+Times = Literal["once", "objects", "joints", "choices"]
+
+FAR_M = 1000.0
+"""Bound of places and distances, which no home reaches."""
+
+
+class Sense(NamedTuple):
+    """A named observation."""
+
+    of: Callable[[TaskView], Floats]
+    low: tuple[float, ...]
+    """Least values of one unit of it, so many numbers,"""
+    high: tuple[float, ...]
+    """and the greatest ones."""
+    times: Times
+    """How often the unit is repeated."""
+
+
+def _gps(points: Callable[[TaskView], Floats]) -> Sense:
+    return Sense(
+        lambda view: gps_compass(view.xz, view.heading, points(view)[:, [0, 2]]),
+        (0.0, -np.pi),
+        (FAR_M, np.pi),
+        "objects",
+    )
+
+
+def _in_hand(points: Callable[[TaskView], Floats]) -> Sense:
+    return Sense(lambda view: in_frame(view.hand(), points(view)), (-FAR_M,) * 3, (FAR_M,) * 3, "objects")
+
+
+def _flags(of: Callable[[TaskView], NDArray], times: Times = "objects") -> Sense:
+    return Sense(lambda view: np.asarray(of(view), np.float64), (0.0,), (1.0,), times)
+
+
+def _other(of: Callable[[TaskView], Floats], low: tuple[float, ...], high: tuple[float, ...]) -> Sense:
+    """Of the other agent: zeros where there is none."""
+    return Sense(lambda v: of(v) if np.isfinite(v.other_xz).all() else np.zeros(len(low)), low, high, "once")
+
+
+def _last_done(view: TaskView) -> Floats:
+    """One of `choices` is 1: what it has done last, if that ended well."""
+    known = choices(len(view.objects), robot=len(view.arm) > 0)
+    found = np.zeros(len(known))
+    if view.last is not None and view.last.outcome == "done" and view.action in known:
+        found[known.index(view.action)] = 1.0
+    return found
+
+
+SENSES: Mapping[str, Sense] = {
+    "is_holding": _flags(lambda v: np.array([(v.held_by == v.agent).any()]), "once"),
+    "obj_start_gps_compass": _gps(lambda v: v.starts),
+    "obj_goal_gps_compass": _gps(lambda v: v.goals),
+    "obj_start_sensor": _in_hand(lambda v: v.starts),
+    "obj_goal_sensor": _in_hand(lambda v: v.goals),
+    "other_agent_gps": _other(lambda v: other_agent_gps(v.xz, v.other_xz), (-FAR_M,) * 2, (FAR_M,) * 2),
+    "obj_gps_compass": _gps(lambda v: v.objects),
+    "obj_sensor": _in_hand(lambda v: v.objects),
+    "holds": _flags(lambda v: v.held_by == v.agent),
+    "held_by_other": _flags(lambda v: (v.held_by != v.agent) & (v.held_by != NOBODY)),
+    "at_goal": _flags(lambda v: v.at_goal),
+    "other_gps_compass": _other(
+        lambda v: gps_compass(v.xz, v.heading, v.other_xz), (0.0, -np.pi), (FAR_M, np.pi)
+    ),
+    "close": _flags(lambda v: np.array([v.close]), "once"),
+    "localization": Sense(
+        lambda v: localization(v.xz, v.heading, v.free.floor_y), (-FAR_M,) * 3 + (-np.pi,), (FAR_M,) * 3 + (np.pi,), "once"
+    ),
+    "arm_joints": Sense(lambda v: v.arm, (-10.0,), (10.0,), "joints"),
+    "last_done": Sense(_last_done, (0.0,), (1.0,), "choices"),
+}  # fmt: skip
+PAPER_SENSES = (
+    "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor", "obj_goal_sensor",
+)  # fmt: skip
+"""What the paper's high-level policy sees beside the depth picture (spec/habitat.md 2.5)."""
+STATE_SENSES = (
+    "obj_gps_compass", "obj_goal_gps_compass", "holds", "held_by_other", "at_goal", "other_gps_compass", "last_done",
+)  # fmt: skip
+"""All that a policy without memory needs to do the task."""
+
+
+def observe(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
+    """The named observations, each [n] float32 and within its `bounds`."""
+    seen = {}
+    for name in names:
+        sense = SENSES[name]
+        values = np.ravel(sense.of(view)).reshape(-1, len(sense.low))
+        seen[name] = np.clip(values, sense.low, sense.high).astype(np.float32).ravel()
+    return seen
+
+
+def bounds(
+    names: Sequence[str], *, objects: int, arm: int
+) -> dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Least and greatest values of the named observations, of an agent with ``arm`` joints (0: a person).
+
+    Raises:
+        InputError: there are no such observations.
+    """
+    if isinstance(names, str) or not names or not set(names) <= set(SENSES):
+        raise InputError(f"Expected a list of observations, some of: {', '.join(SENSES)}. Got {names!r}.")
+    counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
+    found = {}
+    for name in dict.fromkeys(names):
+        sense = SENSES[name]
+        low, high = (np.tile(np.array(side, np.float32), counts[sense.times]) for side in (sense.low, sense.high))
+        found[name] = low, high
+    return found
