@@ -1,13 +1,14 @@
 """Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
 (paper section 4.2; spec/habitat.md 2.1, 2.2).
 
-Everything follows from the seed. An episode is drawn again until both agents can get at every object and every goal, and
-a person alone could do the work in time.
+Everything follows from the seed. An episode is drawn again until both a robot and a person can get at every object and
+every goal, and a person alone could do the work in time: so whoever plays it, it is the same episode and can be done.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from sim_kinematic.cast import HUMAN_BODY, ROBOT_BODY, Member, cast_of, draw_places, kinds_of
 from sim_kinematic.contact import clear_of_furniture
 from sim_kinematic.randomness import generator
 from sim_kinematic.rewards import REARRANGE_REWARDS
@@ -25,6 +27,8 @@ from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands, robot_stands
 from sim_kinematic.waypoint_human import sharp_corners
 
+PAIR = ("robot", "human")
+"""The paper's agents."""
 ATTEMPTS = 120
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
@@ -102,25 +106,55 @@ class RearrangeWorld:
     targets: tuple[Target, ...]
     human_name: str
     robot_name: str
+    cast: tuple[Member, ...]
+    """Who plays it: robots, then people."""
+    places: Array
+    """Where each of them begins, ``(x, z, heading)``, shape [A, 3]."""
 
     @classmethod
     def create(
         cls, scene: Scene, *, seed: int, spec: RearrangeSpec | None = None, free: FreeSpace | None = None,
-        human: str = "female_0", robot: str = "quad_arm",
+        human: str = HUMAN_BODY, robot: str = ROBOT_BODY, agents: str | Sequence[str] = PAIR,
     ) -> RearrangeWorld:  # fmt: skip
         """The episode that ``seed`` draws in ``scene``; ``free`` saves building the map again.
 
+        ``agents`` play it (`sim_kinematic.cast.cast_of`), whatever their number and kinds. It is drawn for one robot and one
+        person, so objects, goals and the starts of the first of each kind are the same for all casts.
+
         Raises:
+            InputError: there are no such agents.
             SceneError: the scene has too few movable things, receptacles in reach, or places to start.
         """
         spec = spec or RearrangeSpec()
+        cast = cast_of(agents, robot=robot, human=human)
         free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
         bodies = load_robot(robot), load_humanoid(human)
         starts, targets = draw_episode(scene, free, seed, spec, *bodies)
         return cls(
             scene=scene, free=free, seed=seed, spec=spec, robot=bodies[0], human=bodies[1], starts=starts,
-            targets=targets, human_name=human, robot_name=robot,
+            targets=targets, human_name=human, robot_name=robot, cast=cast,
+            places=_places(scene, free, seed, spec, starts, cast),
         )  # fmt: skip
+
+    def only(self, *numbers: int) -> RearrangeWorld:
+        """The same episode with some of its agents."""
+        return replace(self, cast=tuple(self.cast[k] for k in numbers), places=self.places[list(numbers)])
+
+
+def _places(
+    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[Member]
+) -> Array:
+    """The drawn starts of the first robot and the first person, and places for the others."""
+    kinds = kinds_of(cast)
+    taken: dict[int, Array] = {}
+    if "robot" in kinds:
+        taken[kinds.index("robot")] = np.append(starts.robot_xz, starts.robot_heading)
+    if "human" in kinds:
+        taken[kinds.index("human")] = np.append(starts.human_xz, starts.human_heading)
+    return draw_places(
+        free, cast, generator(seed, "more_agents"), apart_m=spec.spawn_distance_m, base=spec.robot, taken=taken,
+        stands_free=lambda member, pose: clear_of_furniture(scene, load_robot(member.model))(pose),
+    )  # fmt: skip
 
 
 def draw_episode(
