@@ -21,7 +21,7 @@ from h3data.render.gpu.packing import pack_scenes
 from h3data.render.gpu.views import choose_variant
 from h3data.render.scene_map import render_scene
 from h3data.scene.homes import HomeSpec, build_home
-from h3data.scene.records import Mesh
+from h3data.scene.records import Mesh, Texture
 
 OUTPUTS: Any = ("depth", "instance", "semantic", "triangle", "normal", "rgb")
 WIDTH, HEIGHT = 96, 72
@@ -241,6 +241,42 @@ def test_textures_and_smooth_edges(make):
     compare(make, GpuScene(scene), ROOM_VIEWS, samples=4)
 
 
+def test_what_is_clear_is_cut_out(make):
+    """Leaves that stand still, move and bend; the same words as on the CPU wherever a texture is not just half opaque."""
+
+    def leafy(mesh: Mesh, seed: int) -> Mesh:
+        mesh = textured(mesh, seed)
+        clear = np.kron(np.random.default_rng(seed).random((16, 16)) < 0.5, np.ones((32, 32), np.bool_))
+        pixels = mesh.textures[0].pixels.copy()
+        pixels[..., 3] = np.where(clear, 0, 255)
+        return replace(mesh, textures=(Texture(pixels=pixels),))
+
+    meshes = [room(), leafy(ball(), 1), leafy(ball(9), 2)]
+    still, moving, soft = placed(0, 0.8, 0, 0.5), placed(-0.7, 0.9, 0.2, 0.5), placed(0.7, 0.8, -0.2)
+    instances = [RenderInstance(0, np.eye(4)), *(RenderInstance(m, p) for m, p in ((1, still), (1, moving), (2, soft)))]
+    scene = RenderScene(meshes, instances, deformable=[2])
+    assert 0 < scene.cut_out_faces.sum() < len(scene.cut_out_faces)
+    bent = meshes[2].vertices * np.array([0.5, 1.4, 0.8], np.float32)
+
+    def pose(gpu: Any, cpu: Renderer) -> None:
+        gpu.update_vertices(2, np.tile(bent, (2, 1, 1)))
+        cpu.set_vertices(2, bent)
+
+    got = compare(make, GpuScene(scene, moving=[2]), ROOM_VIEWS, pose)
+    whole = RenderScene([meshes[0], *(replace(m, textures=()) for m in meshes[1:])], instances, deformable=[2])
+    covered = Renderer(whole)
+    covered.set_vertices(2, bent)
+    seen = covered.render(ROOM_VIEWS[0], outputs=("instance",))["instance"]
+    for k in (1, 2, 3):
+        assert (got["instance"][0] == k).sum() < 0.9 * (seen == k).sum()
+    textured_room = RenderScene([leafy(room(), 3)], [RenderInstance(0, np.eye(4))])
+    several = make([textured_room, scene], width=WIDTH, height=HEIGHT, worlds=2)
+    several.update_vertices(2, np.tile(bent, (2, 1, 1)))
+    assert (
+        several.render(ROOM_VIEWS[0], outputs=["instance"])["instance"][1].cpu().numpy() == got["instance"][0]
+    ).all()
+
+
 def test_deformed_meshes_without_skin(make):
     scene = RenderScene(
         [ball(9), room(), ball(12, smooth=True)],
@@ -362,7 +398,7 @@ def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
         assert alike.mean() > 0.99
 
 
-def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch):
+def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypatch, caplog):
     import torch
 
     scene = RenderScene([room(), ball()], [RenderInstance(0, np.eye(4)), RenderInstance(1, placed(0, 1, 0))])
@@ -380,6 +416,7 @@ def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypat
     parts = gpu.render(cameras, outputs=OUTPUTS)
     for name in OUTPUTS:
         assert (whole[name] == parts[name]).all(), name
+    assert "drawing 2 at a time" in caplog.text
 
 
 def test_an_empty_scene_is_sky(make):

@@ -9,7 +9,7 @@ typedef unsigned int u32;
 #define NOTHING 0xffffffffu  // word of a pixel that hits nothing; else: item << 11 | cluster of the item << 6 | triangle
 
 struct Box {
-    // of a cluster: center.w = vertices | triangles << 16, half.w = first vertex
+    // of a cluster: center.w = vertices | triangles << 16 | cut out << 31, half.w = first vertex
     // of an item:   center.w = first cluster,              half.w = number of clusters      (int bits)
     float4 center, half;
 };

@@ -47,7 +47,7 @@ class Deformables:
             own = mesh_arrays(scene, mesh, first_texture)
             own["colors"][:, 3] = mesh in scene.groups
             faces = own.pop("faces")
-            cut = build_meshlets(own["vertices"], faces)
+            cut = build_meshlets(own["vertices"], faces, own.pop("cut_out"))
             first_vertex = pool.vertex_count
             groups = pool.add(cut, **own)
             first_source = -1

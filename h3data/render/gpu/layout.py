@@ -57,8 +57,12 @@ class Deform(Struct):
     ]
 
 
+class Cutouts(Struct):
+    _fields_ = _fields("uv triangle_textures maps opacity")
+
+
 class Raster(Struct):
-    _fields_ = [("world", World), *_fields("depth words")]
+    _fields_ = [("world", World), *_fields("depth words cutouts")]
 
 
 class Shade(Struct):

@@ -37,22 +37,32 @@ class Meshlets(NamedTuple):
     """Boxes of the clusters, shape [C, 3] [m]."""
     high: NDArray[np.float32]
     """Shape [C, 3] [m]."""
+    cut_out: NDArray[np.bool_]
+    """Clusters whose triangles may have holes (`h3data.render.cutouts`), shape [C]."""
     group_first: NDArray[np.int32]
     """First cluster of each group and, at the end, the number of clusters, shape [G + 1]."""
 
 
-def build_meshlets(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Meshlets:
-    """The clusters of a mesh [V, 3], [F, 3]."""
+def build_meshlets(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
+) -> Meshlets:
+    """The clusters of a mesh [V, 3], [F, 3]; triangles that are cut out (``cut_out`` [F]) share none with others."""
     low, high = _triangle_boxes(vertices, faces)
-    order, starts, groups = _cut(faces, low, high)
-    ends = np.append(starts[1:], len(faces)).astype(np.int64)
+    cut = np.zeros(len(faces), np.bool_) if cut_out is None else cut_out
+    orders, starts, groups = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for chosen in (np.flatnonzero(~cut), np.flatnonzero(cut)):
+        own = _cut(faces[chosen], low[chosen], high[chosen])
+        starts = np.concatenate([starts, own[1] + len(orders)])
+        groups = np.concatenate([groups, own[2] + groups.max(initial=-1) + 1])
+        orders = np.concatenate([orders, chosen[own[0]]])
+    order, ends = orders, np.append(starts[1:], len(faces)).astype(np.int64)
     parts = _pack(vertices, faces, order, starts, ends)
     # a group is a run of clusters; those of more than 32 go on as a new one
     first: list[int] = []
     for cluster, group in enumerate(groups):
         if not first or group != groups[cluster - 1] or cluster - first[-1] == GROUP_CLUSTERS:
             first.append(cluster)
-    return Meshlets(*parts, group_first=np.array([*first, len(groups)], np.int32))
+    return Meshlets(*parts, cut_out=cut[order[starts]], group_first=np.array([*first, len(groups)], np.int32))
 
 
 @kernel()

@@ -47,6 +47,8 @@ class Packed:
     levels: NDArray[np.int32]
     first_level: NDArray[np.int32]
     texels: NDArray[np.uint32]
+    opacity_maps: NDArray[np.int32]
+    opacity: NDArray[np.uint8]
     normal_groups: NDArray[np.int32]
     group_first: NDArray[np.int32]
     group_faces: NDArray[np.int32]
@@ -109,12 +111,18 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         level_rows = sum(map(len, pool.parts.get("levels", [])))
         levels = surface.textures.levels.copy()
         levels[:, 0] += words
+        maps = np.full((len(surface.textures.first_level), 3), -1, np.int32)
+        if len(stage.scene.cutouts.maps):
+            maps[:] = stage.scene.cutouts.maps
+            maps[:, 0] += sum(map(len, pool.parts.get("opacity", [])))
         pool.keep(
             items=items,
             places=places,
             instance_ids=stage.scene.ids,
             semantic_ids=stage.scene.semantic_ids,
             texels=surface.textures.words,
+            opacity_maps=maps,
+            opacity=stage.scene.cutouts.opacity,
             levels=levels,
             first_level=surface.textures.first_level + np.int32(level_rows),
         )
@@ -138,6 +146,8 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         levels=pool.joined("levels", (0, 4), np.int32),
         first_level=pool.joined("first_level", (0,), np.int32),
         texels=pool.joined("texels", (0,), np.uint32),
+        opacity_maps=pool.joined("opacity_maps", (0, 3), np.int32),
+        opacity=pool.joined("opacity", (0,), np.uint8),
         layers=layers,
         textured=first_texture > 0,
         slots=1 + max((len(stage.slots) for stage in scenes), default=0),
@@ -183,7 +193,7 @@ def _scene_items(
     ]
     for layer in sorted({str(scene.layers[k]) for k in still}):
         baked = _baked(scene, [k for k in still if scene.layers[k] == layer], first_texture)
-        cut = build_meshlets(baked["vertices"], baked.pop("faces"))
+        cut = build_meshlets(baked["vertices"], baked.pop("faces"), baked.pop("cut_out"))
         keep(pool.add(cut, **baked), slot=0, layer=layer, group=-1, instance=-1)
     rigid: dict[int, NDArray[Any]] = {}
     for slot, k in enumerate(slots, start=1):
@@ -194,7 +204,8 @@ def _scene_items(
             continue
         if mesh not in rigid:
             own = mesh_arrays(scene, mesh, first_texture)
-            rigid[mesh] = pool.add(build_meshlets(own["vertices"], own.pop("faces")), **own)
+            cut = build_meshlets(own["vertices"], own.pop("faces"), own.pop("cut_out"))
+            rigid[mesh] = pool.add(cut, **own)
         keep(rigid[mesh], slot=slot, layer=layer, group=-1, instance=k)
     return np.concatenate([np.zeros(0, BOX), *items]), np.concatenate([np.zeros(0, PLACE), *places])
 

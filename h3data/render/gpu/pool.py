@@ -12,6 +12,8 @@ from h3data.render.gpu.meshlets import Meshlets
 from h3data.render.scene import RenderScene
 
 _BOX_MARGIN_M = 1e-6
+_CUT_OUT = np.int32(-(2**31))
+"""Bit of a cluster's counts."""
 
 
 class Pool:
@@ -35,7 +37,7 @@ class Pool:
         """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` per triangle of what was cut."""
         clusters = boxes(cut.low, cut.high)
         counts = np.diff(cut.first_vertex)
-        clusters["first"] = counts | cut.triangle_count << 16
+        clusters["first"] = counts | cut.triangle_count << 16 | np.where(cut.cut_out, _CUT_OUT, np.int32(0))
         clusters["second"] = cut.first_vertex[:-1] + self.vertex_count
         starts, count = cut.group_first[:-1], len(cut.low)
         low = np.minimum.reduceat(cut.low, starts) if count else cut.low
@@ -75,7 +77,7 @@ def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
 
 
 def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: int = -1) -> dict[str, NDArray[Any]]:
-    """A mesh as `Pool.add` takes it, with its faces."""
+    """A mesh as `Pool.add` takes it, with its faces and which of them are cut out."""
     surface = scene.surface
     v, f = slice(*scene.first_vertex[mesh : mesh + 2]), slice(*scene.first_face[mesh : mesh + 2])
     textures = surface.face_textures[f]
@@ -85,6 +87,7 @@ def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: 
     return {
         "vertices": scene.meshes[mesh].vertices,
         "faces": scene.meshes[mesh].faces,
+        "cut_out": scene.cut_out_faces[f],
         "normals": surface.normals[v],
         "colors": colors,
         "uv": surface.uv[v] if len(surface.uv) else np.zeros((len(colors), 2), np.float32),

@@ -5,12 +5,14 @@
 // 3. A warp projects a cluster's vertices into shared memory, one lane each; then every lane sets up two triangles.
 // 4. Small triangles: the (triangle, pixel) pairs of all 64 are dealt out evenly to the lanes.
 //    Large, thin, or near ones: homogeneous edge functions in double, the warp's lanes over the pixels. No near plane.
+//    So are all that are cut out: their pixels look at the texture's opacity before anything is written.
 // 5. A 64-bit atomic minimum of (depth bits, word) keeps the nearest; ties go to the smaller word, so pictures repeat.
 
 struct Raster {
     World world;
     float* depth;                // [views, height, width]; 0 = nothing
     u32* words;
+    const Cutouts* cutouts;      // in memory: only what is cut out looks at it
 };
 
 __device__ __forceinline__ Rect shared_rect(const Rect& r, int lane) {
@@ -117,9 +119,10 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
             covered = {0, fminf(covered.x0, r.x0), fminf(covered.y0, r.y0), fmaxf(covered.x1, r.x1),
                        fmaxf(covered.y1, r.y1)};
             int counts = bits(__shfl_sync(FULL, center.w, chosen)), vertex = bits(__shfl_sync(FULL, half.w, chosen));
+            CutOut holes = {counts < 0 ? f.cutouts : nullptr, (first + chosen) * CLUSTER_TRIANGLES, vertex};
             draw_cluster(buffers, t, placement + 12 * place.slot, vertices + 3 * (size_t)vertex, counts & 0xffff,
-                         s.triangles + (size_t)(first + chosen) * CLUSTER_TRIANGLES, counts >> 16, scratch,
-                         (u32)item << 11 | chosen << 6, lane);
+                         s.triangles + (size_t)(first + chosen) * CLUSTER_TRIANGLES, (counts >> 16) & 0x7fff, scratch,
+                         (u32)item << 11 | chosen << 6, lane, holes);
         }
         if (drawn) refresh(buffers, t, covered, lane);
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,7 +12,7 @@ import numpy as np
 from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.render.gpu.cuda import Program, chosen_device
-from h3data.render.gpu.layout import Deform, Raster, World
+from h3data.render.gpu.layout import Cutouts, Deform, Raster, World
 from h3data.render.gpu.packing import Packed, pack_scenes
 from h3data.render.gpu.shading import Shader
 from h3data.render.gpu.stage import GpuScene
@@ -23,6 +24,7 @@ from h3data.render.shading import Light
 if TYPE_CHECKING:
     import torch
 
+_log = logging.getLogger(__name__)
 _SHARED_LIMIT = 227 * 1024
 """Shared memory of a block on Hopper [bytes]; others have less, and say so."""
 _MOST_PIXELS = 2**31 - 1
@@ -132,6 +134,14 @@ class GpuRenderer:
             joint_count=packed.inverse_bind.shape[2],
             source_count=self._sources.shape[1],
         )
+        cutouts = Cutouts()
+        cutouts.fill(
+            uv=self._tensors["uv"],
+            triangle_textures=self._tensors["triangle_textures"],
+            maps=self._tensors["opacity_maps"],
+            opacity=self._tensors["opacity"],
+        )
+        self._cutouts = tensor_of(np.frombuffer(bytes(cutouts), np.uint8).copy(), self.device)
         self._shader = Shader(self._tensors, packed, self.light, self.device)
 
     def _reset(self) -> None:
@@ -299,6 +309,10 @@ class GpuRenderer:
                 if at_once == 1:
                     raise
                 at_once = -(-at_once // 2)
+                _log.warning(
+                    "The GPU's memory does not suffice for %d pictures at once: drawing %d at a time.",
+                    views.count, at_once,
+                )  # fmt: skip
 
     def _draw_part(self, views: Views, part: slice, results: dict[str, torch.Tensor], scale: int) -> None:
         import torch
@@ -317,7 +331,7 @@ class GpuRenderer:
         )  # fmt: skip
         program.launch("place", -(-count * self.packed.slots // 128), 128, world)
         raster = Raster()
-        raster.fill(world=world, depth=depth, words=words)
+        raster.fill(world=world, depth=depth, words=words, cutouts=self._cutouts)
         tiles = -(-size[1] // self.variant.tile) * -(-size[2] // self.variant.tile)
         program.launch(
             "raster",

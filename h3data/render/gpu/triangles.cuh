@@ -1,11 +1,51 @@
 // Clusters drawn into a tile: small triangles pair by pair, the others exactly.
 
+struct Cutouts {
+    const float2* uv;            // per pool vertex
+    const int* triangle_textures;
+    const int3* maps;            // per texture: where its opacity begins, width, height
+    const unsigned char* opacity;
+};
+
+struct NoHoles {
+    __device__ __forceinline__ bool solid(u32, int, float, float) const { return true; }
+};
+
+// Holes of a cluster: `h3data/render/cutouts.py` on the GPU.
+struct CutOut {
+    const Cutouts* tables;       // null: it is not cut out
+    int first_triangle, first_vertex;
+
+    __device__ __forceinline__ static int texel_before(float coordinate, int size, float& way) {
+        float place = (coordinate - floorf(coordinate)) * size - 0.5f;
+        if (place < 0.f) place += size;
+        float before = fminf(fmaxf(floorf(place), 0.f), size - 1.f);
+        way = place - before;
+        return (int)before;
+    }
+
+    // Whether there is something of a triangle of the cluster, given its corners and the weights of the second and third.
+    __device__ __forceinline__ bool solid(u32 triangle, int number, float b1, float b2) const {
+        const float2* corners = tables->uv + first_vertex;
+        float2 a = corners[triangle & 255], b = corners[(triangle >> 8) & 255], c = corners[(triangle >> 16) & 255];
+        int3 map = tables->maps[tables->triangle_textures[first_triangle + number]];
+        float right, lower;
+        int column = texel_before(a.x - floorf(a.x) + b1 * (b.x - a.x) + b2 * (c.x - a.x), map.y, right);
+        int row = texel_before(a.y - floorf(a.y) + b1 * (b.y - a.y) + b2 * (c.y - a.y), map.z, lower);
+        const unsigned char* at = tables->opacity + map.x + (size_t)row * (map.y + 1) + column;
+        float above = at[0] + ((float)at[1] - at[0]) * right;
+        at += map.y + 1;
+        return above + (at[0] + ((float)at[1] - at[0]) * right - above) * lower >= 127.5f;
+    }
+};
+
 // Triangles by homogeneous edge functions (Olano & Greer 1997): every lane sets up its own, if `exact`, in double; then the
 // whole warp draws one after another. Not inlined, and given the matrix where it lies in memory: so it costs the caller no
 // registers.
+template <class Holes>
 __device__ __noinline__ void draw_exactly(
     Buffers b, float center_x, float center_y, const float* m, const float* vertices, const uint2* triangles, bool exact,
-    int number, u32 first_word, int lane
+    int number, u32 first_word, int lane, Holes holes
 ) {
     float edge[3], edge_x[3], edge_y[3];
     double w = 0., w_x = 0., w_y = 0.;
@@ -62,7 +102,9 @@ __device__ __noinline__ void draw_exactly(
             float e2 = fmaf(e_x[2], fx, fmaf(e_y[2], fy, e[2]));
             if (!(fminf(fminf(e0, e1), e2) >= 0.f)) continue;
             float inverse = (float)(z + z_x * fx + z_y * fy);
-            if (inverse > 0.f) blend(b, x0 + x, y0 + y, __frcp_rn(inverse), first_word + one);
+            if (!(inverse > 0.f)) continue;
+            float depth = __frcp_rn(inverse);
+            if (holes.solid(triangles[one].x, one, e1 * depth, e2 * depth)) blend(b, x0 + x, y0 + y, depth, first_word + one);
         }
     }
 }
@@ -110,7 +152,7 @@ __device__ __forceinline__ void draw_pixel(
 // A cluster by one warp.
 __device__ __forceinline__ void draw_cluster(
     const Buffers& buffers, const Tile& t, const float* placement, const float* vertices, int vertex_count,
-    const u32* triangles, int triangle_count, Scratch& scratch, u32 first_word, int lane
+    const u32* triangles, int triangle_count, Scratch& scratch, u32 first_word, int lane, CutOut holes
 ) {
     __syncwarp();
     {
@@ -139,6 +181,7 @@ __device__ __forceinline__ void draw_cluster(
             u32 triangle = triangles[i];
             int4 b = set_up(scratch.corners, triangle, t, exact[r]);
             scratch.triangles[i] = make_uint2(triangle, b.x | b.y << 8 | b.z << 16 | b.w << 24);
+            if (holes.tables) exact[r] = b.z * b.w > 0;
             if (!exact[r]) pairs[r] = b.z * b.w;
         }
     }
@@ -173,8 +216,13 @@ __device__ __forceinline__ void draw_cluster(
         }
     }
     for (int r = 0; r < 2; r++)
-        if (__any_sync(FULL, exact[r]))
-            draw_exactly(buffers, t.cx, t.cy, placement, vertices, scratch.triangles, exact[r], r * 32 + lane, first_word,
-                         lane);
+        if (__any_sync(FULL, exact[r])) {
+            if (holes.tables)
+                draw_exactly(buffers, t.cx, t.cy, placement, vertices, scratch.triangles, exact[r], r * 32 + lane,
+                             first_word, lane, holes);
+            else
+                draw_exactly(buffers, t.cx, t.cy, placement, vertices, scratch.triangles, exact[r], r * 32 + lane,
+                             first_word, lane, NoHoles());
+        }
 }
 
