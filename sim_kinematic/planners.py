@@ -46,7 +46,7 @@ class TaskView(NamedTuple):
     xz: NDArray[np.float64]
     heading: float
     other_xz: NDArray[np.float64]
-    """NaN when it is alone."""
+    """Of the other agent, the nearest where there are several; NaN when it is alone."""
     other_track: NDArray[np.float64]
     """Where the other was in the last steps, the newest last, shape [N, 2] [m]."""
     close: bool
@@ -164,8 +164,7 @@ def _way(view: TaskView, start: NDArray, k: int) -> float:
 
 def persons_object(view: TaskView) -> int:
     """The object that the person holds, goes for (by her motion in the last steps) or stands at; -1: nothing tells."""
-    other = 1 - view.agent
-    held = np.flatnonzero(view.held_by == other)
+    held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
         return int(held[0])
     left = [k for k in range(len(view.objects)) if not view.at_goal[k] and view.held_by[k] == NOBODY]
@@ -183,6 +182,8 @@ def persons_object(view: TaskView) -> int:
 
 def _complement(view: TaskView, left: list[int]) -> int | None:
     """What the person does not go for. As long as nobody knows, the one that is farther from her than from the robot."""
+    if np.isnan(view.other_xz).any():
+        return _nearest(view, left)
     hers = persons_object(view)
     others = [k for k in left if k != hers]
     if not others:

@@ -1,27 +1,42 @@
 """Social rearrangement, simulated: a robot helps a person to bring objects to their goals (paper section 4.2 and appendix;
-spec/habitat.md 2).
+spec/habitat.md 2), or any other agents do.
 
 Two layers: high-level policies (`sim_kinematic.planners`) choose skills (`sim_kinematic.skills`), skills move bodies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
+from h3data.errors import InputError
 from h3data.recording import Recording, RecordingHeader
+from sim_kinematic.cast import kinds_of
 from sim_kinematic.learned import stamped
-from sim_kinematic.planners import HighLevelPolicy, partner_plan, partner_policy, planner, robot_policy
+from sim_kinematic.planners import (
+    PARTNERS,
+    ROBOT_POLICIES,
+    HighLevelPolicy,
+    partner_plan,
+    partner_policy,
+    planner,
+    robot_policy,
+)
+from sim_kinematic.randomness import episode_seed
 from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import SOLO, RearrangeLog, describe, finished
 from sim_kinematic.rearrange_play import RearrangePlay
 from sim_kinematic.social_nav_log import Sink
 
+Choice = str | HighLevelPolicy | Sequence[str | HighLevelPolicy]
+"""Names or policies, of all agents of a kind or of each."""
+
 
 def simulate_rearrange(
     world: RearrangeWorld,
     *,
-    policy: str | HighLevelPolicy = "complement",
-    partner: str | HighLevelPolicy = "both",
+    policy: Choice = "complement",
+    partner: Choice = "both",
     episode_id: str = "0",
     solo_steps: int | None = None,
     sink: Callable[[RecordingHeader], Sink] | None = None,
@@ -29,25 +44,26 @@ def simulate_rearrange(
 ) -> Recording:
     """Run one episode to its end and return its recording.
 
-    ``policy`` moves the robot (a name in `ROBOT_POLICIES`; ``solo``: there is no robot), ``partner`` the person (a name in
-    `PARTNERS`); either may be ``weights:FILE``, a learned one. ``solo_steps`` is what the person alone needs, by which RE is
-    measured; None finds out (`solo_steps_of`). ``sink`` and ``progress`` as of `simulate_social_nav`.
+    ``policy`` moves the robots (a name in `ROBOT_POLICIES`; ``solo``: they are not there), ``partner`` the people (a name in
+    `PARTNERS`); either may be of the other kind, or ``weights:FILE``, a learned one. Where there are several of a kind, one
+    name is for all, or there is one for each: a sequence, or names with commas between. ``solo_steps`` is what one agent
+    alone needs, by which RE is measured; None finds out (`solo_steps_of`). ``sink`` and ``progress`` as of
+    `simulate_social_nav`.
 
     Raises:
-        InputError: no such policy or partner.
+        InputError: no such policy or partner, or not one for each agent.
     """
-    plan = partner_plan(partner, world.seed) if isinstance(partner, str) else ""
-    objects = len(world.targets)
-    robot = None if policy == SOLO else robot_policy(policy, objects) if isinstance(policy, str) else policy
-    person = partner_policy(partner, world.seed, objects) if isinstance(partner, str) else partner
-    header = describe(world, episode_id=episode_id, policy=_name(policy), partner=_name(partner), plan=plan)
+    if policy == SOLO:
+        world = world.only(*(k for k, kind in enumerate(kinds_of(world.cast)) if kind == "human"))
+    minds = minds_of(kinds_of(world.cast), policy, partner, seed=world.seed, objects=len(world.targets))
+    header = describe(world, episode_id=episode_id, policies=[m.name for m in minds], plans=[m.plan for m in minds])
     log = RearrangeLog(sink(header) if sink is not None else None)
     try:
-        play = RearrangePlay(world, robot, person, log)
+        play = RearrangePlay(world, [mind.policy for mind in minds], log)
         ended = play.run(progress)
         log.columns()
         if solo_steps is None:
-            alone = policy == SOLO and plan == "both"
+            alone = [mind.plan for mind in minds] == ["both"]
             solo_steps = play.step + 1 if alone else solo_steps_of(world)
         info = {"ended": ended, "solo_steps": solo_steps}
         recording = finished(header, log, info)
@@ -61,11 +77,62 @@ def simulate_rearrange(
 
 
 def solo_steps_of(world: RearrangeWorld) -> int:
-    """``L_human``: the steps in which the person alone brings all objects to their goals, at most ``max_steps``."""
-    play = RearrangePlay(world, None, planner("both", world.seed, len(world.targets)))
+    """``L_human``: the steps in which the first person alone brings all objects to their goals, at most ``max_steps``; the
+    first robot, where there are no people."""
+    kinds = kinds_of(world.cast)
+    alone = world.only(kinds.index("human") if "human" in kinds else 0)
+    play = RearrangePlay(alone, [planner("both", world.seed, len(world.targets))])
     play.run()
     return play.step + 1
 
 
-def _name(policy: str | HighLevelPolicy) -> str:
-    return stamped(policy) if isinstance(policy, str) else type(policy).__name__
+class Mind(NamedTuple):
+    """What moves one agent."""
+
+    policy: HighLevelPolicy
+    name: str
+    """As recorded."""
+    plan: str
+    """Of who follows one, else empty."""
+
+
+def minds_of(kinds: Sequence[str], policy: Choice, partner: Choice, *, seed: int, objects: int = 2) -> list[Mind]:
+    """A fresh mind for each agent of these kinds (`sim_kinematic.cast.kinds_of`) in the episode with this seed; arguments
+    as of `simulate_rearrange`.
+
+    Raises:
+        InputError: no such policy or partner, or not one for each agent.
+    """
+    robots, people = kinds.count("robot"), kinds.count("human")
+    chosen = [*_each(policy, robots, "policy", "robot"), *_each(partner, people, "partner", "person")]
+    minds = []
+    for k, (kind, one) in enumerate(zip(kinds, chosen, strict=True)):
+        if not isinstance(one, str):
+            minds.append(Mind(one, type(one).__name__, ""))
+            continue
+        nth = k if kind == "robot" else k - robots
+        own = seed if not nth else episode_seed(seed, nth)
+        follows = one in PARTNERS if kind == "robot" else one not in ROBOT_POLICIES or one in PARTNERS
+        if follows and not (kind == "robot" and one in ROBOT_POLICIES):
+            minds.append(Mind(partner_policy(one, own, objects), stamped(one), partner_plan(one, own)))
+        else:
+            minds.append(Mind(robot_policy(one, objects), stamped(one), ""))
+    return minds
+
+
+def _each(chosen: Choice, count: int, what: str, whose: str) -> list[str | HighLevelPolicy]:
+    """One choice for each of ``count`` agents."""
+    listed: list[str | HighLevelPolicy] = (
+        list(chosen.split(","))
+        if isinstance(chosen, str)
+        else list(chosen)
+        if isinstance(chosen, Sequence)
+        else [chosen]
+    )
+    if len(listed) == 1 and isinstance(listed[0], str):
+        listed *= max(count, 1)
+    if count and len(listed) != count:
+        raise InputError(
+            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}."
+        )
+    return listed[:count]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib.metadata
 import uuid
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies import Robot
 from h3data.recording import (
     STEP_NS,
     Agent,
@@ -23,6 +25,7 @@ from h3data.recording import (
     state_hash,
 )
 from h3data.scene import CATEGORIES
+from sim_kinematic.cast import kinds_of
 from sim_kinematic.planners import POPULATIONS, ZSC
 from sim_kinematic.skills import SKILLS
 from sim_kinematic.social_nav_log import BLOCK, Sink, scene_attachment
@@ -89,12 +92,18 @@ class RearrangeLog:
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
 
 
-def describe(world: RearrangeWorld, *, episode_id: str, policy: str, partner: str, plan: str) -> RecordingHeader:
+def describe(
+    world: RearrangeWorld, *, episode_id: str, policies: Sequence[str], plans: Sequence[str]
+) -> RecordingHeader:
     """What is known before the first step: who and what is there, what is to go where, under which rules.
 
-    With the policy `SOLO` there is no robot, and the person is agent 0.
+    ``policies`` and ``plans`` are names, one for each agent. A person alone has the policy `SOLO` beside her.
     """
-    scene, spec, starts = world.scene, world.spec, world.starts
+    kinds = kinds_of(world.cast)
+    robots = kinds.count("robot")
+    policy = SOLO if kinds == ("human",) else ",".join(policies[:robots])
+    partner, plan = ",".join(policies[robots:]), ",".join(filter(None, plans))
+    scene, spec = world.scene, world.spec
     file, digest = scene_attachment(scene)
     moving = {target.name: k for k, target in enumerate(world.targets)}
     bodies = tuple(
@@ -105,14 +114,16 @@ def describe(world: RearrangeWorld, *, episode_id: str, policy: str, partner: st
         )
         for i in scene.instances
     )  # fmt: skip
-    agents = (
+    agents = tuple(
         Agent(
-            name="robot", kind="robot", model=f"robot/{world.robot_name}", semantic_id=200,
-            joint_names=tuple(world.robot.joint_names), action_names=("forward", "turn_left"), skill_names=SKILLS,
-        ),
-        Agent(
-            name="human", kind="human", model=f"humanoid/{world.human_name}", semantic_id=100, skill_names=SKILLS[:5],
-        ),
+            name=member.name, kind="robot", model=f"robot/{member.model}", semantic_id=200,
+            joint_names=tuple(member.body.joint_names), action_names=("forward", "turn_left"), skill_names=SKILLS,
+        )
+        if isinstance(member.body, Robot)
+        else Agent(
+            name=member.name, kind="human", model=f"humanoid/{member.model}", semantic_id=100, skill_names=SKILLS[:5],
+        )
+        for member in world.cast
     )  # fmt: skip
     rules = asdict(spec)
     if not np.isfinite(spec.arm_rad_s):
@@ -124,8 +135,7 @@ def describe(world: RearrangeWorld, *, episode_id: str, policy: str, partner: st
         "population": "zsc-pop" if partner in ZSC else "train-pop" if partner in POPULATIONS else "",
         "max_steps": spec.max_steps,
         "spec": rules,
-        "robot_start": [*map(float, starts.robot_xz), starts.robot_heading],
-        "human_start": [*map(float, starts.human_xz), starts.human_heading],
+        **_starts(world),
         "goal_objects": body_indices(world),
         "goals": [
             {"object": t.name, "position": t.goal.tolist(), "from": t.source, "to": t.destination}
@@ -136,14 +146,27 @@ def describe(world: RearrangeWorld, *, episode_id: str, policy: str, partner: st
         "categories": list(CATEGORIES),
     }
     what = f"h3data:{TASK}:{digest}:{world.robot_name}:{world.human_name}:{world.seed}:{policy}:{partner}:{spec}"
+    if kinds not in (("robot", "human"), ("human",)):
+        what += ":" + ",".join(member.model for member in world.cast)
     episode = Episode(
         uid=str(uuid.uuid5(uuid.NAMESPACE_URL, what)), episode_id=episode_id, task=TASK, scene=scene.name,
         seed=world.seed, created_by=f"h3data {importlib.metadata.version('h3data')}", info=info,
     )  # fmt: skip
     return RecordingHeader(
         episode=episode, assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets), bodies=bodies,
-        agents=agents[1:] if policy == SOLO else agents, attachments={"scene.glb": file},
+        agents=agents, attachments={"scene.glb": file},
     )  # fmt: skip
+
+
+def _starts(world: RearrangeWorld) -> dict[str, list[Any]]:
+    """Where everybody begins, ``(x, z, heading)``: of robot and person as drawn, else of each agent."""
+    if kinds_of(world.cast) in (("robot", "human"), ("human",)):
+        drawn = world.starts
+        return {
+            "robot_start": [*map(float, drawn.robot_xz), drawn.robot_heading],
+            "human_start": [*map(float, drawn.human_xz), drawn.human_heading],
+        }
+    return {"starts": world.places.tolist()}
 
 
 def body_indices(world: RearrangeWorld) -> list[int]:

@@ -6,13 +6,15 @@ policies answer; a training environment lets its caller (`sim_kinematic.rearrang
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Robot
+from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, SkillSpan
 from sim_kinematic.avoidance import AVOIDANCE
@@ -25,9 +27,9 @@ from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import RearrangeLog, Row, body_indices
 from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.robot_skills import RobotActor
-from sim_kinematic.skills import CONTROL, SKILLS, Action, Actor, Ending, Objects, Skill
+from sim_kinematic.skills import CONTROL, SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.spec import STEP_S
-from sim_kinematic.state import HUMAN, NOBODY, ROBOT, WorldState
+from sim_kinematic.state import NOBODY, WorldState
 
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
@@ -44,10 +46,8 @@ class Runner:
     """One agent: what it is doing, and what comes next."""
 
     number: int
-    """`ROBOT` or `HUMAN`."""
-    index: int
-    """In the recording."""
-    actor: Actor
+    """Of the agent, as in the state and in the recording."""
+    actor: RobotActor | PersonActor
     policy: HighLevelPolicy
     log: RearrangeLog | None
     names: tuple[str, ...]
@@ -101,7 +101,7 @@ class Runner:
             target = self.names[self.action.target] if self.action.target >= 0 else ""
             self.log.skill(
                 SkillSpan(
-                    agent=self.index, name=self.action.skill, target=target, start_step=self.begun, end_step=step,
+                    agent=self.number, name=self.action.skill, target=target, start_step=self.begun, end_step=step,
                     outcome=outcome, reason=reason,  # type: ignore[arg-type]
                 )
             )  # fmt: skip
@@ -112,8 +112,8 @@ class RearrangePlay:
     """The changing half of an episode."""
 
     world: RearrangeWorld
-    robot_policy: HighLevelPolicy | None
-    person_policy: HighLevelPolicy
+    policies: Sequence[HighLevelPolicy]
+    """One for each member of the world's cast."""
     log: RearrangeLog | None = None
     step: int = 0
     """The step that is being played, from 0."""
@@ -121,39 +121,46 @@ class RearrangePlay:
     """How many are over."""
     reward: float = 0.0
     """Of the last step."""
-    collision: bool = False
-    tracks: dict[int, list[NDArray]] = field(default_factory=dict)
+    touching: list[tuple[int, int]] = field(default_factory=list)
+    """Pairs of agents that touch now."""
 
     def __post_init__(self) -> None:
-        world, spec = self.world, self.world.spec
+        world = self.world
         names = tuple(t.name for t in world.targets)
-        state = WorldState.zeros(1, joints=len(world.robot.rest), objects=len(names))
-        robot = state.robots[ROBOT]
-        robot.xz[0], robot.heading[0] = world.starts.robot_xz, world.starts.robot_heading
-        robot.joints[0] = world.robot.rest
+        if len(self.policies) != len(world.cast):
+            raise InputError(f"Expected one policy for each of {len(world.cast)} agents, got {len(self.policies)}.")
+        robots = [member.body for member in world.cast if isinstance(member.body, Robot)]
+        state = WorldState.zeros(
+            1, robots=len(robots), people=len(world.cast) - len(robots), joints=[len(body.rest) for body in robots],
+            objects=len(names),
+        )  # fmt: skip
+        for own, place in zip(state.agents, world.places, strict=True):
+            own.xz[0], own.heading[0] = place[:2], place[2]
+        for own, body in zip(state.robots, robots, strict=True):
+            own.joints[0] = body.rest
         state.object_pose[0] = [t.start for t in world.targets]
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
-        base = ground_pose(world.starts.human_xz, world.starts.human_heading, world.free.floor_y)
-        objects = dict(zip(names, state.object_pose[0], strict=True))
-        self.person = PersonActor(
-            Person(world.human, base, objects, spec=spec.human), world.free, spec.human, self.objects
-        )
-        self.robot = RobotActor(world.robot, world.free, spec.robot, self.objects, spec.grip_m, spec.arm_rad_s)
-        self.actors: dict[int, RobotActor | PersonActor] = {HUMAN: self.person}
-        policies = {HUMAN: self.person_policy}
-        if self.robot_policy is not None:
-            self.actors[ROBOT], policies[ROBOT] = self.robot, self.robot_policy
-        self.runners = [
-            Runner(number, len(self.actors) - 1 - k, actor, policies[number], self.log, names)
-            for k, (number, actor) in enumerate(self.actors.items())
-        ]
-        self.tracks = {number: [actor.xz.copy()] for number, actor in self.actors.items()}
-        self.contact = _PosedContact(world.robot, world.human)
         self.starts = state.object_pose[0, :, :3].copy()
+        self.actors = [self._actor(number) for number in range(len(world.cast))]
+        self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
+        self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
+        acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
+        self.runners = [Runner(actor.number, actor, self.policies[actor.number], self.log, names) for actor in acts]
+        self.tracks = [[actor.xz.copy()] for actor in self.actors]
+        self.contacts = AgentContacts(*(body_shapes(member.body) for member in world.cast))
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.paid = np.zeros((1, 2 * len(names)), np.bool_)
+
+    def _actor(self, number: int) -> RobotActor | PersonActor:
+        world, spec, body = self.world, self.world.spec, self.world.cast[number].body
+        if isinstance(body, Robot):
+            return RobotActor(body, world.free, spec.robot, self.objects, spec.grip_m, spec.arm_rad_s, number)
+        x, z, heading = world.places[number]
+        base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
+        objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
+        return PersonActor(Person(body, base, objects, spec=spec.human), world.free, spec.human, self.objects, number)
 
     def run(self, progress: Callable[[int], object] | None = None) -> str:
         """Play to the end under the policies; returns what ended it. ``progress`` is called with 1 after every step."""
@@ -171,18 +178,19 @@ class RearrangePlay:
         for self.step in range(spec.max_steps):
             held = self.objects.held_by.copy()
             for runner in self.runners:
+                if isinstance(runner.actor, RobotActor):
+                    self._show_nearest(runner.actor)
                 yield from runner.act(self.step, self.view)
-                if runner.number == HUMAN:
-                    self._show_person()
-            for number, actor in self.actors.items():
-                self.tracks[number].append(actor.xz.copy())
+            for track, actor in zip(self.tracks, self.actors, strict=True):
+                track.append(actor.xz.copy())
+            self._write_people()
             self.at_goal = self._at_goal()
-            frame = self.person.person.frame()
-            self.collision = self.robot_policy is not None and self.contact.touching(self.robot, frame)
+            frames = {person.number: person.person.frame() for person in self.people}
+            self.touching = self._touching(frames)
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
             if self.log is not None:
-                self.log.add(self._row(frame))
+                self.log.add(self._row(frames))
                 self._tell(held, success)
             self.steps += 1
             if progress is not None:
@@ -197,19 +205,55 @@ class RearrangePlay:
                 runner.write(self.step, "running", "")
         return ended
 
-    def _show_person(self) -> None:
-        """The robot sees where she is and how she moves."""
-        track = [*self.tracks[HUMAN][-VELOCITY_STEPS:], self.person.xz.copy()]
-        self.robot.person_xz = track[-1]
-        self.robot.person_velocity = (track[-1] - track[0]) / (STEP_S * (len(track) - 1))
-        long = np.stack(self.tracks[HUMAN][-AVOIDANCE.still_steps :])
-        self.robot.person_settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
+    @property
+    def collision(self) -> bool:
+        """Whether agents touch now."""
+        return bool(self.touching)
+
+    def _nearest(self, number: int) -> int:
+        """The agent nearest to another, -1 if it is alone."""
+        me = self.actors[number]
+        others = [actor for actor in self.actors if actor is not me]
+        return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number if others else -1
+
+    def _show_nearest(self, robot: RobotActor) -> None:
+        """A robot sees where the agent nearest to it is and how it moves: people, who act first, a step later."""
+        number = self._nearest(robot.number)
+        if number < 0:
+            return
+        other, track = self.actors[number], self.tracks[number]
+        waits = robot.number < number < len(self.robots)  # it acts after this one
+        seen = track[-VELOCITY_STEPS - 1 :] if waits else [*track[-VELOCITY_STEPS:], other.xz.copy()]
+        robot.person_xz = seen[-1]
+        robot.person_velocity = (seen[-1] - seen[0]) / (STEP_S * max(len(seen) - 1, 1))
+        long = np.stack(track[-AVOIDANCE.still_steps :])
+        robot.person_settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
+
+    def _write_people(self) -> None:
+        """People move by their skills; the state says where they are."""
+        for own, person in zip(self.state.people, self.people, strict=True):
+            own.xz[0], own.heading[0] = person.xz, person.heading
+
+    def _touching(self, frames: dict[int, Frame]) -> list[tuple[int, int]]:
+        """Pairs of agents that touch in what is recorded, in float32."""
+        near = [
+            (a.number, b.number) for a, b in combinations(self.actors, 2) if np.hypot(*(a.xz - b.xz)) <= CONTACT_GATE_M
+        ]
+        for number in sorted({number for pair in near for number in pair}):
+            actor, body = self.actors[number], self.world.cast[number].body
+            if isinstance(actor, RobotActor):
+                posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
+            else:
+                frame = frames[number]
+                posed = actor.person.body.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
+            self.contacts.update(number, shape_frames(body, posed)[0])
+        return [pair for pair in near if self.contacts.collides(*pair)]
 
     def view(self, runner: Runner) -> TaskView:
         """What an agent knows now."""
-        me, other = self.actors[runner.number], self.actors.get(1 - runner.number)
-        track = self.tracks.get(1 - runner.number, [np.full(2, np.nan)])
-        other_xz = other.xz.copy() if other is not None else track[-1]
+        me, other = self.actors[runner.number], self._nearest(runner.number)
+        track = self.tracks[other] if other >= 0 else [np.full(2, np.nan)]
+        other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         ahead, aside = _seen(me.xz, me.heading, other_xz)
         a, b = self.world.spec.near_m
         return TaskView(
@@ -225,16 +269,16 @@ class RearrangePlay:
         gap = np.linalg.norm(self.objects.poses[:, :3] - self.objects.goals, axis=1)
         return (gap < self.world.spec.at_goal_m) & (self.objects.held_by == NOBODY)
 
-    def _row(self, frame: Frame) -> Row:
+    def _row(self, frames: dict[int, Frame]) -> Row:
         row: Row = {"object_pose": self.objects.poses.copy()}
         for runner in self.runners:
-            at = f"agent_{runner.index}."
-            if runner.number == ROBOT:
+            at, actor = f"agent_{runner.number}.", runner.actor
+            if isinstance(actor, RobotActor):
                 row |= {
-                    at + "base_pose": self.robot.pose, at + "joint_pos": self.robot.joints.copy(),
-                    at + "action": self.robot.command,
+                    at + "base_pose": actor.pose, at + "joint_pos": actor.joints.copy(), at + "action": actor.command,
                 }  # fmt: skip
             else:
+                frame = frames[runner.number]
                 row |= {at + "base_pose": frame.base, at + "root_pose": frame.root, at + "joint_quat": frame.joints}
             row |= {
                 at + "grasp_body": self.bodies[self.objects.held(runner.number)],
@@ -242,10 +286,11 @@ class RearrangePlay:
                 at + "skill_target": runner.action.target,
             }
         row["metrics.at_goal"] = self.at_goal.copy()
-        if self.robot_policy is not None:
-            row["metrics.dist_agents"] = np.hypot(*(self.robot.xz - self.person.xz))
+        if len(self.actors) > 1:
+            row["metrics.dist_agents"] = min(np.hypot(*(a.xz - b.xz)) for a, b in combinations(self.actors, 2))
             row["metrics.collision"] = self.collision
-            row["metrics.robot_contact"] = self.state.robots[ROBOT].contact[0]
+        if self.robots:
+            row["metrics.robot_contact"] = any(own.contact[0] for own in self.state.robots)
         row["metrics.reward"] = self.reward
         return row
 
@@ -258,36 +303,17 @@ class RearrangePlay:
     def _tell(self, held: NDArray, success: bool) -> None:
         """Events of this step."""
         assert self.log is not None
-        index = {runner.number: runner.index for runner in self.runners}
         for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
                 where = "at its goal" if self.at_goal[k] else "elsewhere"
-                self.log.event(Event(step=self.step, agent=index[was], kind="place", target=name, detail=where))
+                self.log.event(Event(step=self.step, agent=was, kind="place", target=name, detail=where))
             elif was != now:
-                self.log.event(Event(step=self.step, agent=index[now], kind="pick", target=name))
-        if self.collision:
-            self.log.event(Event(step=self.step, agent=index[ROBOT], kind="collision", target="human"))
+                self.log.event(Event(step=self.step, agent=now, kind="pick", target=name))
+        for a, b in self.touching:
+            self.log.event(Event(step=self.step, agent=a, kind="collision", target=self.world.cast[b].name))
         if success:
             self.log.event(Event(step=self.step, agent=-1, kind="success"))
-
-
-class _PosedContact:
-    """Contact between a robot with a moving arm and a person in any pose, as recorded: in float32."""
-
-    def __init__(self, robot: Robot, human: Humanoid) -> None:
-        self._human = human
-        self._pair = AgentContacts(body_shapes(robot), body_shapes(human))
-
-    def touching(self, robot: RobotActor, frame: Frame) -> bool:
-        if np.hypot(*(robot.pose[[0, 2]] - frame.base[[0, 2]])) > CONTACT_GATE_M:
-            return False
-        base, joints = _stored(robot.pose), _stored(robot.joints)
-        links = robot.robot.link_matrices(base[None], joints[None])[0]
-        bones = self._human.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
-        self._pair.update(0, shape_frames(robot.robot, links))
-        self._pair.update(1, shape_frames(self._human, bones)[0])
-        return self._pair.collides()
 
 
 def _stored(values: Array) -> Array:

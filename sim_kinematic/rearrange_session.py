@@ -103,7 +103,7 @@ class RearrangeSession:
         drawn = episode_seed(seed, index)
         robot, human = self.bodies
         world = RearrangeWorld.create(scene, seed=drawn, spec=self.spec, free=free, robot=robot, human=human)
-        self.play = RearrangePlay(world, *self._policies(drawn))
+        self.play = RearrangePlay(world, self._policies(drawn))
         self.ended, self.reward, self.steps = "", 0.0, 0
         self._asking = self.play.questions(self._count)
         self._asked = next(self._asking)
