@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from h3data.bodies.robot_loading import load_robot, robot_names
+from h3data.bodies.skeleton import JOINT_NAMES
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
 from h3data.interop import read_gfx_replay
@@ -22,7 +24,7 @@ from h3data.interop.gltf_animation import write_gltf_animation
 from h3data.interop.lerobot_export import write_lerobot
 from h3data.interop.robomimic import write_robomimic
 from h3data.interop.transitions import transitions_of
-from h3data.recording import AssetRef, Body, Dataset, Episode, Event, Recording, write_mcap
+from h3data.recording import Agent, AssetRef, Body, Dataset, Episode, Event, Recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.posing import posed_cameras, posed_parts
 from h3data.scene import HomeSpec, build_home
@@ -133,9 +135,18 @@ def test_our_own_people_and_robots_come_back_where_they_were(
     again = Replay(back, assets=[tmp_path])
     assert not again.missing
     assert [a.kind for a in back.agents] == ["robot", "human"]
-    np.testing.assert_allclose(
-        np.abs(back.columns["agent_1.base_pose"]), np.abs(recording.columns["agent_1.base_pose"]), atol=1e-6
-    )
+    for agent in (0, 1):
+        column = f"agent_{agent}.base_pose"
+        np.testing.assert_allclose(np.abs(back.columns[column]), np.abs(recording.columns[column]), atol=1e-6)
+    ours = [b for b in recording.bodies if not b.asset.startswith("robot")]
+    for one, other in zip(ours, back.bodies[: len(ours)], strict=True):
+        assert (one.semantic_id, one.moving) == (other.semantic_id, other.moving)
+        np.testing.assert_allclose(one.pose, other.pose, atol=1e-6)
+    links = [d for d in replay.drawables if d.agent == 0]
+    assert sum(body.agent == 0 for body in back.bodies) == len(links) > 5
+    assert back.episode.info["rigs"][0]["bones"] == list(JOINT_NAMES)
+    joints = pose_to_matrix(back.columns["rig.0"].astype(np.float64))
+    np.testing.assert_allclose(joints, replay.joint_matrices(1, np.arange(len(recording))), atol=2e-6)
     people = 0
     for index, (old, new) in enumerate(zip(replay.drawables, again.drawables, strict=True)):
         assert old.semantic_id == new.semantic_id
@@ -148,6 +159,25 @@ def test_our_own_people_and_robots_come_back_where_they_were(
             np.testing.assert_allclose(replay.matrices(index, STEPS), again.matrices(index, STEPS), atol=2e-6)
     assert people == 1
     np.testing.assert_allclose(back.columns["user.sensor_human_head"], posed_cameras(replay)[-1].poses, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robot_of_ours_comes_back_onto_its_floor(name: str, tmp_path: Path) -> None:
+    robot = load_robot(name)
+    base = np.zeros((5, 7), np.float32)
+    base[:, :3] = np.linspace([1, 0.2, -3], [2, 0.2, -2], 5)
+    base[:, 3:] = quat_from_heading(np.linspace(-2, 4, 5))
+    recording = Recording(
+        episode=Episode(uid="u", episode_id="x", task="none", scene=""),
+        agents=(Agent(name="robot", kind="robot", model=f"robot/{name}", joint_names=tuple(robot.joint_names)),),
+        columns={
+            "time_ns": np.arange(5, dtype=np.int64) * 33_333_333, "agent_0.base_pose": base,
+            "agent_0.joint_pos": np.tile(robot.rest.astype(np.float32), (5, 1)),
+        },
+    )  # fmt: skip
+    back = exported(recording, tmp_path / "x.gfx_replay.json")
+    assert back.episode.info["warnings"] == []
+    np.testing.assert_allclose(np.abs(back.columns["agent_0.base_pose"]), np.abs(base), atol=1e-6)
 
 
 def assert_same_points(one: np.ndarray, other: np.ndarray, *, atol: float) -> None:

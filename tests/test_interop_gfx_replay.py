@@ -267,7 +267,7 @@ PERSON = "data/humanoids/humanoid_data/female_0/female_0.glb"
 
 def test_several_agents_robots_first(tmp_path: Path) -> None:
     files = [PERSON, SPOT + "base.glb", SPOT + "fl.hip.glb", SPOT + "base.glb", SPOT + "fl.hip.glb", "data/sofa.glb",
-             "data/robots/hab_fetch/meshes/base_link.dae", "data/robots/hab_fetch/meshes/arm.dae"]  # fmt: skip
+             "data/robots/hab_stretch/meshes/base_link.dae", "data/robots/hab_stretch/meshes/arm.dae"]  # fmt: skip
     rec = read(tmp_path, {"creations": [create(k, f) for k, f in enumerate(files)]})
     assert [(a.name, a.kind) for a in rec.agents] == [
         ("robot_0", "robot"), ("robot_1", "robot"), ("robot_2", "robot"), ("human", "human")

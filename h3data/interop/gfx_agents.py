@@ -5,18 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import ground_pose, quat_rotate, quat_sign_continuous
+from h3data.bodies.robot_loading import load_robot, robot_names
+from h3data.geometry import IDENTITY_POSE, ground_pose, quat_rotate, quat_sign_continuous
+from h3data.interop.limits import MAX_AGENTS, check_count, check_size
 from h3data.recording.records import Agent, AssetRef, Body
 
-ROBOT_BASE_HEIGHT_M = {"spot": 0.48}
-"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Others: 0, which is
-right for habitat-lab's Fetch and only assumed for the rest."""
+ROBOT_BASE_HEIGHT_M = {"spot": 0.48, "fetch": 0.0}
+"""Height of a robot's base link over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0). Our own robots, which
+our exports name, say theirs; for the rest 0 is assumed."""
 
 HUMAN_ROOT_HEIGHT_M = 0.9
 """Height of a humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
@@ -44,7 +46,7 @@ class _Group:
 
 
 def add_agents(
-    bodies: Sequence[Body], assets: Sequence[AssetRef], object_pose: NDArray[np.float32] | None, steps: int
+    bodies: Sequence[Body], assets: Sequence[AssetRef], object_pose: NDArray[np.float32] | None, steps: int, path: Path
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
     """Agents (robots first), bodies that name their agent, the agents' columns, and how they were found.
 
@@ -52,24 +54,23 @@ def add_agents(
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows
     habitat-lab (spec/habitat.md 0): a robot stands ``ROBOT_BASE_HEIGHT_M`` under its base link and faces along that
     link's x axis; a person stands `HUMAN_ROOT_HEIGHT_M` under the root and faces along its z axis. Both headings are
-    projected on the floor.
+    projected on the floor. ``path`` is named by errors.
     """
     uris = {ref.name: ref.uri for ref in assets}
     groups = _groups([uris[b.asset] for b in bodies])
+    check_count(len(groups), MAX_AGENTS, "robots and people", path)
+    check_size(steps, len(groups), path)
     groups.sort(key=lambda g: g.kind != "robot")  # stable: robots first, each kind in the order of creation
     bodies = list(bodies)
     agents, infos = [], []
     columns: dict[str, NDArray[Any]] = {}
+    robots = sum(group.kind == "robot" for group in groups)
     for index, group in enumerate(groups):
-        same_kind = [g for g in groups if g.kind == group.kind]
-        name = (
-            group.kind
-            if len(same_kind) == 1
-            else f"{group.kind}_{next(i for i, g in enumerate(same_kind) if g is group)}"
-        )
+        alone = (robots if group.kind == "robot" else len(groups) - robots) == 1
+        name = group.kind if alone else f"{group.kind}_{index if group.kind == 'robot' else index - robots}"
         root, info = _root(group, [uris[bodies[b].asset] for b in group.bodies], bodies)
         track = _track(bodies[root], object_pose, steps)
-        height = HUMAN_ROOT_HEIGHT_M if group.kind == "human" else _base_height(group.model)
+        height = HUMAN_ROOT_HEIGHT_M if group.kind == "human" else _base_height(group.model) or 0.0
         columns[f"agent_{index}.base_pose"] = _base_pose(
             track, forward=2 if group.kind == "human" else 0, height=height
         )
@@ -121,8 +122,12 @@ def _is_base(uri: str) -> bool:
     return PurePosixPath(uri).stem.lower() in _BASE_STEMS
 
 
-def _base_height(model: str) -> float:
-    return next((height for name, height in ROBOT_BASE_HEIGHT_M.items() if name in model.lower()), 0.0)
+def _base_height(model: str) -> float | None:
+    """Height of a robot's base link over the floor [m]; None if it is not known."""
+    if model in robot_names():
+        robot = load_robot(model)
+        return float(robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0, 0, 1, 3])
+    return next((height for name, height in ROBOT_BASE_HEIGHT_M.items() if name in model.lower()), None)
 
 
 def _root(group: _Group, uris: Sequence[str], bodies: Sequence[Body]) -> tuple[int, AgentInfo]:
@@ -135,7 +140,7 @@ def _root(group: _Group, uris: Sequence[str], bodies: Sequence[Body]) -> tuple[i
             warnings.append(
                 f"robot {group.model} has no link called base: {bodies[group.bodies[0]].name} is taken for it"
             )
-        if _base_height(group.model) == 0:
+        if _base_height(group.model) is None:
             warnings.append(f"robot {group.model}: its base link is taken to be at the floor")
     root = group.bodies[position]
     return root, AgentInfo({**record, "root_body": bodies[root].name}, warnings)

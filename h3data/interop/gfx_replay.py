@@ -56,7 +56,7 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
     if tracks.shape[1]:
         columns["object_pose"] = tracks
     columns |= _user_columns(fold, path) | _rig_columns(fold, path)
-    agents, bodies, agent_columns, agent_info = add_agents(bodies, assets, columns.get("object_pose"), fold.steps)
+    agents, bodies, agent_columns, agent_info = add_agents(bodies, assets, columns.get("object_pose"), fold.steps, path)
     columns |= agent_columns
     warnings = (
         notes + [f"{count} {what}" for what, count in fold.counts.items()] + [w for a in agent_info for w in a.warnings]
