@@ -39,6 +39,20 @@ FAST = 10.0
 """Bound of egomotion [m/s, rad/s]: four times the robot's limits."""
 
 
+_BOUNDS: dict[str, tuple[list[float], list[float]]] = {
+    "humanoid_detector": ([0.0], [1.0]),
+    "humanoid_gps": ([0.0, -np.pi], [FAR_M, np.pi]),
+    "egomotion": ([-FAST] * 3, [FAST] * 3),
+    "localization": ([-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]),
+}
+
+
+def state_box(name: Observation) -> gymnasium.spaces.Box:
+    """The space of one world's observation that is no picture."""
+    low, high = (np.array(bound, np.float32) for bound in _BOUNDS[name])
+    return gymnasium.spaces.Box(low, high, dtype=np.float32)
+
+
 class Observer:
     """The robots' observations of a batch; each array is [W, ...] float32 and within its space.
 
@@ -73,14 +87,9 @@ class Observer:
         return gymnasium.spaces.Dict({name: self._box(name) for name in self.names})
 
     def _box(self, name: Observation) -> gymnasium.spaces.Box:
-        low, high = {
-            "arm_depth": (np.zeros((*self._size[::-1], 1)), np.ones((*self._size[::-1], 1))),
-            "humanoid_detector": ([0.0], [1.0]),
-            "humanoid_gps": ([0.0, -np.pi], [FAR_M, np.pi]),
-            "egomotion": ([-FAST] * 3, [FAST] * 3),
-            "localization": ([-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]),
-        }[name]
-        return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+        if name == "arm_depth":
+            return gymnasium.spaces.Box(0.0, 1.0, (*self._size[::-1], 1), np.float32)
+        return state_box(name)
 
     def observe(self) -> dict[str, NDArray[np.float32]]:
         """What the robots see now, [W, ...] each."""

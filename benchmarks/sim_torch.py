@@ -1,0 +1,184 @@
+"""The simulator as tensors: states stepped (robots drive, people walk; nothing else) on one CPU thread and, where there is one,
+on a GPU, there launched operation by operation (eager) and as a CUDA graph; and whole environments of social navigation.
+
+The floor of ``sim.torch.{cpu,cuda}.*`` is made here, so that these lines need nothing but NumPy and torch. The environment
+plays in a furnished home and needs all of h3data.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import torch
+
+Emit = Callable[[str, float, str], None]
+HOME = "small:1"
+CPU_WORLDS, CPU_STEPS = 1024, 20
+CUDA_WORLDS = (1024, 8192, 65536, 262144)
+NEEDED = ("shapely", "fcl", "trimesh", "numba")
+"""What an environment needs beyond NumPy and torch."""
+
+
+class BoxFloor(NamedTuple):
+    """Rooms of 12 x 10 m with furniture, as a distance grid."""
+
+    sdf: NDArray[np.float32]
+    origin: NDArray[np.float64]
+    cell_m: float
+
+    @classmethod
+    def draw(cls, seed: int = 0) -> BoxFloor:
+        """Four rooms, doors of 1 m between them, ten boxes."""
+        rng = np.random.default_rng(seed)
+        thin, (width, depth) = 0.06, (12.0, 10.0)
+        boxes = [(5.0, 0.0, 5.0, 2.0), (5.0, 3.0, 5.0, 7.0), (5.0, 8.0, 5.0, depth), (0.0, 4.5, 1.5, 4.5),
+                 (2.5, 4.5, 9.0, 4.5), (10.0, 4.5, width, 4.5)]  # fmt: skip
+        boxes = [(x0 - thin, z0 - thin, x1 + thin, z1 + thin) for x0, z0, x1, z1 in boxes]
+        for x, z in rng.uniform((0, 0), (width - 1.4, depth - 0.7), (10, 2)):
+            boxes.append((x, z, x + rng.uniform(0.4, 1.4), z + rng.uniform(0.4, 0.7)))
+        cell = 0.05
+        i, j = np.meshgrid(np.arange(-4, width / cell + 4), np.arange(-4, depth / cell + 4), indexing="ij")
+        x, z = (i + 0.5) * cell, (j + 0.5) * cell
+        sdf = np.minimum(np.minimum(x, width - x), np.minimum(z, depth - z))
+        for x0, z0, x1, z1 in boxes:
+            dx, dz = np.maximum(x0 - x, x - x1), np.maximum(z0 - z, z - z1)
+            sdf = np.minimum(sdf, np.hypot(dx.clip(0), dz.clip(0)) + np.maximum(dx, dz).clip(max=0))
+        return cls(sdf.astype(np.float32), np.array([-4 * cell, -4 * cell]), cell)
+
+    def free_places(self, count: int, rng: np.random.Generator, clear_m: float = 0.5) -> NDArray[np.float64]:
+        """Centres of cells with so much room around them, [count, 2] [m]."""
+        cells = np.argwhere(self.sdf > clear_m)
+        return self.origin + (cells[rng.integers(len(cells), size=count)] + 0.5) * self.cell_m
+
+
+class Stepper:
+    """Worlds whose robots and people are stepped in place by the same few tensors."""
+
+    def __init__(self, floor: Any, worlds: int, device: str, dtype: torch.dtype, seed: int = 0) -> None:
+        import torch
+
+        from sim_kinematic.spec import SocialNavSpec
+        from sim_kinematic.torch_state import HumanTensors, RobotTensors
+        from sim_kinematic.torch_step import Grids
+
+        rng = np.random.default_rng(seed)
+
+        def on_device(array: Any) -> torch.Tensor:
+            return torch.as_tensor(array, dtype=dtype, device=device)
+
+        zero = on_device(np.zeros(worlds))
+        self.grids = Grids.of([floor], device, dtype)
+        self.robot = RobotTensors(
+            on_device(floor.free_places(worlds, rng)), on_device(rng.uniform(-3, 3, worlds)), zero > 0
+        )
+        people = on_device(floor.free_places(worlds, rng))
+        self.human = HumanTensors(people, zero.clone(), zero.clone(), zero.clone(), zero.clone())
+        self.goal = on_device(floor.free_places(worlds, rng))
+        self.action = on_device(rng.uniform(-1, 1, (worlds, 2)))
+        self.spec = SocialNavSpec()
+
+    def tensors(self) -> list[torch.Tensor]:
+        return [*self.robot, *self.human]
+
+    def step(self) -> None:
+        """All worlds, once. There are no branches: it costs the same wherever they are."""
+        from sim_kinematic.torch_step import drive_robots, walk_humans
+
+        robot = drive_robots(self.grids, self.robot, self.action, self.spec.robot)
+        human = walk_humans(self.human, self.goal, self.spec.human)
+        for mine, new in zip(self.tensors(), [*robot, *human], strict=True):
+            mine.copy_(new)
+
+
+def run(emit: Emit) -> None:
+    """Emits ``sim.torch.*``; the lines of the GPU only where there is one."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with torch.no_grad():
+        stepper = Stepper(BoxFloor.draw(), CPU_WORLDS, "cpu", torch.float32)
+        stepper.step()
+        seconds = median(cpu_s(lambda: _often(stepper.step, CPU_STEPS)) for _ in range(5))
+    emit(f"sim.torch.cpu.w{CPU_WORLDS}_env_steps_per_cpu_s", CPU_WORLDS * CPU_STEPS / seconds, "steps/s")
+    if not _missing():
+        env, actions = _environment(CPU_WORLDS, "cpu")
+        seconds = median(cpu_s(lambda: _often(lambda: env.step(actions), 5)) for _ in range(5))
+        emit(f"sim.torch.cpu.env_w{CPU_WORLDS}_env_steps_per_cpu_s", CPU_WORLDS * 5 / seconds, "steps/s")
+    torch.set_num_threads(threads)
+    if not torch.cuda.is_available():
+        print("# sim.torch.cuda: no GPU that torch can use")
+        return
+    for worlds in CUDA_WORLDS:
+        _on_cuda(emit, worlds)
+    if _missing():
+        print(f"# sim.torch.cuda.env: {', '.join(_missing())} not installed")
+        return
+    for worlds in (1024, 16384):
+        env, actions = _environment(worlds, "cuda")
+        seconds = _wall_s(lambda e=env, a=actions: e.step(a))
+        emit(f"sim.torch.cuda.env_w{worlds}_steps_per_s", worlds / seconds, "steps/s")
+
+
+def _on_cuda(emit: Emit, worlds: int) -> None:
+    import torch
+
+    from sim_kinematic.torch_graph import captured
+
+    with torch.no_grad():
+        stepper = Stepper(BoxFloor.draw(), worlds, "cuda", torch.float32)
+        emit(f"sim.torch.cuda.w{worlds}_eager_steps_per_s", worlds / _wall_s(stepper.step, steps=20), "steps/s")
+        replay = captured(stepper.step, stepper.tensors())
+        emit(f"sim.torch.cuda.w{worlds}_steps_per_s", worlds / _wall_s(replay), "steps/s")
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    """CPU seconds of this process for ``work`` (`benchmarks.sim` has the same, but needs all of h3data)."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
+    """Wall-clock time of one call [s], the wait for the GPU included: the median of some rounds of ``steps``."""
+    import torch
+
+    times = []
+    for _ in range(6):
+        torch.cuda.synchronize()
+        start = time.perf_counter()
+        _often(work, steps)
+        torch.cuda.synchronize()
+        times.append((time.perf_counter() - start) / steps)
+    return median(times[1:])
+
+
+def _environment(worlds: int, device: str) -> tuple[Any, torch.Tensor]:
+    import torch
+
+    from sim_kinematic.torch_env import SocialNavTorchEnv
+
+    env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64)
+    env.reset(seed=0)
+    return env, torch.as_tensor(np.random.default_rng(0).uniform(-1, 1, (worlds, 2)), device=device)
+
+
+def _missing() -> list[str]:
+    return [name for name in NEEDED if importlib.util.find_spec(name) is None]
+
+
+def _often(work: Callable[[], object], times: int) -> None:
+    for _ in range(times):
+        work()
+
+
+if __name__ == "__main__":
+    run(lambda name, value, unit: print(f"{name} {value:.6g} {unit}", flush=True))

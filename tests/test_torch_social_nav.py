@@ -1,0 +1,332 @@
+"""Social navigation on a device: the episodes of the CPU's batch, look-ups near the truth, the environment's manners."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("shapely")
+pytest.importorskip("fcl")
+
+import h3data  # noqa: E402
+from h3data.bodies import load_humanoid, load_robot  # noqa: E402
+from h3data.errors import InputError  # noqa: E402
+from h3data.geometry import ground_pose  # noqa: E402
+from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from sim_kinematic.rewards import Encounter, SocialNavReward  # noqa: E402
+from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
+from sim_kinematic.spec import WalkerSpec  # noqa: E402
+from sim_kinematic.torch_contact import TOLERANCE_M, TouchTest  # noqa: E402
+from sim_kinematic.torch_env import SocialNavTorchEnv  # noqa: E402
+from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
+from sim_kinematic.torch_geodesic import Lattices, geodesic  # noqa: E402
+from sim_kinematic.torch_social_nav import Play, SocialNavTensors  # noqa: E402
+from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
+from sim_kinematic.torch_step import Grids  # noqa: E402
+
+HOMES = ["small:1", "small:2"]
+RULES = replace(TRAINING, max_steps=60, end_on_collision=False)
+SEED = 5
+on_gpu = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")]
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def bank() -> EpisodeBank:
+    return EpisodeBank.draw(HOMES, 6, seed=SEED, spec=RULES)
+
+
+def doubles(array: Any) -> Any:
+    return torch.tensor(array, dtype=torch.float64)
+
+
+def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Actions that follow the person, by her distance and angle [W, 2]."""
+    ahead = np.where(gps[:, 0] > 1.3, 0.9, 0.0) + rng.normal(0, 0.2, len(gps))
+    return np.stack([ahead, -gps[:, 1]], -1).clip(-1, 1)
+
+
+# --- against the batch --------------------------------------------------------------------------------------------------
+def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> None:
+    worlds, rng = 8, np.random.default_rng(1)
+    index = np.arange(worlds) % len(bank)
+    batch = SocialNavBatch(HOMES, worlds=worlds, spec=RULES)
+    batch.begin(SEED, index)
+    sim = SocialNavTensors(bank, device="cpu", spec=RULES)
+    play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(worlds, 2))
+    (robots,), (people,) = batch.state.robots, batch.state.people
+    rewards = SocialNavReward(worlds, rules=RULES)
+
+    def met() -> Encounter:
+        return Encounter(robots.xz, robots.heading, people.xz, play.geodesic.numpy(), play.collides.numpy())
+
+    rewards.reset(met())
+    ended, touches, follows = np.zeros(worlds, np.bool_), 0, 0
+    for _ in range(150):
+        actions = chase(sim.observation("humanoid_gps", play).numpy(), rng)
+        batch.step(actions)
+        if ended.any():
+            index[ended] = (index[ended] + 1) % len(bank)
+            batch.begin(SEED, index, where=ended)
+        play = sim.step(play, torch.tensor(actions))
+        np.testing.assert_allclose(play.robot.xz, robots.xz, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(play.robot.heading, robots.heading, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(play.robot.contact, robots.contact)
+        for mine, theirs in zip(play.human, people.arrays(), strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(play.steps, batch.steps)
+        np.testing.assert_array_equal(play.episode, index)
+        clear = sim.touch.gap(play.robot, play.human).abs().numpy() > TOLERANCE_M
+        np.testing.assert_array_equal(play.collides.numpy()[clear], batch.collides[clear])
+        np.testing.assert_allclose(play.geodesic, batch.geodesic, rtol=0.1, atol=0.05)
+        worth = rewards.step(met())  # the CPU's reward of what the device saw
+        if ended.any():
+            rewards.reset(met(), where=ended)
+        np.testing.assert_allclose(play.reward, np.where(ended, 0, worth.reward), rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(play.followed, rewards.followed)
+        ended = ~ended & batch.out_of_time
+        np.testing.assert_array_equal(play.truncated, ended)
+        touches += batch.collides.sum()
+        follows += rewards.followed.sum()
+    assert touches > 5
+    assert follows > 100
+    assert batch.floor_y.shape == (worlds,)
+
+
+def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
+    sim = SocialNavTensors(bank, device="cpu", spec=RULES)
+    play = sim.step(Play.before_the_first(torch.arange(len(bank)) - 1, torch.float64), torch.zeros(len(bank), 2))
+    last = 0
+    for _ in range(RULES.max_steps):
+        before = play.human
+        play = sim.step(play, torch.zeros(len(bank), 2))
+        moved = (play.human.xz - before.xz).abs().sum(1) + (play.human.heading - before.heading).abs()
+        assert (moved > 0).all()
+        last = max(last, int(play.leg.max()))
+    assert 2 <= last < bank.way_points.shape[1]
+
+
+def test_a_collision_ends_the_episode_where_the_rules_say_so(bank: EpisodeBank) -> None:
+    rules = replace(RULES, end_on_collision=True, max_steps=500)
+    sim = SocialNavTensors(bank, device="cpu", spec=rules)
+    play = sim.step(Play.before_the_first(torch.arange(len(bank)) - 1, torch.float64), torch.zeros(len(bank), 2))
+    ends = 0
+    for _ in range(200):
+        gps = sim.observation("humanoid_gps", play)
+        before = play
+        play = sim.step(play, torch.stack([torch.ones(len(bank)), -gps[:, 1]], 1))
+        assert torch.equal(play.terminated, play.collides & ~before.ended)
+        assert torch.equal(play.steps[before.ended], torch.zeros_like(play.steps[before.ended]))
+        assert (play.reward[before.ended] == 0).all()
+        ends += int(play.terminated.sum())
+    assert ends > 2
+
+
+def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
+    # tensors without data: whatever asked for a value, or mixed devices, would fail
+    sim = SocialNavTensors(bank, device="meta", dtype=torch.float32, spec=RULES)
+    play = Play.before_the_first(torch.zeros(7, dtype=torch.int64, device="meta"), torch.float32)
+    after = sim.step(play, torch.zeros(7, 2, device="meta"))
+    for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
+        assert (mine.shape, mine.dtype, mine.device) == (theirs.shape, theirs.dtype, theirs.device)
+    for name, width in (("humanoid_gps", 2), ("egomotion", 3), ("localization", 4)):
+        assert sim.observation(name, after).shape == (7, width)
+
+
+# --- look-ups -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("preset", ["small", "medium"])
+def test_ways_are_nearly_the_exact_ones(preset: Any) -> None:
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset=preset, seed=1)))
+    rng = np.random.default_rng(0)
+    a, b = free.sample(rng, 4000), free.sample(rng, 4000)
+    b[:2000] = a[:2000] + rng.uniform(-2.5, 2.5, (2000, 2))  # near each other, as where one follows
+    a, b = (p[free.is_navigable(b)] for p in (a, b))
+    exact = free.geodesic(a, b)
+    tables = Grids.of([free], "cpu", torch.float64), Lattices.of([free], "cpu", torch.float64)
+    found = geodesic(*tables, doubles(a), doubles(b)).numpy()
+    error = np.abs(found - exact) / exact.clip(0.1)
+    assert np.median(error) < 0.002
+    assert np.quantile(error, 0.95) < 0.015
+    assert np.quantile(np.abs(found - exact), 0.99) < 0.15
+    assert (found >= np.hypot(*(a - b).T) - 1e-9).all()
+    back = geodesic(*tables, doubles(b), doubles(a)).numpy()
+    np.testing.assert_allclose(back, found, rtol=0, atol=1e-2)
+
+
+def test_ways_on_several_floors_and_off_the_floor(bank: EpisodeBank) -> None:
+    place = torch.tensor([0, 1, 1, 0])
+    grids, lattices = Grids.of(bank.floors, "cpu", torch.float64), Lattices.of(bank.floors, "cpu", torch.float64)
+    rng = np.random.default_rng(2)
+    a, b = (np.stack([bank.floors[k].sample(rng, 1)[0] for k in place]) for _ in range(2))
+    found = geodesic(grids.at(place), lattices.at(place), doubles(a), doubles(b)).numpy()
+    exact = [float(bank.floors[k].geodesic(p, q)) for k, p, q in zip(place, a, b, strict=True)]
+    np.testing.assert_allclose(found, exact, rtol=0.05)
+    assert len(bank.floors) == 2
+    far = geodesic(grids.at(place), lattices.at(place), doubles(a + 500.0), doubles(b))
+    assert far.isinf().all()
+
+
+@pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
+def test_contact_is_that_of_the_exact_shapes(name: str) -> None:
+    from sim_kinematic.collision import AgentContacts
+    from sim_kinematic.contact import RobotHumanContact, body_shapes, shape_frames
+
+    robot, human, rng, count = load_robot(name), load_humanoid("female_0"), np.random.default_rng(0), 600
+    robot_xz, robot_heading, human_heading = rng.uniform(-3, 3, (count, 2)), *rng.uniform(-4, 4, (2, count))
+    away, angle = rng.uniform(0.2, 1.1, count), rng.uniform(-np.pi, np.pi, count)
+    human_xz = robot_xz + np.stack([away * np.cos(angle), away * np.sin(angle)], -1)
+    distance, blend = rng.uniform(0, 20, count), rng.integers(0, 7, count) / 6
+    clip = human.clip_for_speed(WalkerSpec().speed_mps)
+    phase = (human.clips[clip].start_phase + distance / human.clips[clip].stride_m) % 1.0
+    bases = ground_pose(robot_xz, robot_heading, 0.0), ground_pose(human_xz, human_heading, 0.0)
+    frame = np.full(count, clip), phase, blend
+    truth = RobotHumanContact(robot, human).touching_many(*bases, *frame)
+    robots = RobotTensors(doubles(robot_xz), doubles(robot_heading), torch.zeros(count, dtype=torch.bool))
+    people = HumanTensors(*map(doubles, (human_xz, human_heading, distance, np.zeros(count), blend)))
+    test = TouchTest.of(robot, human, WalkerSpec(), "cpu", torch.float64)
+    gap = test.gap(robots, people).numpy()
+    clear = np.abs(gap) > TOLERANCE_M
+    np.testing.assert_array_equal((gap <= 0)[clear], truth[clear])
+    assert clear.mean() > 0.95
+    pair = AgentContacts(body_shapes(robot), body_shapes(human))
+    links = shape_frames(robot, robot.link_matrices(bases[0], np.tile(robot.rest, (count, 1))))
+    joints = shape_frames(human, human.joint_matrices(bases[1], *human.clip_pose(*frame)))
+    near = np.flatnonzero((gap > 0) & (gap < 0.04))
+    assert len(near) > 10
+    for n in near:
+        pair.update(0, links[n])
+        pair.update(1, joints[n])
+        assert abs(pair.distance() - gap[n]) < TOLERANCE_M
+
+
+# --- the environment ----------------------------------------------------------------------------------------------------
+def test_the_environment_keeps_gymnasiums_manners(bank: EpisodeBank) -> None:
+    env = SocialNavTorchEnv(
+        5, device="cpu", spec=RULES, episodes=bank, observations=("humanoid_gps", "egomotion", "localization")
+    )
+    with pytest.raises(InputError, match="reset"):
+        env.step(torch.zeros(5, 2))
+    shown, info = env.reset(seed=3)
+    kept = {name: tensor.clone() for name, tensor in shown.items()}
+    assert (info["episode"] < len(bank)).all()
+    for k in range(RULES.max_steps):
+        after, reward, terminated, truncated, info = env.step(torch.full((5, 2), 0.5))
+        assert not terminated.any()
+        assert truncated.all() == (k == RULES.max_steps - 1) == truncated.any()
+        assert reward.dtype == torch.float32
+        for name, tensor in after.items():
+            rows = env.single_observation_space[name]
+            assert all(rows.contains(row) for row in tensor.numpy())
+    first = info["episode"]
+    after, reward, _, truncated, info = env.step(torch.ones(5, 2))
+    assert (reward == 0).all()
+    assert not truncated.any()
+    assert torch.equal(info["episode"], (first + 1) % len(bank))
+    assert (after["egomotion"] == 0).all()
+    assert all(torch.equal(shown[name], kept[name]) for name in shown)  # what was handed out stays as it was
+    np.testing.assert_allclose(after["localization"][:, 0], bank.robot_xz[info["episode"], 0], rtol=1e-6)
+    assert env.action_space.shape == (5, 2)
+    assert env.single_action_space.contains(np.zeros(2, np.float32))
+    batched: Any = env.observation_space
+    assert batched["egomotion"].shape == (5, 3)
+
+
+def test_a_seed_says_which_episodes_are_played(bank: EpisodeBank) -> None:
+    env = SocialNavTorchEnv(9, device="cpu", spec=RULES, episodes=bank)
+    _, one = env.reset(seed=11)
+    env.reset(seed=12)
+    _, again = env.reset(seed=11)
+    assert torch.equal(one["episode"], again["episode"])
+    _, following = env.reset()
+    assert torch.equal(following["episode"], (one["episode"] + 1) % len(bank))
+    _, listed = env.reset(seed=[11 + w for w in range(9)])
+    assert torch.equal(listed["episode"], one["episode"])
+    assert one["episode"].unique().numel() > 2
+    _, shifted = env.reset(seed=12)
+    assert torch.equal(shifted["episode"][:-1], one["episode"][1:])
+
+
+def test_make_gives_it_for_a_device() -> None:
+    env = h3data.make("social_nav", scenes="small:1", num_envs=2, device="cpu", episodes=2, spec=RULES)
+    assert isinstance(env, SocialNavTorchEnv)
+    assert env.num_envs == 2
+    assert "cpu" in repr(env)
+    env.reset()
+    env.close()
+
+
+def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
+    def wrong(match: str, **options: Any) -> None:
+        with pytest.raises(InputError, match=match):
+            SocialNavTorchEnv(**{"num_envs": 1, "device": "cpu", "episodes": bank, "spec": RULES, **options})
+
+    wrong("humanoid_gps", observations=("arm_depth",))
+    wrong("paper", reward="habitat")
+    wrong("whole number", num_envs=0)
+    wrong("Unknown device", device="toaster")
+    wrong("strictly", spec=replace(RULES, robot=replace(RULES.robot, slide="habitat")))
+    if not torch.cuda.is_available():
+        wrong("no GPU", device="cuda")
+    with pytest.raises(InputError, match="at least 1 episode"):
+        EpisodeBank.draw(HOMES, 0)
+    env = SocialNavTorchEnv(2, device="cpu", episodes=bank, spec=RULES)
+    with pytest.raises(InputError, match="each of 2 worlds"):
+        env.reset(seed=[1])
+    env.reset(seed=1)
+    with pytest.raises(InputError, match=r"shape \[2, 2\]"):
+        env.step(torch.zeros(3, 2))
+    with pytest.raises(InputError, match="the same"):
+        h3data.make("social_nav", worlds=2, num_envs=2)
+    with pytest.raises(InputError, match="two agents"):
+        h3data.make("social_nav", device="cpu", agents=("robot", "human"))
+
+
+# --- on a GPU -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("worlds", [pytest.param(256, marks=on_gpu)])
+def test_a_gpu_plays_as_the_cpu_and_a_graph_as_eager(bank: EpisodeBank, worlds: int) -> None:
+    options: dict[str, Any] = {"spec": RULES, "episodes": bank, "dtype": torch.float64}
+    cpu = SocialNavTorchEnv(worlds, device="cpu", **options)
+    eager = SocialNavTorchEnv(worlds, device="cuda", graph=False, **options)
+    graph = SocialNavTorchEnv(worlds, device="cuda", **options)
+    envs, rng = (cpu, eager, graph), np.random.default_rng(0)
+    seen = [env.reset(seed=1)[0] for env in envs]
+    for _ in range(150):
+        actions = torch.tensor(chase(seen[0]["humanoid_gps"].numpy(), rng))
+        results = [env.step(actions.to(env.device)) for env in envs]
+        seen = [r[0] for r in results]
+        for a, b in zip(eager.play.tensors(), graph.play.tensors(), strict=True):
+            assert torch.equal(a, b)
+        for name, tensor in seen[1].items():
+            assert torch.equal(tensor, seen[2][name])
+        assert torch.equal(cpu.play.episode, graph.play.episode.cpu())
+        apart = (cpu.play.robot.xz - graph.play.robot.xz.cpu()).abs().amax(1)
+        assert (apart < 1e-5).double().mean() > 0.98  # a tie at a wall may part two tracks
+        assert (cpu.play.human.xz - graph.play.human.xz.cpu()).abs().max() < 1e-5
+        same = apart < 1e-5
+        assert (results[0][1][same] - results[2][1].cpu()[same]).abs().quantile(0.99) < 1e-3
+
+
+@pytest.mark.parametrize("worlds", [pytest.param(4096, marks=on_gpu)])
+def test_actions_and_results_stay_on_the_gpu(bank: EpisodeBank, worlds: int) -> None:
+    env = SocialNavTorchEnv(worlds, device="cuda", spec=RULES, episodes=bank)
+    env.reset(seed=0)
+    actions = torch.rand(worlds, 2, device="cuda")
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        shown, *rest = env.step(actions)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert all(t.is_cuda for t in [*shown.values(), *rest[:3], *rest[3].values()])
