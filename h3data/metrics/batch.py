@@ -11,13 +11,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 
 from h3data.errors import InputError
 from h3data.metrics.metric import EpisodeMetrics, stored_columns
 from h3data.metrics.registry import PROFILES, find_profile, measure
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
+from h3data.recording.storage import AnyPath, RemotePath, place
 
 _CHUNK = 16
 """Episodes that are read together."""
@@ -26,7 +26,7 @@ Work = Callable[[Recording], EpisodeMetrics]
 
 
 def measure_files(
-    paths: Iterable[str | os.PathLike[str]], profile: str = "paper", *, workers: int | None = None
+    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str = "paper", *, workers: int | None = None
 ) -> MetricsTable:
     """The metrics of every recording in these files: MCAP logs, datasets, folders of MCAP logs.
 
@@ -41,15 +41,15 @@ def measure_files(
     return tabulate(measure_sources(sources, profile, workers=workers), profile=profile)
 
 
-def find_sources(paths: Iterable[str | os.PathLike[str]]) -> Iterator[Path]:
+def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
     """Datasets and MCAP logs, in order; a folder that is no dataset gives the logs in it."""
-    for path in map(Path, paths):
+    for path in map(place, paths):
         logs = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
         yield from logs or [path]
 
 
 def measure_sources(
-    sources: Sequence[Path], profile: str = "paper", *, workers: int | None = None
+    sources: Sequence[AnyPath], profile: str = "paper", *, workers: int | None = None
 ) -> Iterator[EpisodeMetrics]:
     """The metrics of each episode of datasets and logs, in order; as many in memory as there are workers."""
     find_profile(profile)
@@ -59,7 +59,7 @@ def measure_sources(
     yield from _in_order(_jobs(sources, profile), workers=count)
 
 
-def recordings(sources: Sequence[Path], profile: str | None = None) -> Iterator[Recording]:
+def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
     """Every recording of datasets and logs, one after the other; with ``profile`` only what it reads."""
     for source in sources:
         opened = open_recording(source)
@@ -70,7 +70,7 @@ def recordings(sources: Sequence[Path], profile: str | None = None) -> Iterator[
                 yield from _read(opened, chunk, profile)
 
 
-def _jobs(sources: Sequence[Path], profile: str) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
+def _jobs(sources: Sequence[AnyPath], profile: str) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
     for source in sources:
         if not source.is_dir():
             yield lambda source=source: [measure(only(source), profile)]
@@ -82,7 +82,7 @@ def _jobs(sources: Sequence[Path], profile: str) -> Iterator[Callable[[], list[E
             yield lambda own=own, chunk=chunk: [measure(r, profile) for r in _read(own.dataset, chunk, profile)]
 
 
-def only(source: Path) -> Recording:
+def only(source: AnyPath) -> Recording:
     """The recording in a file that is no dataset."""
     opened = open_recording(source)
     if isinstance(opened, Dataset):
@@ -110,7 +110,7 @@ def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recor
 class _PerThread:
     """A dataset that every thread opens for itself: its open files are not to be shared."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: AnyPath) -> None:
         self._root = root
         self._local = threading.local()
 

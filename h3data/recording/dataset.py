@@ -29,6 +29,7 @@ from h3data.recording.schema import (
     required_columns,
     struct_from_dict,
 )
+from h3data.recording.storage import RemotePath, place, readable
 
 if TYPE_CHECKING:
     import pandas
@@ -41,12 +42,16 @@ _DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeErr
 class Dataset:
     """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
 
-    def __init__(self, root: str | os.PathLike[str]) -> None:
-        """Open a folder that `DatasetWriter` made."""
-        self.root = Path(root)
-        if not self.root.exists():
+    def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
+        """Open a folder that `DatasetWriter` made, by its path or URI (``s3://bucket/ds``)."""
+        self.root = place(root)
+        try:
+            found, dataset = self.root.exists(), is_dataset(self.root)
+        except OSError as error:
+            raise InputError(f"The folder cannot be read ({error.strerror or error}): {self.root}") from error
+        if not found:
             raise InputError(f"There is no such folder: {self.root}")
-        if not self.root.is_dir() or not is_dataset(self.root):
+        if not dataset:
             raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}")
         if not (self.root / "h3" / "schema.json").exists():
             raise FormatError(
@@ -64,7 +69,9 @@ class Dataset:
         """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...)."""
         paths = shard_files(self.root, "meta/episodes")
         try:
-            tables = [pq.read_table(p, page_checksum_verification=True).replace_schema_metadata(None) for p in paths]
+            tables = [
+                pq.read_table(readable(p), page_checksum_verification=True).replace_schema_metadata(None) for p in paths
+            ]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
             faults = _chain_faults(table) if tables else []
         except _DAMAGE as error:
@@ -208,7 +215,8 @@ class Dataset:
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
         """The records of a kind in one shard."""
-        return pq.read_table(shard_path(self.root, f"h3/{kind}", shard), page_checksum_verification=True)
+        path = shard_path(self.root, f"h3/{kind}", shard)
+        return pq.read_table(readable(path), page_checksum_verification=True)
 
     def _check_info(self) -> int:
         """Episodes that info.json counts; it is written after the episode tables, so there are at least as many."""
@@ -293,7 +301,10 @@ class Dataset:
             if len(self._files) >= 4:
                 self._files.pop(next(iter(self._files))).close()
             path = shard_path(self.root, "data", shard)
-            self._files[shard] = pq.ParquetFile(path, memory_map=True, page_checksum_verification=True)
+            self._files[shard] = pq.ParquetFile(
+                readable(path), memory_map=isinstance(path, Path), pre_buffer=not isinstance(path, Path),
+                page_checksum_verification=True,
+            )  # fmt: skip
         return self._files[shard]
 
     def _records(self, kind: str, shard: int, group: range) -> list[tuple[Any, ...]]:

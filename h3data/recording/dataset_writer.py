@@ -12,6 +12,8 @@ import hashlib
 import json
 import os
 import shutil
+import tempfile
+import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -41,6 +43,7 @@ from h3data.recording.schema import (
     layout_to_json,
     struct_to_dict,
 )
+from h3data.recording.storage import AnyPath, RemotePath, place, put_tree, remove_tree
 
 EPISODES_PER_FILE = 100
 
@@ -53,11 +56,14 @@ class DatasetWriter:
     - they are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they
     may have others, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager
     it commits all episodes that were added completely, also on an exception or Ctrl-C. One writer per folder at a time.
+
+    The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and put there whole when it is
+    committed, its episode table last; a second writer is not noticed.
     """
 
     def __init__(
         self,
-        root: str | os.PathLike[str],
+        root: str | os.PathLike[str] | RemotePath,
         *,
         fps: int = 30,
         nominal_fps: bool = False,
@@ -69,7 +75,11 @@ class DatasetWriter:
         file_bytes: int = FILE_MB << 20,
     ) -> None:
         """Open a new folder, replace the dataset in it (``overwrite``), or go on after its last commit (``resume``)."""
-        self.root = Path(root)
+        self.root = place(root)
+        self._local_root = self.root if isinstance(self.root, Path) else Path(tempfile.mkdtemp(prefix="h3data-"))
+        """Where a shard's files are made: in the dataset itself, or in a temporary folder until they are put to its URI."""
+        if isinstance(self.root, RemotePath):
+            weakref.finalize(self, shutil.rmtree, self._local_root, ignore_errors=True)
         self.closed = False
         self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
         self._episodes_per_file, self._file_bytes = episodes_per_file, file_bytes
@@ -103,7 +113,7 @@ class DatasetWriter:
             index, start = len(self), self._totals.frames + (self._shard.frames if self._shard else 0)
             task = self._totals.tasks.setdefault(row["task"], len(self._totals.tasks))
             if self._shard is None:
-                self._shard = Shard(self.root, self._shard_index, self._schema)
+                self._shard = Shard(self._local_root, self._shard_index, self._schema)
             try:
                 self._shard.add(recording, row, sidecars, index=index, start=start, task=task)
             except BaseException:
@@ -123,6 +133,8 @@ class DatasetWriter:
         with self._writing():
             try:
                 shard.commit()
+                if isinstance(self.root, RemotePath):
+                    put_tree(self._local_root, self.root, last="meta/episodes")
             except BaseException:
                 shard.discard()
                 raise
@@ -167,13 +179,14 @@ class DatasetWriter:
         if root.exists() and not root.is_dir():
             raise InputError(f"Expected a folder for the dataset, this is a file: {root}")
         if not root.exists() or not any(root.iterdir()):
-            root.mkdir(parents=True, exist_ok=True)
+            if isinstance(root, Path):
+                root.mkdir(parents=True, exist_ok=True)
             return
         if not is_dataset(root):
             raise InputError(f"The folder exists and is not a dataset of h3data; choose another one: {root}")
         if overwrite:
-            for name in ("meta", "data", "h3"):
-                shutil.rmtree(root / name, ignore_errors=True)
+            for folder in (root / "meta", root / "data", root / "h3"):
+                remove_tree(folder)
         elif resume:
             self._resume()
         else:
@@ -186,7 +199,7 @@ class DatasetWriter:
         if not (self.root / "h3" / "schema.json").exists():
             raise InputError(f"A dataset, but not written by h3data; choose another folder: {self.root}")
         self._schema = DatasetSchema.load(self.root)
-        for leftover in self.root.glob("**/*.part"):
+        for leftover in self.root.rglob("*.part"):
             leftover.unlink()
         committed = shard_files(self.root, "meta/episodes")
         self._shard_index = shard_number(committed[-1]) + 1 if committed else 0
@@ -223,7 +236,7 @@ class DatasetWriter:
         return stored
 
 
-def is_dataset(root: Path) -> bool:
+def is_dataset(root: AnyPath) -> bool:
     """Whether a folder holds a dataset: LeRobot's info.json or our schema."""
     return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
 

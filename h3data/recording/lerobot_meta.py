@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, overload
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +31,7 @@ from h3data.recording.schema import (
     layout_hash,
     version_numbers,
 )
+from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
 FILES_PER_CHUNK = 1000
 FILE_MB = 128
@@ -47,23 +48,30 @@ VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.m
 _POSE7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 
 
-def shard_path(root: Path, kind: str, shard: int) -> Path:
+@overload
+def shard_path(root: Path, kind: str, shard: int) -> Path: ...
+@overload
+def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath: ...
+def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
     """File number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
     return root / kind / f"chunk-{shard // FILES_PER_CHUNK:03d}" / f"file-{shard % FILES_PER_CHUNK:03d}.parquet"
 
 
-def shard_files(root: Path, kind: str) -> list[Path]:
+def shard_files(root: AnyPath, kind: str) -> list[AnyPath]:
     """All complete files of a kind, in order."""
     return sorted((root / kind).glob("chunk-*/file-*.parquet"), key=shard_number)
 
 
-def shard_number(path: Path) -> int:
+def shard_number(path: AnyPath) -> int:
     """The inverse of `shard_path`."""
     return int(path.parent.name.split("-")[1]) * FILES_PER_CHUNK + int(path.stem.split("-")[1])
 
 
-def write_atomic(path: Path, data: bytes) -> None:
+def write_atomic(path: AnyPath, data: bytes) -> None:
     """Write a small file under its final name in one step."""
+    if isinstance(path, RemotePath):
+        path.put(data)
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     with part_file(path) as part, part.open("wb") as stream:
         stream.write(data)
@@ -98,7 +106,7 @@ class DatasetSchema:
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
     @classmethod
-    def load(cls, root: Path) -> Self:
+    def load(cls, root: AnyPath) -> Self:
         """The schema of an existing dataset."""
         path = root / "h3" / "schema.json"
         try:
@@ -225,12 +233,12 @@ class Totals:
     moments: dict[str, Moments] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, root: Path) -> Self:
+    def of(cls, root: AnyPath) -> Self:
         """Totals of all committed episodes of a dataset."""
         totals = cls()
         for path in shard_files(root, "meta/episodes"):
             try:
-                table = pq.read_table(path, columns=["length", "task", "task_index"])
+                table = pq.read_table(readable(path), columns=["length", "task", "task_index"])
                 moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
             except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
                 raise FormatError(f"The episode table is damaged ({error}): {path}") from error
@@ -241,7 +249,7 @@ class Totals:
         return totals
 
 
-def write_meta(root: Path, schema: DatasetSchema, totals: Totals) -> None:
+def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
     """Write ``meta/tasks.parquet``, ``meta/stats.json`` and, last, ``meta/info.json``."""
     write_atomic(root / "meta" / "tasks.parquet", _tasks_parquet(totals.tasks))
     stats = {name: _lerobot_stats(m, totals.frames) for name, m in totals.moments.items()}
@@ -265,11 +273,11 @@ def write_meta(root: Path, schema: DatasetSchema, totals: Totals) -> None:
     write_atomic(root / "meta" / "info.json", json.dumps(info, indent=1, ensure_ascii=False).encode())
 
 
-def rebuild_meta(root: str | os.PathLike[str]) -> int:
+def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
     """Make info.json, tasks.parquet and stats.json again from the episodes that are there; returns how many."""
-    root = Path(root)
-    schema, totals = DatasetSchema.load(root), Totals.of(root)
-    write_meta(root, schema, totals)
+    at = place(root)
+    schema, totals = DatasetSchema.load(at), Totals.of(at)
+    write_meta(at, schema, totals)
     return totals.episodes
 
 

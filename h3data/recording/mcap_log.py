@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import mimetypes
 import os
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -32,6 +33,7 @@ from h3data.recording.schema import (
     layout_to_json,
     struct_to_dict,
 )
+from h3data.recording.storage import AnyPath, RemotePath, local, open_binary, place
 from h3data.recording.wire import (
     WireLayout,
     encode_block,
@@ -108,7 +110,7 @@ class RecordingWriter:
         """
         from mcap.writer import CompressionType, Writer
 
-        self.path = Path(path)
+        self.path = local(path)
         self.part = part_path(self.path)
         self.header = header
         self.steps = 0
@@ -126,7 +128,8 @@ class RecordingWriter:
         self._flushed_at = time.monotonic()
         metadata = _header_metadata(header)
         scene = _encode("h3.Scene", _scene(header))
-        self._refuse_existing(overwrite=overwrite)
+        with self._writing():
+            self._refuse_existing(overwrite=overwrite)
         _make_folder(self.path.parent)
         with self._writing():
             self._stream = open_part(self.part, overwrite=overwrite)
@@ -378,9 +381,21 @@ def _start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> 
         raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.") from None
 
 
-def write_mcap(recording: Recording, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write a finished recording as one MCAP file and return its path; equal recordings make equal files."""
-    with RecordingWriter(path, recording, overwrite=overwrite) as writer:
+def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> AnyPath:
+    """Write a finished recording as one MCAP file and return its path; equal recordings make equal files.
+
+    To a URI it is written in a temporary folder first and then put there whole.
+    """
+    target = place(path)
+    if isinstance(target, RemotePath):
+        if target.exists() and not overwrite:
+            raise InputError(f"The file exists; pass overwrite=True (--force) to replace it: {target}")
+        with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
+            written = write_mcap(recording, Path(folder) / target.name)
+            with open_binary(written) as stream:
+                target.put(stream)
+        return target
+    with RecordingWriter(target, recording, overwrite=overwrite) as writer:
         for start in range(0, max(len(recording), 1), _SLICE_ROWS):  # each append copies what it is given
             writer.append({name: column[start : start + _SLICE_ROWS] for name, column in recording.columns.items()})
         for span in recording.skills:

@@ -25,6 +25,7 @@ from h3data.recording.schema import (
     required_columns,
     struct_from_dict,
 )
+from h3data.recording.storage import AnyPath, RemotePath, local, place
 from h3data.recording.wire import decode_messages, fields_from_metadata, message_class
 
 
@@ -40,13 +41,13 @@ class Recovery:
     """Why the original could not be read as a whole."""
 
 
-def read_mcap(path: str | os.PathLike[str], *, columns: Sequence[str] | None = None) -> Recording:
+def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
     """The recording in an MCAP file, exactly as it was written.
 
     With ``columns`` only these and the ones that no recording can do without (time, object and base poses) are decoded.
     A truncated or damaged file is a `FormatError` that says how much `recover_mcap` can save.
     """
-    path = Path(path)
+    path = place(path)
     log = scan_records(_load(path))
     _check_kind(log, path)
     if log.fault is None and "h3.end" not in log.metadata:
@@ -65,14 +66,16 @@ def read_mcap(path: str | os.PathLike[str], *, columns: Sequence[str] | None = N
         raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
 
 
-def recover_mcap(path: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False) -> Recovery:
+def recover_mcap(
+    path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
+) -> Recovery:
     """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
 
     The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed. The original
     stays as it is, also when ``out`` is the name that it should have got.
     """
-    path, out = Path(path), Path(out)
-    if out.exists() and not overwrite:
+    path, out = place(path), local(out)
+    if os.path.exists(out) and not overwrite:
         raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {out}")
     log = scan_records(_load(path))
     _check_kind(log, path)
@@ -86,12 +89,14 @@ def recover_mcap(path: str | os.PathLike[str], out: str | os.PathLike[str], *, o
         note = {"from": path.name, "reason": reason, "steps": len(recording)}
         info = {**recording.episode.info, "recovered": note}
         recording = replace(recording, episode=replace(recording.episode, info=info))
-    publish(write_mcap(recording, out.with_name(f".{out.name}.recovering"), overwrite=True), out)
+    part = out.with_name(f".{out.name}.recovering")
+    write_mcap(recording, part, overwrite=True)
+    publish(part, out)
     return Recovery(path=out, steps=len(recording), bytes_read=log.readable_bytes, bytes_total=log.size, reason=reason)
 
 
 # --- kinds of files --------------------------------------------------------------------------------------------------
-def _load(path: Path) -> bytes:
+def _load(path: AnyPath) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -102,7 +107,7 @@ def _load(path: Path) -> bytes:
         raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
 
 
-def _check_kind(log: McapRecords, path: Path) -> None:
+def _check_kind(log: McapRecords, path: AnyPath) -> None:
     if not log.readable_bytes:
         raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
     if log.profile != PROFILE and (log.profile or log.fault is None):
@@ -115,7 +120,7 @@ def _check_kind(log: McapRecords, path: Path) -> None:
 
 
 # --- from records to a recording --------------------------------------------------------------------------------------
-def _episode(log: McapRecords, path: Path) -> Episode:
+def _episode(log: McapRecords, path: AnyPath) -> Episode:
     if "h3.episode" not in log.metadata:
         raise FormatError("it ends before the episode record")
     return episode_from_dict(log.metadata["h3.episode"], path=path)
@@ -179,7 +184,7 @@ def _layout(log: McapRecords) -> Layout | None:
     return layout_from_json(log.metadata["h3.layout"]["columns"]) if "h3.layout" in log.metadata else None
 
 
-def _assemble(log: McapRecords, path: Path, *, steps: int | None, wanted: Sequence[str] | None) -> Recording:
+def _assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None) -> Recording:
     episode = _episode(log, path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
@@ -217,7 +222,7 @@ def _assemble(log: McapRecords, path: Path, *, steps: int | None, wanted: Sequen
     )
 
 
-def _recoverable_steps(log: McapRecords, path: Path) -> int:
+def _recoverable_steps(log: McapRecords, path: AnyPath) -> int:
     try:
         return len(_assemble(log, path, steps=None, wanted=None))
     except (KeyError, FormatError, *decoding_errors()):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.records import Recording
+from h3data.recording.storage import AnyPath, RemotePath, open_binary, place
 
 if TYPE_CHECKING:
     from h3data.recording.dataset import Dataset
@@ -29,16 +29,23 @@ _MAGIC = {
 _HEAD = 1 << 16
 
 
-def open_recording(path: str | os.PathLike[str]) -> Recording | Dataset:
-    """A `Recording` for an MCAP log, a `Dataset` for a dataset folder; a `FormatError` says what anything else is."""
-    path = Path(path)
-    if not path.exists():
+def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
+    """A `Recording` for an MCAP log, a `Dataset` for a dataset folder; a `FormatError` says what anything else is.
+
+    The path may be a URI: ``s3://bucket/ds`` (`h3data.recording.storage`).
+    """
+    path = place(path)
+    try:
+        found, folder = path.exists(), path.is_dir()
+    except OSError as error:
+        raise InputError(f"The path cannot be read ({error.strerror or error}): {path}") from error
+    if not found:
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""
         raise InputError(
             f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}"
         )
-    if path.is_dir():
+    if folder:
         from h3data.recording.dataset import Dataset
 
         return Dataset(path)
@@ -55,10 +62,10 @@ def open_recording(path: str | os.PathLike[str]) -> Recording | Dataset:
     raise FormatError(f"Expected an MCAP log or a dataset folder, this looks like {kind}.{parquet} File: {path}")
 
 
-def looks_like(path: Path) -> str:
+def looks_like(path: AnyPath) -> str:
     """What a file is, judged by how it begins: ``an MCAP log``, ``a gfx-replay file of Habitat``, ``text``, ..."""
     try:
-        with open(path, "rb") as stream:
+        with open_binary(path) as stream:
             head = stream.read(_HEAD)
     except OSError as error:
         raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
@@ -81,9 +88,9 @@ def _json_kind(head: bytes) -> str | None:
     return "a JSON file"
 
 
-def _gunzip_head(path: Path) -> bytes:
+def _gunzip_head(path: AnyPath) -> bytes:
     try:
-        with gzip.open(path) as stream:
+        with open_binary(path) as file, gzip.open(file) as stream:
             return stream.read(_HEAD)
     except (OSError, EOFError, zlib.error):
         return b""

@@ -17,6 +17,7 @@ import pyarrow.dataset as pads
 from h3data.errors import InputError, MissingExtraError
 from h3data.recording.dataset_shard import SIDECARS, data_schema, record_schema
 from h3data.recording.lerobot_meta import STANDARD, shard_path
+from h3data.recording.storage import RemotePath
 
 if TYPE_CHECKING:
     import pandas
@@ -113,6 +114,9 @@ def step_source(dataset: Dataset) -> pads.Dataset:
     paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
     if not paths:
         return pads.dataset(schema.empty_table())
+    if isinstance(paths[0], RemotePath):
+        keys = [path.key for path in paths if isinstance(path, RemotePath)]
+        return pads.dataset(keys, schema=schema, format="parquet", filesystem=paths[0].filesystem)
     return pads.dataset([str(path) for path in paths], schema=schema, format="parquet")
 
 

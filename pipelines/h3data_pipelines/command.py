@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-import shutil
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeVar
 
 import tyro
 
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.recording import Recording
+from h3data.recording.storage import AnyPath, RemotePath, local, place, remove_tree
 
+P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
 ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
 AssetsOption = Annotated[
@@ -47,8 +48,13 @@ class Command(Protocol):
     def run(self) -> Outcome: ...
 
 
-def claim_folder(folder: Path, *, force: bool) -> Path:
-    """Make an output folder; refuse one that already holds something unless ``force``."""
+def claim_folder(folder: P, *, force: bool) -> P:
+    """Make an output folder; refuse one that already holds something unless ``force``. A store makes its folders itself."""
+    if isinstance(folder, RemotePath):
+        if any(folder.iterdir()) and not force:
+            raise InputError(f"There is something already. Use --force to overwrite, or another -o: {folder}")
+        return folder
+    local(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"The output folder is a file. Choose another with -o: {folder}")
     if folder.is_dir() and any(folder.iterdir()) and not force:
@@ -60,26 +66,29 @@ def claim_folder(folder: Path, *, force: bool) -> Path:
     return folder
 
 
-def claim_file(path: Path, *, force: bool) -> Path:
+def claim_file(path: P, *, force: bool) -> P:
     """A path to write to; refuse an existing file unless ``force``."""
+    if isinstance(path, Path):
+        local(path)
     if path.is_dir():
         raise InputError(f"Expected a file name, this is a folder: {path}")
     if path.exists() and not force:
         raise InputError(f"The output file exists. Use --force to overwrite, or another -o: {path}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(path, Path):
+            path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"Cannot make the folder of the output file ({error.strerror}): {path}") from None
     return path
 
 
-def open_episode(path: Path) -> Recording:
+def open_episode(path: AnyPath) -> Recording:
     """The recording in an .mcap file, or episode 3 of a dataset named as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
 
     root, _, number = str(path).rpartition("#")
     if root and number.isdecimal() and not path.exists():
-        dataset = open_recording(Path(root))
+        dataset = open_recording(place(root))
         if not isinstance(dataset, Dataset):
             raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}")
         if int(number) >= len(dataset):
@@ -95,7 +104,7 @@ def open_episode(path: Path) -> Recording:
     return opened
 
 
-def remove_dataset(root: Path) -> None:
+def remove_dataset(root: AnyPath) -> None:
     """Delete the dataset in a folder, if it is ours and nothing else lies there; else an error, and nothing is deleted."""
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
@@ -108,8 +117,8 @@ def remove_dataset(root: Path) -> None:
             f"--force would replace this dataset, but {len(strangers)} other things lie in its folder. Remove them "
             f"yourself. The first: {min(strangers)}"
         )
-    for folder in root.iterdir():
-        shutil.rmtree(folder)
+    for name in ("meta", "data", "h3", "mcap"):  # meta first: without it, nothing is committed
+        remove_tree(root / name)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,6 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from h3data.errors import H3DataError, InputError
+from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -39,13 +40,14 @@ class Convert:
         h3data convert ds/ logs/
         h3data convert ds#3 episode.mcap
         h3data convert recordings/ ds/ --resume
+        h3data convert ds/ s3://bucket/ds
         h3data convert hitl_sessions/ ds/ --nominal-fps 30 --check
     """
 
     source: tyro.conf.Positional[Path]
-    """A .mcap file, a dataset, one of its episodes (ds#3), or a folder of these, which is walked."""
+    """A .mcap file, a dataset, one of its episodes (ds#3), or a folder of these, which is walked; or its URI."""
     out: tyro.conf.Positional[Path]
-    """A .mcap file or a folder."""
+    """A .mcap file or a folder; or its URI: s3://bucket/ds."""
     to: Literal["auto", "mcap", "dataset"] = "auto"
     """What a folder becomes, where the input does not decide."""
     nominal_fps: int | None = None
@@ -63,13 +65,13 @@ class Convert:
             raise InputError("Choose one: --resume goes on with what is there, --force replaces it.")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
             raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
-        sources = find_episodes([self.source])
-        if self.out.suffix == ".mcap" and not self.out.is_dir():
+        sources = find_episodes([self._source])
+        if self._out.suffix == ".mcap" and not self._out.is_dir():
             if len(sources) != 1 or self.to == "dataset":
                 raise InputError(
-                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self.out}"
+                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}"
                 )
-            return self._report([self._log(sources[0], self.out)], "mcap")
+            return self._report([self._log(sources[0], self._out)], "mcap")
         self._refuse_itself()
         to = self.to
         if to == "auto":
@@ -79,29 +81,37 @@ class Convert:
             to = "mcap" if of_datasets.pop() else "dataset"
         return self._report(self._dataset(sources) if to == "dataset" else self._logs(sources), to)
 
+    @property
+    def _source(self) -> AnyPath:
+        return place(self.source)
+
+    @property
+    def _out(self) -> AnyPath:
+        return place(self.out)
+
     def _refuse_itself(self) -> None:
         """An output inside the input would be walked, and one that holds the input replaced."""
-        source, out = Path(os.path.abspath(self.source)), Path(os.path.abspath(self.out))
+        source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
         if out == source or source in out.parents or out in source.parents:
-            raise InputError(f"Input and output lie inside each other; choose another output folder: {self.out}")
+            raise InputError(f"Input and output lie inside each other; choose another output folder: {self._out}")
 
     # --- to logs --------------------------------------------------------------------------------------------------
     def _logs(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
         if not self.resume:
-            claim_folder(self.out, force=self.force)
+            claim_folder(self._out, force=self.force)
         return [
             self._log(source, self._target(source))
             for source in tqdm(sources, desc="convert", unit="episode", disable=None)
         ]
 
-    def _target(self, source: EpisodeSource) -> Path:
+    def _target(self, source: EpisodeSource) -> AnyPath:
         """A log keeps its place below the input folder; episode 3 of a dataset becomes ``000003.mcap`` in its place."""
-        if not self.source.is_dir():
-            return self.out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
-        place = self.out / source.path.relative_to(self.source)
-        return place if source.dataset is None else place / f"{source.index:06d}.mcap"
+        if not self._source.is_dir():
+            return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
+        at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
+        return at if source.dataset is None else at / f"{source.index:06d}.mcap"
 
-    def _log(self, source: EpisodeSource, target: Path) -> dict[str, Any]:
+    def _log(self, source: EpisodeSource, target: AnyPath) -> dict[str, Any]:
         from h3data.recording import write_mcap
 
         row: dict[str, Any] = {"source": source.name, "recording": str(target)}
@@ -125,16 +135,16 @@ class Convert:
 
         rate = _steps_per_second(sources) if self.nominal_fps is None else self.nominal_fps
         if self.force:
-            remove_dataset(self.out)
+            remove_dataset(self._out)
         if not self.resume:
-            claim_folder(self.out, force=False)
-        begun = self.resume and (self.out / "h3" / "schema.json").is_file()
+            claim_folder(self._out, force=False)
+        begun = self.resume and (self._out / "h3" / "schema.json").is_file()
         rows = []
         with DatasetWriter(
-            self.out, resume=self.resume, fps=rate, nominal_fps=self.nominal_fps is not None,
+            self._out, resume=self.resume, fps=rate, nominal_fps=self.nominal_fps is not None,
             like=() if begun else _readable(sources),
         ) as writer:  # fmt: skip
-            done = {e["uid"]: k for k, e in enumerate(Dataset(self.out).episodes.to_pylist())} if len(writer) else {}
+            done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).episodes.to_pylist())} if len(writer) else {}
             for source in tqdm(sources, desc="convert", unit="episode", disable=None):
                 row = self._add(source, writer, done)
                 rows.append({"source": source.name, **row})
@@ -146,13 +156,13 @@ class Convert:
         """Read every episode of the dataset back; what differs from its source has failed."""
         from h3data.recording import Dataset
 
-        dataset = Dataset(self.out)
+        dataset = Dataset(self._out)
         for source, row in zip(sources, tqdm(rows, desc="compare", unit="episode", disable=None), strict=True):
             if row["status"] == "failed":
                 continue
             index = int(row["recording"].rpartition("#")[2])
             try:
-                _require_equal(source.read(), dataset.recording(index), self.out)
+                _require_equal(source.read(), dataset.recording(index), self._out)
             except H3DataError as fault:
                 row |= {"status": "failed", "reason": str(fault)}
 
@@ -161,12 +171,12 @@ class Convert:
             recording = source.read()
             index = done.get(recording.episode.uid)
             if index is not None:
-                return {"status": "kept", "recording": f"{self.out}#{index}"}
+                return {"status": "kept", "recording": f"{self._out}#{index}"}
             with uninterrupted():
                 index = writer.add(recording)
         except H3DataError as fault:
             return {"status": "failed", "reason": str(fault)}
-        return {"status": "converted", "recording": f"{self.out}#{index}", "steps": len(recording)}
+        return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}
 
     # --- result ---------------------------------------------------------------------------------------------------
     def _report(self, rows: list[dict[str, Any]], to: str) -> Outcome:
@@ -176,19 +186,19 @@ class Convert:
         lines = [f"failed {row['source']}: {row['reason']}" for row in rows if row["status"] == "failed"]
         checked = ", compared bit for bit" if self.check else ""
         lines.append(
-            f"{self.out}: {count['converted']} episodes converted{checked}, {count['kept']} kept, {count['failed']} failed"
+            f"{self._out}: {count['converted']} episodes converted{checked}, {count['kept']} kept, {count['failed']} failed"
         )
-        data = {"out": str(self.out), "to": to, "checked": self.check, **count, "episodes": rows}
+        data = {"out": str(self._out), "to": to, "checked": self.check, **count, "episodes": rows}
         return Outcome(text="\n".join(lines), data=data, exit_code=1 if count["failed"] else 0)
 
 
-def _read_log(path: Path) -> Recording:
+def _read_log(path: AnyPath) -> Recording:
     from h3data.recording import read_mcap
 
     return read_mcap(path)
 
 
-def _require_equal(recording: Recording, stored: Recording, path: Path) -> None:
+def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> None:
     from h3data.recording import recordings_equal
 
     differences = recordings_equal(recording, stored)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.errors import H3DataError, InputError
+from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import open_episode
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class EpisodeSource:
 
     name: str
     """Path of the file, or ``ds#3``."""
-    path: Path
+    path: AnyPath
     """The file, or the dataset's folder."""
     dataset: Dataset | None = None
     index: int = 0
@@ -39,7 +39,7 @@ class EpisodeSource:
         return open_episode(self.path) if self.dataset is None else self.dataset.recording(self.index)
 
 
-def find_episodes(paths: Iterable[Path]) -> list[EpisodeSource]:
+def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
     """Every episode of ``.mcap`` files, datasets, single episodes (``ds#3``), and folders of all of these, which are walked.
 
     What cannot be opened is in the list too: reading it fails.
@@ -50,7 +50,7 @@ def find_episodes(paths: Iterable[Path]) -> list[EpisodeSource]:
     from h3data.recording.dataset_writer import is_dataset
 
     sources: list[EpisodeSource] = []
-    for path in paths:
+    for path in map(place, paths):
         if not path.is_dir():
             sources.append(EpisodeSource(str(path), path))
         elif is_dataset(path):
@@ -66,7 +66,7 @@ def find_episodes(paths: Iterable[Path]) -> list[EpisodeSource]:
     return sources
 
 
-def _of_dataset(root: Path) -> list[EpisodeSource]:
+def _of_dataset(root: AnyPath) -> list[EpisodeSource]:
     from h3data.recording import Dataset
 
     try:

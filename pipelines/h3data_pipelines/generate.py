@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from h3data.errors import InputError
 from h3data.recording import Recording
+from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
     AssetsOption,
     ForceFlag,
@@ -53,7 +54,7 @@ class Generate:
     task: tyro.conf.Positional[str]
     """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder of the dataset."""
+    """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None = None
     """How many (default: all of a set or file, else 10)."""
     seed: int = 0
@@ -97,22 +98,22 @@ class Generate:
 
         if self.force and self.resume:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
-        jobs = self.jobs()
+        jobs, out = self.jobs(), place(self.out)
         if self.force:
-            remove_dataset(self.out)
+            remove_dataset(out)
         if self.resume:
-            require_same_options(self.out, jobs)
+            require_same_options(out, jobs)
         else:
-            claim_folder(self.out, force=False)
-        with DatasetWriter(self.out, resume=self.resume) as writer:
+            claim_folder(out, force=False)
+        with DatasetWriter(out, resume=self.resume) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
-        recordings = _ReadBack(Dataset(self.out), self.out / "mcap" if self.mcap else None)
+        recordings = _ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
         table = measure_many(recordings)
-        text = f"{len(table)} episodes{_whose(jobs[0])}, {recordings.steps} steps in {self.out}\n\n{table.to_text()}"
+        text = f"{len(table)} episodes{_whose(jobs[0])}, {recordings.steps} steps in {out}\n\n{table.to_text()}"
         text += "".join(f"\nfailed {line}" for line in recordings.failed)
         data: dict[str, Any] = {
-            "dataset": str(self.out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
+            "dataset": str(out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
             "state_hashes": recordings.hashes, "failed": recordings.failed, "metrics": table.to_dict(),
         }  # fmt: skip
         return Outcome(text=text, data=data, exit_code=1 if recordings.failed else 0)
@@ -204,7 +205,7 @@ class Generate:
 class _ReadBack:
     """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
 
-    def __init__(self, dataset: Dataset, mcap: Path | None) -> None:
+    def __init__(self, dataset: Dataset, mcap: AnyPath | None) -> None:
         self.dataset, self.mcap = dataset, mcap
         self.hashes: list[str] = []
         self.failed: list[str] = []
@@ -239,7 +240,7 @@ def _whose(job: AnyJob) -> str:
     return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
 
 
-def require_same_options(folder: Path, jobs: Sequence[AnyJob]) -> None:
+def require_same_options(folder: AnyPath, jobs: Sequence[AnyJob]) -> None:
     """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
     from h3data.recording import Dataset
 

@@ -35,7 +35,7 @@ class Metrics:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, folders of them, and datasets; or `list`; or `explain NAME [RECORDING]`."""
+    """.mcap files, folders of them, and datasets, or their URIs; or `list`; or `explain NAME [RECORDING]`."""
     profile: ProfileName = "paper"
     """Which definitions."""
     paired: bool = False

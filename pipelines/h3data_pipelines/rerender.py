@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import H3DataError, InputError
+from h3data.recording.storage import local
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.camera_log import CameraLog
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, open_episode
@@ -60,6 +61,7 @@ class Rerender:
 
     def run(self) -> Outcome:
         outputs = parse_outputs(self.outputs)
+        local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
         if self.workers < 0:

@@ -19,6 +19,7 @@ import tyro
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
+from h3data.recording.storage import place
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
 from h3data_pipelines.measuring import ProfileName
 
@@ -60,7 +61,7 @@ class Sql:
     query: tyro.conf.Positional[str]
     """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets."""
+    """Folders or URIs (s3://bucket/ds) of datasets."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: ProfileName = "paper"
@@ -73,7 +74,7 @@ class Sql:
 
         if not self.datasets:
             raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET')
-        opened = {str(path): open_recording(path) for path in self.datasets}
+        opened = {str(place(path)): open_recording(path) for path in self.datasets}
         for path, found in opened.items():
             if not isinstance(found, Dataset):
                 raise InputError(

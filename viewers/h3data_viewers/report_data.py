@@ -20,6 +20,7 @@ from h3data.errors import InputError
 from h3data.metrics import EpisodeMetrics, MetricsTable, measure, tabulate
 from h3data.metrics.batch import find_sources, recordings
 from h3data.recording import Recording, open_recording
+from h3data.recording.storage import AnyPath
 
 GRID_S = 0.5
 """Distances are kept at this spacing."""
@@ -43,7 +44,7 @@ class Track:
 class ReportEpisode:
     """One measured episode."""
 
-    source: Path
+    source: AnyPath
     """Dataset or log that holds it."""
     index: int
     """Its number in the dataset."""
@@ -177,7 +178,7 @@ def read_curves(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 # --- inside -----------------------------------------------------------------------------------------------------------
-def _episode(source: Path, index: int, recording: Recording) -> ReportEpisode:
+def _episode(source: AnyPath, index: int, recording: Recording) -> ReportEpisode:
     metrics = measure(recording, "paper")
     info = recording.episode.info
     tracks = tuple(

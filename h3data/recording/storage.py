@@ -1,0 +1,225 @@
+"""Folders and files by path or by URI: what is local stays a `pathlib.Path`, the rest is a `RemotePath` of pyarrow.fs.
+
+An object store has no rename and no append, so nothing is written there piece by piece: files are made locally and put
+whole. A dataset's episode table is put last; its presence commits the shard (docs/format.md).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path, PurePath, PurePosixPath
+from typing import IO, Any
+
+import pyarrow as pa
+import pyarrow.fs as pafs
+
+from h3data.errors import InputError
+
+SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
+"""What pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
+_CHUNK = 8 << 20
+_URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
+
+
+@dataclass(frozen=True, order=True)
+class RemotePath:
+    """A file or folder by its URI, with those methods of `pathlib.Path` that the stores need.
+
+    Credentials, region and end point come from the environment, as each file system defines it: for S3 ``AWS_PROFILE``,
+    ``AWS_ACCESS_KEY_ID``, ``AWS_DEFAULT_REGION``, ``AWS_ENDPOINT_URL``, ... Options of pyarrow may follow as a query:
+    ``s3://bucket/ds?region=eu-west-1``.
+    """
+
+    scheme: str
+    path: str
+    """Authority (bucket) and path, without a slash at the end."""
+    query: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.scheme}://{self.path}" + (f"?{self.query}" if self.query else "")
+
+    def __truediv__(self, name: str | PurePath) -> RemotePath:
+        return self._at(f"{self.path}/{PurePosixPath(name)}")
+
+    @property
+    def name(self) -> str:
+        return self.path.rpartition("/")[2]
+
+    @property
+    def stem(self) -> str:
+        return PurePosixPath(self.name).stem
+
+    @property
+    def suffix(self) -> str:
+        return PurePosixPath(self.name).suffix
+
+    @property
+    def parent(self) -> RemotePath:
+        return self._at(self.path.rpartition("/")[0] or self.path)
+
+    @property
+    def parents(self) -> list[RemotePath]:
+        """The folders that it lies in, the nearest first."""
+        above, at = [], self
+        while at.parent != at:
+            at = at.parent
+            above.append(at)
+        return above
+
+    def relative_to(self, folder: RemotePath) -> PurePosixPath:
+        return PurePosixPath(self.path).relative_to(folder.path)
+
+    def with_name(self, name: str) -> RemotePath:
+        return self.parent / name
+
+    def exists(self) -> bool:
+        return self._info().type != pafs.FileType.NotFound
+
+    def is_dir(self) -> bool:
+        return self._info().type == pafs.FileType.Directory
+
+    def is_file(self) -> bool:
+        return self._info().type == pafs.FileType.File
+
+    def iterdir(self) -> Iterator[RemotePath]:
+        """What lies directly in this folder; nothing if there is no such folder."""
+        return (self / name for name in self._listed(recursive=False))
+
+    def glob(self, pattern: str) -> Iterator[RemotePath]:
+        """Everything below whose path matches, part by part (no ``**``)."""
+        depth = len(PurePosixPath(pattern).parts)
+        return (self / p for p in map(PurePosixPath, self._listed()) if len(p.parts) == depth and p.match(pattern))
+
+    def rglob(self, pattern: str) -> Iterator[RemotePath]:
+        """Everything below, at any depth, whose last parts match."""
+        return (self / name for name in self._listed() if PurePosixPath(name).match(pattern))
+
+    def open_input(self) -> pa.NativeFile:
+        """The file for reading anywhere in it: only what is asked for is fetched."""
+        return self.filesystem.open_input_file(self.key)
+
+    def read_bytes(self) -> bytes:
+        with self.open_input() as stream:
+            return stream.read()
+
+    def put(self, source: IO[bytes] | bytes) -> None:
+        """Store a whole file; in an object store it is visible when all of it is there."""
+        if self.scheme == "mock":
+            self.filesystem.create_dir(self.parent.key)  # unlike an object store, it needs its folders
+        with self.filesystem.open_output_stream(self.key) as stream:
+            if isinstance(source, bytes):
+                stream.write(source)
+            else:
+                shutil.copyfileobj(source, stream, _CHUNK)
+
+    def unlink(self) -> None:
+        self.filesystem.delete_file(self.key)
+
+    @property
+    def filesystem(self) -> pafs.FileSystem:
+        return _filesystem(self.scheme, self.path.partition("/")[0], self.query)[0]
+
+    @property
+    def key(self) -> str:
+        """What its file system calls it."""
+        authority, _, rest = self.path.partition("/")
+        if self.scheme in ("hdfs", "viewfs"):
+            return f"/{rest}"
+        base = _filesystem(self.scheme, authority, self.query)[1]
+        return f"{base}/{rest}".strip("/") if rest else base
+
+    def _at(self, path: str) -> RemotePath:
+        return RemotePath(self.scheme, path, self.query)
+
+    def _info(self) -> pafs.FileInfo:
+        return self.filesystem.get_file_info(self.key)
+
+    def _listed(self, *, recursive: bool = True) -> list[str]:
+        """Paths of files and folders below, relative to this one, sorted."""
+        selector = pafs.FileSelector(self.key, recursive=recursive, allow_not_found=True)
+        return sorted(info.path[len(self.key) :].strip("/") for info in self.filesystem.get_file_info(selector))
+
+
+AnyPath = Path | RemotePath
+
+
+def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
+    """A path or URI as a `Path` or `RemotePath`; ``file://`` is local. A `Path` made of a URI, which lost a slash, is one too.
+
+    Raises:
+        InputError: a URI of a kind that pyarrow.fs does not know.
+    """
+    if isinstance(path, RemotePath):
+        return path
+    text = os.fspath(path)
+    found = _URI.fullmatch(text)
+    if found is None or not (found["double"] or found["scheme"] in SCHEMES):
+        return Path(path)
+    scheme, rest = found["scheme"].lower(), found["rest"]
+    if scheme not in SCHEMES:
+        raise InputError(f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {text}")
+    if scheme == "file":
+        return Path("/" + rest.lstrip("/"))
+    where, _, query = rest.partition("?")
+    where = where.strip("/")
+    if not where:
+        raise InputError(f"A URI needs a bucket or folder: {text}")
+    return RemotePath(scheme, where, query)
+
+
+def local(path: str | os.PathLike[str] | RemotePath) -> Path:
+    """The path, if it is local: for what can only be written there.
+
+    Raises:
+        InputError: it is a URI.
+    """
+    found = place(path)
+    if isinstance(found, RemotePath):
+        raise InputError(f"This can only be written locally; only datasets and .mcap files go to a URI: {found}")
+    return found
+
+
+def readable(path: AnyPath) -> Path | pa.NativeFile:
+    """What pyarrow's readers take."""
+    return path.open_input() if isinstance(path, RemotePath) else path
+
+
+def open_binary(path: AnyPath) -> IO[bytes] | pa.NativeFile:
+    """The file, opened for reading."""
+    return path.open_input() if isinstance(path, RemotePath) else open(path, "rb")
+
+
+def remove_tree(folder: AnyPath) -> None:
+    """Delete a folder with all that is in it, if it is there."""
+    if not folder.exists():
+        return
+    if isinstance(folder, Path):
+        shutil.rmtree(folder)
+    else:
+        folder.filesystem.delete_dir(folder.key)
+
+
+def put_tree(folder: Path, target: RemotePath, *, last: str) -> None:
+    """Put all files of a local folder below ``target``, those below ``last`` when the others are there; then delete it."""
+    try:
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        for path in sorted(files, key=lambda path: path.is_relative_to(folder / last)):
+            with path.open("rb") as stream:
+                (target / path.relative_to(folder)).put(stream)
+    finally:
+        shutil.rmtree(folder)
+
+
+@lru_cache(maxsize=64)
+def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
+    """The file system of all URIs with this beginning, and what it calls the beginning."""
+    uri = f"{scheme}://{authority}" + (f"?{query}" if query else "")
+    try:
+        return pafs.FileSystem.from_uri(uri)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"The storage cannot be opened ({error}): {uri}") from None
