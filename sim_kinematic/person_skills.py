@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
+from sim_kinematic.giving_way import PATIENCE_STEPS, Seen, crowds, in_the_way, round_somebody, waits
 from sim_kinematic.person import Person, SkillResult
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import WalkerSpec
@@ -21,7 +22,8 @@ from sim_kinematic.waypoint_human import sharp_corners
 
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands, of which she uses the right one. She does not give way (as Habitat's planners)."""
+    """A person with two hands, of which she uses the right one. She does not give way to robots (as Habitat's
+    planners), but lets other people pass."""
 
     person: Person
     free: FreeSpace
@@ -29,6 +31,8 @@ class PersonActor:
     objects: Objects
     number: int = HUMAN
     """Of the agent."""
+    others: tuple[Seen, ...] = ()
+    """Other people, the nearest first."""
 
     @property
     def xz(self) -> NDArray:
@@ -74,12 +78,18 @@ class PersonActor:
     def _navigate(self, point: NDArray) -> Skill:
         """Walk to where the hand reaches a world point [3], and turn to it."""
         stands = person_stands(self.free, self.person.body, point)
-        k, left = nearest_stand(self.free, stands, self.xz)
+        for _ in range(PATIENCE_STEPS):
+            if not len(stands) or not crowds(stands, self.others).all():
+                break
+            yield
+        k, left = nearest_stand(self.free, stands, self.xz, crowds(stands, self.others))
         if not np.isfinite(left):
             return Ending("failed", "no_way")
         for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
             self._follow()
             yield
+        if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
+            return Ending("failed", "stuck")
         for _ in self.person.turn(float(stands[k, 2])):
             self._follow()
             yield
@@ -93,9 +103,14 @@ class PersonActor:
             yield from person.turn(float(np.arctan2(-dz, dx)))
         state.xz[0], state.heading[0] = self.xz, self.heading
         clip = person.body.clip_for_speed(self.spec.speed_mps)
-        walk, k = person.body.clips[clip], 0
-        while k < len(path):
-            walk_humans(state, path[k][None], self.spec)
+        walk, k, waited = person.body.clips[clip], 0, 0
+        while k < len(path) and waited <= PATIENCE_STEPS:
+            blocker = in_the_way(self.xz, path[k], self.others)
+            if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
+                detour = round_somebody(self.free, self.xz, path[-1], blocker)
+                path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
+            waited = 0 if blocker is None else waited + 1
+            walk_humans(state, (path[k] if blocker is None else state.xz[0])[None], self.spec)
             person.base = ground_pose(state.xz[0], state.heading[0], self.free.floor_y)
             phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
             person.play(clip, float(phase), float(state.blend[0]))

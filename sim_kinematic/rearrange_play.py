@@ -19,6 +19,7 @@ from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, SkillSpan
 from sim_kinematic.avoidance import AVOIDANCE
 from sim_kinematic.collision import AgentContacts
+from sim_kinematic.giving_way import Seen
 from sim_kinematic.person import Frame, Person
 from sim_kinematic.person_skills import PersonActor
 from sim_kinematic.planners import HighLevelPolicy, TaskView
@@ -178,8 +179,7 @@ class RearrangePlay:
         for self.step in range(spec.max_steps):
             held = self.objects.held_by.copy()
             for runner in self.runners:
-                if isinstance(runner.actor, RobotActor):
-                    self._show_nearest(runner.actor)
+                self._show_others(runner.actor)
                 yield from runner.act(self.step, self.view)
             for track, actor in zip(self.tracks, self.actors, strict=True):
                 track.append(actor.xz.copy())
@@ -216,18 +216,21 @@ class RearrangePlay:
         others = [actor for actor in self.actors if actor is not me]
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number if others else -1
 
-    def _show_nearest(self, robot: RobotActor) -> None:
-        """A robot sees where the agent nearest to it is and how it moves: people, who act first, a step later."""
-        number = self._nearest(robot.number)
-        if number < 0:
-            return
-        other, track = self.actors[number], self.tracks[number]
-        waits = robot.number < number < len(self.robots)  # it acts after this one
-        seen = track[-VELOCITY_STEPS - 1 :] if waits else [*track[-VELOCITY_STEPS:], other.xz.copy()]
-        robot.person_xz = seen[-1]
-        robot.person_velocity = (seen[-1] - seen[0]) / (STEP_S * max(len(seen) - 1, 1))
-        long = np.stack(track[-AVOIDANCE.still_steps :])
-        robot.person_settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
+    def _show_others(self, me: RobotActor | PersonActor) -> None:
+        """An agent sees who else is there and how they move: a robot everybody, people each other."""
+        seen = []
+        for other, track in zip(self.actors, self.tracks, strict=True):
+            is_robot = isinstance(other, RobotActor)
+            if other is me or (is_robot and isinstance(me, PersonActor)):
+                continue
+            # people act first, then robots, each in the order of their numbers
+            moved = (not is_robot and isinstance(me, RobotActor)) or other.number < me.number
+            recent = [*track[-VELOCITY_STEPS:], other.xz.copy()] if moved else track[-VELOCITY_STEPS - 1 :]
+            velocity = (recent[-1] - recent[0]) / (STEP_S * max(len(recent) - 1, 1))
+            long = np.stack(track[-AVOIDANCE.still_steps :])
+            settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
+            seen.append(Seen(other.number, recent[-1], velocity, settled, is_robot))
+        me.others = tuple(sorted(seen, key=lambda other: float(np.hypot(*(other.xz - me.xz)))))
 
     def _write_people(self) -> None:
         """People move by their skills; the state says where they are."""

@@ -12,7 +12,8 @@ from h3data.bodies import Robot, solve_ik
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance import is_crowded, keep_clear, way_round
+from sim_kinematic.avoidance import AVOIDANCE, is_crowded, keep_clear, way_round
+from sim_kinematic.giving_way import ROBOTS, Seen
 from sim_kinematic.manipulation import arm_columns, grip_objects, move_arms, robot_hands
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import STEP_S, ArmSpec, BaseSpec
@@ -60,11 +61,9 @@ class RobotActor:
     number: int = ROBOT
     """Of the agent."""
     avoids: bool = True
-    """Whether its base keeps clear of the person (`keep_clear`), whatever the skill."""
-    person_xz: NDArray = field(default_factory=lambda: np.full(2, np.inf))
-    person_velocity: NDArray = field(default_factory=lambda: np.zeros(2))
-    person_settled: bool = False
-    """She has been standing for long (`AvoidanceSpec.still_steps`)."""
+    """Whether its base keeps clear of the others (`keep_clear`), whatever the skill."""
+    others: tuple[Seen, ...] = ()
+    """Who else is there, the nearest first."""
     command: tuple[float, float] = (0.0, 0.0)
     """What the base was last told, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
@@ -157,14 +156,14 @@ class RobotActor:
     def _navigate(self, point: NDArray) -> Skill:
         """Drive to where the hand reaches a world point [3], and turn to it."""
         stands = robot_stands(self.free, self.robot, self.base, point)
-        k, left = nearest_stand(self.free, stands, self.xz, is_crowded(self.base, stands, self.person_xz))
+        k, left = nearest_stand(self.free, stands, self.xz, self._crowded(stands))
         if not np.isfinite(left):
             return Ending("failed", "no_way")
         goal, best, since, detours = stands[k, :2], np.inf, 0, 0
         via: NDArray | None = None  # where to pass somebody who stands in the way
         while since <= STUCK_STEPS:
-            if since in LOOKS_ROUND and detours < DETOURS and not self.person_velocity.any():
-                via = way_round(self.free, self.xz, goal, self.person_xz)
+            if since in LOOKS_ROUND and detours < DETOURS and self.others and not self.others[0].velocity.any():
+                via = way_round(self.free, self.xz, goal, self.others[0].xz)
                 best, detours = (best, detours) if via is None else (np.inf, detours + 1)
             if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
                 via, best = None, np.inf
@@ -183,6 +182,12 @@ class RobotActor:
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
+
+    def _crowded(self, stands: Array) -> NDArray[np.bool_]:
+        """At which stands it would be too near to somebody, [N]."""
+        specs = [(other, ROBOTS if other.is_robot else AVOIDANCE) for other in self.others]
+        crowded = [is_crowded(self.base, stands, other.xz, spec) for other, spec in specs]
+        return np.any(crowded, axis=0) if crowded else np.zeros(len(stands), np.bool_)
 
     def _turn(self, error: float) -> float:
         """The command that removes a heading error [rad] in one step, if the limit allows."""
@@ -259,10 +264,12 @@ class RobotActor:
         """One step of base and arm; what is held follows."""
         self.command = forward, turn
         if self.avoids and heed:
-            self.command = keep_clear(
-                self.free, self.base, self.xz.copy(), self.heading, self.command, self.xz if towards is None else towards,
-                self.person_xz, self.person_velocity, settled=self.person_settled,
-            )  # fmt: skip
+            aim = self.xz if towards is None else towards
+            for other in reversed(self.others):  # the nearest has the last word
+                self.command = keep_clear(
+                    self.free, self.base, self.xz.copy(), self.heading, self.command, aim, other.xz, other.velocity,
+                    settled=other.settled, spec=ROBOTS if other.is_robot else AVOIDANCE,
+                )  # fmt: skip
         drive_robots(self.state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         way = self.arm_goal[self._arm] - self.joints[self._arm]
