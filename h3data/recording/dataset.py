@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.dataset_shard import SIDECARS
+from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS, conform, record_schema
 from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording
@@ -73,6 +73,9 @@ class Dataset:
                 pq.read_table(readable(p), page_checksum_verification=True).replace_schema_metadata(None) for p in paths
             ]
             table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
+            table = conform(table, EPISODE_SCHEMA)
+            if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):
+                raise ValueError(f"it lacks {', '.join(lacking)}")
             faults = _chain_faults(table) if tables else []
         except _DAMAGE as error:
             raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
@@ -315,7 +318,7 @@ class Dataset:
             if key not in self._sidecars:
                 if len(self._sidecars) >= 2 * len(SIDECARS):
                     self._sidecars.pop(next(iter(self._sidecars)))
-                table = self.sidecar(kind, shard)
+                table = conform(self.sidecar(kind, shard), record_schema(SIDECARS[kind]))
                 self._sidecars[key] = (table, table["episode_index"].to_numpy())
             table, owners = self._sidecars[key]
             bounds = np.searchsorted(owners, [*group, group.stop])

@@ -28,30 +28,32 @@ from h3data.recording.schema import STRUCTS, Column, layout_hash
 ZSTD_LEVEL, PAGE_BYTES = 6, 8 << 20
 SIDECARS = {"bodies": "Body", "assets": "Asset", "agents": "Agent", "skills": "Skill", "events": "Event"}
 _ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
-_EPISODE_FIELDS: list[tuple[str, pa.DataType]] = [
-    ("episode_index", pa.int64()),
-    ("tasks", pa.list_(pa.string())),
-    ("length", pa.int64()),
-    ("data/chunk_index", pa.int64()),
-    ("data/file_index", pa.int64()),
-    ("dataset_from_index", pa.int64()),
-    ("dataset_to_index", pa.int64()),
-    ("meta/episodes/chunk_index", pa.int64()),
-    ("meta/episodes/file_index", pa.int64()),
-    ("uid", pa.string()),
-    ("episode_id", pa.string()),
-    ("task", pa.string()),
-    ("scene", pa.string()),
-    ("seed", pa.int64()),
-    ("dt_ns", pa.int64()),
-    ("task_index", pa.int64()),
-    ("created_by", pa.string()),
-    ("schema_version", pa.string()),
-    ("info", pa.string()),
-    ("row_group", pa.int64()),
-    ("columns", pa.string()),
-    ("attachments", pa.string()),
-]
+EPISODE_SCHEMA = pa.schema(
+    [
+        ("episode_index", pa.int64()),
+        ("tasks", pa.list_(pa.string())),
+        ("length", pa.int64()),
+        ("data/chunk_index", pa.int64()),
+        ("data/file_index", pa.int64()),
+        ("dataset_from_index", pa.int64()),
+        ("dataset_to_index", pa.int64()),
+        ("meta/episodes/chunk_index", pa.int64()),
+        ("meta/episodes/file_index", pa.int64()),
+        ("uid", pa.string()),
+        ("episode_id", pa.string()),
+        ("task", pa.string()),
+        ("scene", pa.string()),
+        ("seed", pa.int64()),
+        ("dt_ns", pa.int64()),
+        ("task_index", pa.int64()),
+        ("created_by", pa.string()),
+        ("schema_version", pa.string()),
+        ("info", pa.string()),
+        ("row_group", pa.int64()),
+        ("columns", pa.string()),
+        ("attachments", pa.string()),
+    ]
+)
 
 
 class Shard:
@@ -123,9 +125,7 @@ class Shard:
         for kind, struct in SIDECARS.items():
             self._write(f"h3/{kind}", pa.Table.from_pylist(self.sidecars[kind], schema=record_schema(struct)))
         metadata = {"h3data.schema_version": self.schema.version, "h3data.moments": pack_moments(self.moments)}
-        self._write(
-            "meta/episodes", pa.Table.from_pylist(self.rows, schema=pa.schema(_EPISODE_FIELDS, metadata=metadata))
-        )
+        self._write("meta/episodes", pa.Table.from_pylist(self.rows, schema=EPISODE_SCHEMA.with_metadata(metadata)))
         for part, final in self.parts:  # the episode table is the last: its name is the commit
             os.replace(part, final)
 
@@ -191,6 +191,17 @@ def record_schema(struct: str) -> pa.Schema:
     """Arrow schema of the records of a kind, one of `STRUCTS`."""
     fields = [("episode_index", pa.int64())]
     return pa.schema(fields + [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()])
+
+
+def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The table with the columns of ``schema`` that it has in their declared types; an error if one has others, or nulls."""
+    for index, name in enumerate(table.column_names):
+        if name in schema.names:
+            column = table[name].cast(schema.field(name).type)
+            if column.null_count:
+                raise ValueError(f"column {name} has nulls")
+            table = table.set_column(index, name, column)
+    return table
 
 
 def data_schema(schema: DatasetSchema) -> pa.Schema:

@@ -73,6 +73,7 @@ def scan_records(data: bytes) -> McapRecords:
         return log
     view = memoryview(data)
     log.readable_bytes = position = len(MAGIC)
+    ended = False
     try:
         while True:
             if position + _RECORD.size > len(data):
@@ -85,9 +86,12 @@ def scan_records(data: bytes) -> McapRecords:
             _take(log, opcode, body)
             if opcode == _DATA_END:
                 _check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
+                ended = True
             position = log.readable_bytes = end
             if opcode == _FOOTER:
                 break
+        if not ended:
+            raise ValueError("the end of the data section is missing")
         summary_start, _, crc = struct.unpack("<QQI", body)
         _check_crc(crc, view[summary_start or position : end - 4], "summary")
         if bytes(data[end:]) != MAGIC:
