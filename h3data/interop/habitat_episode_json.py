@@ -110,7 +110,7 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
     where = f"episodes[{index}]"
     try:
         found = _OBJECT.decode(raw)
-    except msgspec.DecodeError as fault:
+    except (msgspec.DecodeError, UnicodeDecodeError) as fault:
         raise FormatError(f"{where}: {_reworded(fault)}: {path}") from None
     missing = [key for key in ("episode_id", "scene_id") if key not in found]
     if missing:
@@ -124,7 +124,7 @@ def _draft(raw: msgspec.Raw, index: int, rows: list[_Rows], path: Path) -> _Draf
                 extra[key] = msgspec.json.decode(text)
             else:
                 values[key] = decoder.decode(text)
-        except msgspec.DecodeError as fault:
+        except (msgspec.DecodeError, UnicodeDecodeError) as fault:
             raise FormatError(f"{_located(where, key, fault, text)}: {path}") from None
         except RecursionError:
             raise FormatError(f"{where}.{key} is nested too deeply: {path}") from None
@@ -229,7 +229,7 @@ def _culprit(key: str, text: msgspec.Raw) -> str:
     for name, entry in _OBJECT.decode(text).items():
         try:
             decoder.decode(entry)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError):
             return name
     return "..."
 

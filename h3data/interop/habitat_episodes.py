@@ -82,7 +82,7 @@ def _open(path: Path) -> tuple[Sequence[msgspec.Raw], dict[str, Any]]:
         return raws, {key: msgspec.json.decode(raw) for key, raw in top.items()}
     except msgspec.ValidationError:
         raise _other_kind(path, data) from None
-    except msgspec.DecodeError as fault:
+    except (msgspec.DecodeError, UnicodeDecodeError) as fault:
         raise _not_json(path, data, fault) from None
     except RecursionError:
         raise _too_deep(path) from None
@@ -93,7 +93,7 @@ def _other_kind(path: Path, data: bytes) -> FormatError:
         content = msgspec.json.decode(data)
     except RecursionError:
         return _too_deep(path)
-    except msgspec.DecodeError as fault:
+    except (msgspec.DecodeError, UnicodeDecodeError) as fault:
         return _not_json(path, data, fault)
     kind = json_kind(content, name=path.name)
     if kind == "rearrange_episodes":
