@@ -54,9 +54,9 @@ def network_of(policy: str) -> Network:
     """
     name = policy.removeprefix(PREFIX)
     found = _STAMP.match(name)
-    path = Path(found["file"] if found else name)
     if not name:
         raise InputError("Expected the path of a file of weights, as weights:FILE.")
+    path = Path(found["file"] if found else name)
     network = _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
     if found and not network.digest.startswith(found["digest"]):
         raise InputError(

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 
-from h3data.errors import InputError
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError, SceneError
 from h3data.interop.scene_names import open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.planners import HighLevelPolicy, TaskView, partner_policy, robot_policy
 from sim_kinematic.randomness import episode_seed, generator
 from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
 from sim_kinematic.rearrange_play import RearrangePlay, Runner
+from sim_kinematic.robot_skills import checked_command
 from sim_kinematic.skills import CONTROL, Action
 from sim_kinematic.social_nav_batch import scene_sources
 from sim_kinematic.state import HUMAN, ROBOT
 
+DRAWS = 20
 AGENTS: dict[str, int] = {"robot": ROBOT, "human": HUMAN}
 
 
@@ -74,6 +77,8 @@ class RearrangeSession:
         self.spec = spec or RearrangeSpec()
         self.agents = tuple(agents)
         self.bodies = robot, human
+        load_robot(robot)
+        load_humanoid(human)
         self._sources = scene_sources(scenes)
         self._places: dict[int, tuple[Scene, FreeSpace]] = {}
         self._outside = Outside(interrupts_when_close)
@@ -95,22 +100,20 @@ class RearrangeSession:
     def begin(self, seed: int, index: int) -> None:
         """Begin episode ``index`` of run ``seed`` and go on until somebody outside is asked.
 
+        A home and a seed that give no episode are drawn anew, `DRAWS` times at most.
+
         Raises:
-            SceneError: the scene gives no episode with this seed.
+            SceneError: no home gave one.
         """
-        place = int(generator(seed, "scene", step=index).integers(len(self._sources)))
-        scene, free = self._place(place)
-        drawn = episode_seed(seed, index)
-        robot, human = self.bodies
-        world = RearrangeWorld.create(scene, seed=drawn, spec=self.spec, free=free, robot=robot, human=human)
-        self.play = RearrangePlay(world, self._policies(drawn))
+        world = self._draw(seed, index)
+        self.play = RearrangePlay(world, self._policies(world.seed))
         self.ended, self.reward, self.steps = "", 0.0, 0
         self._asking = self.play.questions(self._count)
         self._asked = next(self._asking)
         self._go_on({})
 
     def step(self, actions: Mapping[str, Action]) -> None:
-        """Give those who `choose` now their actions, and go on until one of those outside is asked again, or to the end.
+        """Give those who are `choosing` now their actions, and go on until one of those outside is asked again, or to the end.
 
         Actions of those who are busy are of no effect.
 
@@ -119,8 +122,13 @@ class RearrangeSession:
         """
         if self.play is None or self.ended:
             raise InputError("No episode is going on. Hint: call reset() first.")
+        choosing = self.choosing
+        chosen = {AGENTS[name]: action for name, action in actions.items() if name in choosing}
+        for number, action in chosen.items():
+            self.play.objects.why_not(number, action)
+            if action.skill == CONTROL:
+                checked_command(action.command, load_robot(self.bodies[0]))
         self.reward, self.steps = 0.0, 0
-        chosen = {AGENTS[name]: action for name, action in actions.items() if name in self.choosing}
         self._go_on(chosen)
 
     @property
@@ -175,6 +183,21 @@ class RearrangeSession:
         if "robot" in self.agents:
             return self._outside, partner_policy(given, seed, objects) if isinstance(given, str) else given(seed)
         return robot_policy(given, objects) if isinstance(given, str) else given(seed), self._outside
+
+    def _draw(self, seed: int, index: int) -> RearrangeWorld:
+        robot, human = self.bodies
+        fault: SceneError | None = None
+        for draw in range(DRAWS):
+            run = seed if draw == 0 else episode_seed(seed, draw)
+            scene, free = self._place(int(generator(run, "scene", step=index).integers(len(self._sources))))
+            try:
+                return RearrangeWorld.create(
+                    scene, seed=episode_seed(run, index), spec=self.spec, free=free, robot=robot, human=human
+                )
+            except SceneError as error:
+                fault = error
+        assert fault is not None
+        raise fault
 
     def _place(self, index: int) -> tuple[Scene, FreeSpace]:
         if index not in self._places:

@@ -40,11 +40,13 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     Raises:
         InputError: it has another length or is not finite.
     """
-    action = np.asarray(command, np.float64)
-    if action.shape != (len(arm_columns(robot)) + 3,) or not np.isfinite(action).all():
-        raise InputError(
-            f"Expected a command of {len(arm_columns(robot)) + 3} finite numbers (base 2, arm, grip 1), got {action.tolist()}."
-        )
+    count = len(arm_columns(robot)) + 3
+    try:
+        action = np.asarray(command, np.float64)
+    except (TypeError, ValueError):
+        action = np.full(0, np.nan)
+    if action.shape != (count,) or not np.isfinite(action).all():
+        raise InputError(f"Expected a command of {count} finite numbers (base 2, arm, grip 1), got {command!r}.")
     return np.clip(action, -1.0, 1.0)
 
 
