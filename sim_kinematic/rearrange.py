@@ -53,7 +53,7 @@ def simulate_rearrange(
     Raises:
         InputError: no such policy or partner, or not one for each agent.
     """
-    if policy == SOLO:
+    if policy == SOLO and "human" in kinds_of(world.cast):
         world = world.only(*(k for k, kind in enumerate(kinds_of(world.cast)) if kind == "human"))
     minds = minds_of(kinds_of(world.cast), policy, partner, seed=world.seed, objects=len(world.targets))
     header = describe(world, episode_id=episode_id, policies=[m.name for m in minds], plans=[m.plan for m in minds])

@@ -49,6 +49,7 @@ class Generate:
         h3data generate social_nav --scenes h3-homes/test --policy weights:net.npz -o ds/
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
         h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
+        h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
     """
 
     task: tyro.conf.Positional[str]
@@ -75,6 +76,9 @@ class Generate:
     partner: str | None = None
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
     plan_pop_2, plan_pop_3 or plan_pop_4."""
+    agents: str | None = None
+    """rearrange: who is there, robots and people with commas between, as robot,robot or human,human or robot,human,male_1
+    (default: robot,human). --policy and --partner then may have a name for each robot and each person."""
     human: str | None = None
     """Built-in body of the person, or any: each episode draws one (default: the episode's, else female_0)."""
     human_speed: float | None = None
@@ -149,6 +153,8 @@ class Generate:
         self._check_numbers()
         if self.partner is not None:
             raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
+        if self.agents is not None:
+            raise InputError("--agents is for rearrange: in social_nav a robot follows a person.")
         changes = Changes(
             policy=policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
         )  # fmt: skip
@@ -179,6 +185,7 @@ class Generate:
         return rearrange_jobs(
             self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
             seed=self.seed, policy=self.policy or "complement", partner=self.partner or "both", human=self.human,
+            agents=self.agents,
             spec=rules(human_speed=self.human_speed, max_steps=self.max_steps, spawn_distance=self.spawn_distance),
         )  # fmt: skip
 
