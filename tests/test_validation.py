@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -221,3 +222,107 @@ def test_the_command(episode: Recording, tmp_path: Path, capsys: pytest.CaptureF
 def test_what_is_not_there_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     assert run_json(capsys, "validate", *([tmp_path / name] if name else []), code=2)["error"]
+
+
+# --- one planted fault for each check, through the command ------------------------------------------------------------
+def swapped_steps(source: Path, target: Path, first: int, second: int) -> None:
+    """A copy of a log in which two steps have changed places: time goes back."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with source.open("rb") as stream, target.open("wb") as out:
+        reader = make_reader(stream)
+        writer = Writer(out)
+        writer.start(profile="h3data")
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        for file in reader.iter_attachments():
+            writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
+        messages = list(reader.iter_messages())
+        channels: dict[int, int] = {}
+        for schema, channel, _ in messages:
+            if channel.id not in channels:
+                assert schema is not None
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, channel.metadata
+                )
+        data = [m.data for _, _, m in messages]
+        steps = [k for k, (_, channel, _) in enumerate(messages) if channel.topic == "/h3/state"]
+        a, b = steps[first], steps[second]
+        data[a], data[b] = data[b], data[a]
+        for (_, channel, message), content in zip(messages, data, strict=True):
+            number = channels[channel.id]
+            writer.add_message(number, message.log_time, content, message.publish_time, message.sequence)
+        writer.finish()
+
+
+def late(rec: Recording) -> Recording:
+    time_ns = rec.columns["time_ns"].copy()
+    time_ns[60:] += 10**9
+    return replace(rec, columns={**rec.columns, "time_ns": time_ns})
+
+
+def forged(rec: Recording) -> Recording:
+    base = rec.columns["agent_0.base_pose"].copy()
+    base[50, 0] += 1e-4
+    return replace(rec, columns={**rec.columns, "agent_0.base_pose": base})
+
+
+def lost(rec: Recording) -> Recording:
+    return replace(rec, assets=(replace(rec.assets[0], uri="chairs/none.glb"), *rec.assets[1:]))
+
+
+def thrown(rec: Recording) -> Recording:
+    """A thing that is elsewhere from step 30 on, and one that turns over at step 40."""
+    poses = np.zeros((len(rec), 2, 7), np.float32)
+    poses[:, :, 6] = 1
+    poses[:, :, 1] = 3
+    poses[30:, 0, 0] = 5
+    poses[40:, 1, 3:] = [1, 0, 0, 0]
+    body = replace(rec.bodies[0], agent=-1)
+    things = tuple(replace(body, name=n, moving=k) for k, n in enumerate(("thrown", "turned")))
+    columns = {**rec.columns, "object_pose": poses}
+    return hashed(replace(rec, bodies=(*rec.bodies, *things), columns=columns))
+
+
+PLANTED: dict[str, tuple[Callable[[Recording], Recording], str, list[tuple[str, int]]]] = {
+    "schema": (lambda r: edited(r, "agent_0.skill", 20, 99), "error", [("agent_0.skill", 20)]),
+    "time": (late, "warning", [("time_ns", 60)]),
+    "values": (lambda r: edited(r, "agent_0.joint_pos", (20, 3), np.nan), "error", [("agent_0.joint_pos", 20)]),
+    "quaternions": (lambda r: edited(r, "agent_1.base_pose", (20, slice(3, 7)), [0, 0.5, 0, 0]), "error",
+                    [("agent_1.base_pose", 20)]),
+    "hash": (forged, "error", [("state_hash", 50)]),
+    "jumps": (thrown, "warning", [("thrown", 30), ("turned", 40)]),
+    "penetration": (lambda r: edited(r, "agent_0.base_pose", (slice(100, None), 0), 50.0), "error", [("robot", 100)]),
+    "feet": (lambda r: hashed(r, **{"agent_1.motion_blend": np.zeros(120, np.float32)}), "warning", [("human", 12)]),
+    "assets": (lost, "warning", [("chairs/none.glb", -1)]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("check", PLANTED)
+def test_a_planted_fault_is_found_by_the_command(
+    episode: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], check: str
+) -> None:
+    plant, severity, expected = PLANTED[check]
+    path = tmp_path / "x.mcap"
+    write_mcap(plant(episode), path)
+    report = run_json(capsys, "validate", path, code=int(severity == "error"))
+    found = [f for f in report["episodes"][0]["findings"] if f["check"] == check]
+    assert [(f["subject"], f["step"]) for f in found] == expected
+    assert {f["severity"] for f in found} == {severity}
+    assert report[severity][check] == len(expected)
+    assert main(["validate", str(path)]) == int(severity == "error")
+    assert check in capsys.readouterr().out
+
+
+def test_time_that_goes_back_is_found(episode: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = tmp_path / "whole.mcap"
+    write_mcap(episode, whole)
+    swapped_steps(whole, tmp_path / "same.mcap", 10, 10)
+    assert run_json(capsys, "validate", tmp_path / "same.mcap")["failed"] == 0
+    swapped_steps(whole, tmp_path / "x.mcap", 10, 11)
+    report = run_json(capsys, "validate", tmp_path / "x.mcap", code=1)
+    (found,) = report["episodes"][0]["findings"]
+    assert found["check"] == "unreadable"
+    assert "in order" in found["text"]

@@ -22,8 +22,8 @@ from h3data.interop.sniff import (
     KIND_WORDS,
     REPLAY_MEMBERS,
     byte_chunks,
-    content_kind,
     decode_json,
+    json_kind,
     not_json,
     truncated,
 )
@@ -204,15 +204,15 @@ def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[i
     try:
         file = decode_json(data, _File)
     except msgspec.ValidationError as fault:
-        content = json.loads(data.removeprefix(BYTE_ORDER_MARK))
+        content = _content(path, data)
         if isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe")):
             raise _invalid(path, str(fault)) from None
-        raise _other_kind(path, data) from None
+        raise _other_kind(path, content) from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
     single = bytes(file.keyframe)
     if file.keyframes is None and not single:
-        raise _other_kind(path, data)
+        raise _other_kind(path, _content(path, data))
     yield from ((0, bytes(text)) for text in (file.keyframes if file.keyframes is not None else [single]))
 
 
@@ -235,11 +235,17 @@ def _decoded(path: Path, number: int, start: int, text: bytes) -> Keyframe:
         raise not_json(path, text, fault, start=start) from None
 
 
-def _other_kind(path: Path, data: bytes) -> FormatError:
-    content = decode_json(data)
+def _content(path: Path, data: bytes) -> Any:
+    try:
+        return decode_json(data)
+    except msgspec.DecodeError as fault:
+        raise not_json(path, data, fault) from None
+
+
+def _other_kind(path: Path, content: Any) -> FormatError:
     if isinstance(content, dict):
         keys = ", ".join(list(content)[:8]) or "none"
-        kind = content_kind(data, name=path.name)
+        kind = json_kind(content, name=path.name)
         shape = f"Its top-level keys are: {keys}; it looks like {KIND_WORDS.get(kind, kind)}."
     else:
         shape = f"It holds a JSON {type(content).__name__}."
