@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import AVOIDANCE, way_round
+from sim_kinematic.waypoint_human import sharp_corners
 
 ROBOTS = replace(AVOIDANCE, person_radius_m=0.6)
 """A robot is longer than a person is wide."""
@@ -62,7 +63,7 @@ def round_somebody(free: FreeSpace, xz: NDArray, goal: NDArray, other: Seen) -> 
     if via is None:
         return None
     legs = free.path(xz, via, max_snap_m=1.0), free.path(via, goal, max_snap_m=1.0)
-    return np.concatenate([leg[1:] for leg in legs])
+    return np.concatenate([sharp_corners(free, leg)[1:] for leg in legs])
 
 
 def crowds(stands: NDArray, others: Sequence[Seen]) -> NDArray[np.bool_]:
