@@ -1,4 +1,4 @@
-"""Files that appear under their final name only when they are complete."""
+"""Files that appear under their final name only when they are complete; where caches lie."""
 
 from __future__ import annotations
 
@@ -9,6 +9,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from h3data.errors import InputError
+
+
+def cache_folder(kind: str) -> Path | None:
+    """Where things of a kind are cached: below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
+
+    None when ``H3DATA_CACHE`` is ``off``, or where there is no home folder.
+    """
+    wanted = os.environ.get("H3DATA_CACHE")
+    if wanted is not None:
+        return None if wanted.lower() in ("", "0", "off", "no") else Path(wanted) / kind
+    home = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(home) if home else Path.home() / ".cache") / "h3data" / kind
+    except RuntimeError:
+        return None
 
 
 @contextmanager

@@ -137,3 +137,69 @@ def test_refusals(dataset: Dataset) -> None:
     assert len(windows) == 0
     with pytest.raises(IndexError, match="0 windows"):
         windows[0]
+
+
+# --- the cache of mapped files ----------------------------------------------------------------------------------------
+def all_windows(dataset: Dataset, **options) -> list[dict]:
+    return list(WindowDataset(dataset, COLUMNS, history=3, horizon=2, border="pad", **options))
+
+
+def same(first: list[dict], second: list[dict]) -> bool:
+    return len(first) == len(second) and all(
+        torch.equal(torch.as_tensor(a[name]), torch.as_tensor(b[name]))
+        for a, b in zip(first, second, strict=True)
+        for name in a
+    )
+
+
+def test_mapped_files_give_the_same_windows(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+    plain = all_windows(dataset)
+    assert same(all_windows(dataset, disk_cache=True, cache_bytes=0), plain)
+    files = sorted((tmp_path / "arrow").iterdir())
+    assert len(files) == 3, "one for each shard"
+    with monkeypatch.context() as patch:
+        patch.setattr(Dataset, "read_group", None)  # nothing is read from Parquet any more
+        windows = WindowDataset(dataset, COLUMNS, history=3, horizon=2, border="pad", disk_cache=True)
+        assert same(list(pickle.loads(pickle.dumps(windows))), plain)
+    files[0].write_bytes(b"ARROW1 and then something else")
+    assert same(all_windows(dataset, disk_cache=True), plain)
+    assert "broken" in caplog.text
+    monkeypatch.setenv("H3DATA_CACHE", "off")
+    assert same(all_windows(dataset, disk_cache=True), plain)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path / "file"))  # cannot be a folder
+    assert same(all_windows(dataset, disk_cache=True), plain)
+
+
+def test_a_dataset_that_was_written_anew_is_not_taken_from_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path / "cache"))
+    for seed in range(2):
+        with DatasetWriter(tmp_path / "ds", overwrite=True) as writer:
+            writer.add(simple_recording(steps=5, seed=seed))
+        dataset = Dataset(tmp_path / "ds")
+        assert same(all_windows(dataset, disk_cache=True), all_windows(dataset))
+
+
+def test_the_mapped_files_that_were_used_last_stay(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("H3DATA_CACHE", str(tmp_path))
+    for column in ("agent_0.action", "agent_0.base_pose"):
+        list(WindowDataset(dataset, [column], disk_cache=True))
+    files = sorted((tmp_path / "arrow").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    assert len(files) == 6
+    largest = max(path.stat().st_size for path in files)
+    monkeypatch.setenv("H3DATA_CACHE_GB", str(2.5 * largest / 1e9))
+    list(WindowDataset(dataset, ["metrics.collision"], episodes=[0], disk_cache=True))
+    kept = set((tmp_path / "arrow").iterdir())
+    assert files[-1] in kept
+    assert not kept & set(files[:3])
+    assert sum(path.stat().st_size for path in kept) <= 2.5 * largest
+    monkeypatch.setenv("H3DATA_CACHE_GB", "much")
+    with pytest.raises(InputError, match="H3DATA_CACHE_GB"):
+        list(WindowDataset(dataset, ["time_ns"], disk_cache=True))

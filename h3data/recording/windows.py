@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording import tables
+from h3data.recording import arrow_cache, tables
 from h3data.recording.dataset import Dataset
 
 Border = Literal["drop", "pad"]
@@ -31,7 +32,9 @@ class WindowDataset:
     ``stride``-th step. Windows come in the order of episodes and steps, always the same; shuffling is the loader's task.
 
     Reads the row group of one episode at a time, only ``columns``, and keeps the last ones, up to ``cache_bytes`` in each
-    worker. Workers may be forked or spawned; with a dataset in an object store, spawn them.
+    worker. Where shuffled windows do not fit there, ``disk_cache`` keeps the columns as memory-mapped files
+    (`h3data.recording.arrow_cache`) that all workers share. Workers may be forked or spawned; with a dataset in an object
+    store, spawn them.
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class WindowDataset:
         border: Border = "drop",
         episodes: Iterable[int] | None = None,
         cache_bytes: int = CACHE_BYTES,
+        disk_cache: bool = False,
     ) -> None:
         """Windows over ``episodes`` (default: all) as the dataset is now.
 
@@ -68,6 +72,8 @@ class WindowDataset:
         self._episodes = np.array(chosen, np.int64)
         self._ends = np.cumsum(-(-anchors // stride))
         self._cache_bytes, self._cached = cache_bytes, 0
+        self._disk_cache = disk_cache
+        self._mapped: dict[int, pa.ipc.RecordBatchFileReader | None] = {}
         self._cache: OrderedDict[int, tuple[dict[str, NDArray[Any]], int]] = OrderedDict()
 
     def __len__(self) -> int:
@@ -96,7 +102,7 @@ class WindowDataset:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what was read: spawned workers read for themselves."""
-        return {**self.__dict__, "_cache": OrderedDict(), "_cached": 0}
+        return {**self.__dict__, "_cache": OrderedDict(), "_cached": 0, "_mapped": {}}
 
     def __repr__(self) -> str:
         shape = f"history={self.history}, horizon={self.horizon}, stride={self.stride}, border={self.border!r}"
@@ -107,7 +113,7 @@ class WindowDataset:
         if episode in self._cache:
             self._cache.move_to_end(episode)
             return self._cache[episode][0]
-        table = tables.to_arrow(self.dataset, columns=self.columns, episodes=[episode])
+        table = self._table_of(episode)
         tensors = tables.to_torch(table, tables.shapes_of(self.dataset))
         rows = {name: tensor.numpy() for name, tensor in tensors.items()}
         size = sum(values.nbytes for values in rows.values())
@@ -116,3 +122,13 @@ class WindowDataset:
         while self._cached > self._cache_bytes and len(self._cache) > 1:
             self._cached -= self._cache.popitem(last=False)[1][1]
         return rows
+
+    def _table_of(self, episode: int) -> pa.Table:
+        row = self.dataset.rows[episode]
+        shard = self.dataset.shard_of(row)
+        if self._disk_cache and shard not in self._mapped:
+            self._mapped[shard] = arrow_cache.open_cached(self.dataset, shard, self.columns)
+        reader = self._mapped.get(shard)
+        if reader is None:
+            return tables.to_arrow(self.dataset, columns=self.columns, episodes=[episode])
+        return pa.Table.from_batches([reader.get_batch(row["row_group"])])

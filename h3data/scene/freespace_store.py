@@ -7,7 +7,6 @@ else ``~/.cache/h3data/freespace``. Where that cannot be written, nothing is cac
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon
 
+from h3data import files
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.scene._lattice import Lattice
@@ -88,16 +88,7 @@ def cached(key: str, build: Callable[[], FreeSpace]) -> FreeSpace:
 
 def cache_folder() -> Path | None:
     """Where free spaces are kept, None when ``H3DATA_CACHE`` is ``off``."""
-    wanted = os.environ.get("H3DATA_CACHE")
-    if wanted is not None and wanted.lower() in ("", "0", "off", "no"):
-        return None
-    if wanted is not None:
-        return Path(wanted) / "freespace"
-    home = os.environ.get("XDG_CACHE_HOME")
-    try:
-        return (Path(home) if home else Path.home() / ".cache") / "h3data" / "freespace"
-    except RuntimeError:  # no home folder
-        return None
+    return files.cache_folder("freespace")
 
 
 def _from_arrays(arrays: dict[str, NDArray]) -> FreeSpace:
