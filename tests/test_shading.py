@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
@@ -21,6 +23,7 @@ from h3data.render import (
     normalize_depth,
     pinhole,
 )
+from h3data.render.borrowed import borrowed
 from h3data.render.shading import tone_map
 from h3data.scene.records import Mesh
 from h3data.srgb import linear_to_srgb, srgb_to_linear
@@ -52,6 +55,24 @@ def test_srgb_is_its_own_inverse_and_tone_mapping_is_monotone():
     assert (np.diff(y) >= 0).all()
     assert y.max() < 1
     np.testing.assert_array_equal(tone_map(x[x <= 0.75]), x[x <= 0.75])
+
+
+def test_borrowed_arrays_are_the_same_arrays():
+    @njit
+    def doubled(nested, once):
+        (a, (b, _)), c = borrowed(nested), borrowed(once)
+        for k in range(len(a)):
+            a[k] *= 2
+            b[0, k] += c[k]
+        return borrowed(nested)[1][0].sum() + once[0]
+
+    first, second, once = np.arange(3.0), np.zeros((2, 3), np.int64), np.ones(3, np.float32)
+    counts = [sys.getrefcount(array) for array in (first, second, once)]
+    for _ in range(3):
+        doubled((first, (second, 7)), once)
+    np.testing.assert_array_equal(first, [0, 8, 16])
+    np.testing.assert_array_equal(second, [[3, 3, 3], [0, 0, 0]])
+    assert counts == [sys.getrefcount(array) for array in (first, second, once)]
 
 
 def test_light_is_computed_in_linear_space():

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import normalized
 from h3data.kernels import kernel
+from h3data.render.borrowed import borrowed
 from h3data.render.occlusion import Occlusion, dim_row, light_left, occlude, receded
 from h3data.render.raster import FAR_PADDING, Geometry, Placement, Target, View
 from h3data.render.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
@@ -121,6 +122,7 @@ def shade(
         placement.matrix,
         view,
         target,
+        new_cache(),
         light_table(light),
         (LINEAR_OF_BYTE, BYTE_OF_LINEAR),
         occlusion,
@@ -132,11 +134,14 @@ def shade(
 
 
 @kernel(error_model="numpy", boundscheck=False)
-def _shade_image(geometry, surface, matrices, view, target, light, tables, occlusion, strength, rgb, normal, fine):
+def _shade_image(
+    geometry, surface, matrices, view, target, cache, light, tables, occlusion, strength, rgb, normal, fine
+):
+    geometry, surface, target = borrowed(geometry), borrowed(surface), borrowed(target)
+    cache, occlusion = borrowed(cache), borrowed(occlusion)
     factor = 2 if fine else 1
     height, width = view.height // factor, view.width // factor
     cofactors = _normal_matrices(matrices)
-    cache = new_cache()
     triangles = cache.words
     texture_at = (np.uintp(surface.textures.levels.ctypes.data), np.uintp(surface.textures.words.ctypes.data))
     block = np.empty(BLOCK_WORDS, np.float32)

@@ -48,13 +48,13 @@ class Cache(NamedTuple):
     """Row of its texture's finest level, or `NO_TEXTURE`, shape [N]."""
 
 
-@njit(nogil=True, forceinline=True)
-def new_cache():
+def new_cache() -> Cache:
+    """Nothing kept."""
     return Cache(
         np.full(CACHE_SIZE, -1, np.int32),
-        np.zeros((CACHE_SIZE, 3, 3)),
-        np.zeros((CACHE_SIZE, ATTRIBUTES), np.float32),
-        np.full(CACHE_SIZE, NO_TEXTURE, np.int32),
+        np.empty((CACHE_SIZE, 3, 3)),
+        np.empty((CACHE_SIZE, ATTRIBUTES), np.float32),
+        np.empty(CACHE_SIZE, np.int32),
     )
 
 
