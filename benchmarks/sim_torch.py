@@ -1,8 +1,13 @@
 """The simulator as tensors: states stepped (robots drive, people walk; nothing else) on one CPU thread and, where there is one,
 on a GPU, there launched operation by operation (eager) and as a CUDA graph; and whole environments of social navigation.
 
-The floor of ``sim.torch.{cpu,cuda}.*`` is made here, so that these lines need nothing but NumPy and torch. The environment
-plays in a furnished home and needs all of h3data.
+The floor of ``sim.torch.{cpu,cuda}.*`` is made here, so that these lines need nothing but NumPy and torch. Environments play in
+a furnished home and need all of h3data.
+
+``sim.gpu.human_robot.w*_depth_fps`` follows the paper's protocol of two agents (docs/benchmark.md): small home, random base
+velocities, a person who walks shortest paths, contact, skinning, and two depth images of 256 x 256 per world, 90 degrees: the
+robot's arm camera and between her eyes. One step of all worlds is one CUDA graph; nothing comes back to the host. Unlike
+there, she walks to random points instead of objects, in a clip of a fixed speed, and no object can be taken.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ Emit = Callable[[str, float, str], None]
 HOME = "small:1"
 CPU_WORLDS, CPU_STEPS = 1024, 20
 CUDA_WORLDS = (1024, 8192, 65536, 262144)
-NEEDED = ("shapely", "fcl", "trimesh", "numba")
+NEEDED = ("fcl", "msgspec", "numba", "pyarrow", "scipy", "shapely", "tqdm")
 """What an environment needs beyond NumPy and torch."""
 
 
@@ -99,7 +104,7 @@ class Stepper:
 
 
 def run(emit: Emit) -> None:
-    """Emits ``sim.torch.*``; the lines of the GPU only where there is one."""
+    """Emits ``sim.torch.*`` and ``sim.gpu.*``; the lines of the GPU only where there is one."""
     import torch
 
     threads = torch.get_num_threads()
@@ -126,6 +131,44 @@ def run(emit: Emit) -> None:
         env, actions = _environment(worlds, "cuda")
         seconds = _wall_s(lambda e=env, a=actions: e.step(a))
         emit(f"sim.torch.cuda.env_w{worlds}_steps_per_s", worlds / seconds, "steps/s")
+    for worlds in (16, 1024):
+        emit(f"sim.gpu.human_robot.w{worlds}_depth_fps", _depth_fps(worlds), "frames/s")
+
+
+def _depth_fps(worlds: int) -> float:
+    """Steps of all worlds per second, with two depth images each."""
+    import torch
+
+    from h3data.bodies import load_humanoid, load_robot
+    from sim_kinematic.spec import SocialNavSpec
+    from sim_kinematic.torch_cameras import TensorCameras
+    from sim_kinematic.torch_episodes import EpisodeBank
+    from sim_kinematic.torch_graph import captured
+    from sim_kinematic.torch_social_nav import Play, SocialNavTensors
+
+    rules = SocialNavSpec(end_on_collision=False, max_steps=3000)
+    bank = EpisodeBank.draw(HOME, 64, spec=rules)
+    sim = SocialNavTensors(bank, device="cuda", spec=rules)
+    cameras = TensorCameras(
+        bank.scenes[0], load_robot("quad_arm"), load_humanoid("female_0"), rules.human, worlds=worlds,
+        floor_y=bank.floors[0].floor_y, views=("robot", "human"), size=(256, 256), hfov_deg=90.0,
+    )  # fmt: skip
+    play = Play.before_the_first(torch.arange(worlds, device="cuda") % len(bank), sim.dtype)
+    actions = torch.rand(64, worlds, 2, device="cuda") * 2 - 1
+    row = torch.zeros(1, dtype=torch.int64, device="cuda")
+
+    def step() -> None:
+        row.add_(1).remainder_(len(actions))
+        after = sim.step(play, actions.index_select(0, row)[0])
+        for mine, new in zip(play.tensors(), after.tensors(), strict=True):
+            mine.copy_(new)
+        cameras.observe(play.robot, play.human)
+
+    with torch.no_grad():
+        replay = captured(step, [*play.tensors(), row])
+        for _ in range(60):  # she has set off
+            replay()
+        return worlds / _wall_s(replay, steps=50)
 
 
 def _on_cuda(emit: Emit, worlds: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from sim_kinematic.sensors import DETECTED_PIXELS, detect_humanoids, egomotion, gps_compass, localization
+from sim_kinematic.sensors import DEPTH_RANGE_M, DETECTED_PIXELS, detect_humanoids, egomotion, gps_compass, localization
 from sim_kinematic.social_nav_batch import SocialNavBatch
 from sim_kinematic.state import AgentState
 
@@ -31,8 +31,6 @@ PAPER_OBSERVATIONS: tuple[Observation, ...] = ("arm_depth", "humanoid_detector",
 STATE_OBSERVATIONS: tuple[Observation, ...] = ("humanoid_gps", "egomotion")
 """What costs no picture."""
 CAMERA = "robot_arm"
-DEPTH_RANGE_M = (0.0, 10.0)
-"""Depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
 FAR_M = 1000.0
 """Bound of places and distances, which no home reaches."""
 FAST = 10.0

@@ -6,7 +6,6 @@ within `TOLERANCE_M` of touching (tests/test_torch_social_nav.py).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,8 @@ from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene.records import Box, Capsule, Shape
-from sim_kinematic.spec import STEP_S, WalkerSpec
+from sim_kinematic.spec import WalkerSpec
+from sim_kinematic.torch_cycle import WalkingCycle
 from sim_kinematic.torch_state import HumanTensors, RobotTensors
 from sim_kinematic.torch_step import heading_direction
 
@@ -26,9 +26,6 @@ CELL_M = 0.02
 """Side of a cell of the robot's distance field."""
 SCALLOP_M = 0.003
 """A row of balls may be this much thinner than the capsule that it stands for."""
-PHASES = 128
-"""Parts of her cycle; within each her balls move straight. From one to the next they may jump: while she sets off or stops,
-her posture does, where a foot comes down (`h3data.bodies.gait.settled`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,13 +40,10 @@ class TouchTest:
     """Numbers of cubes, less one, [3]."""
     strides: tuple[int, int]
     balls: Tensor
-    """Centres in the frame of her root where each part of her cycle begins and ends, by blend, [m], shape
-    [PHASES * 2 * blends, S, 3]."""
+    """Centres in the frame of her root, a row for each of her postures, [rows, S, 3] [m]."""
     radii: Tensor
     """[S] [m]."""
-    blends: int
-    start_phase: float
-    stride_m: float
+    cycle: WalkingCycle
 
     @classmethod
     def of(
@@ -63,9 +57,8 @@ class TouchTest:
         joints = np.asarray(robot.rest, np.float64)
         links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
         placed = [(shape, matrix) for matrix, link in zip(links, robot.links, strict=True) for shape in link.shapes]
-        number = human.clip_for_speed(walker.speed_mps)
-        blends = math.ceil(walker.blend_s / STEP_S - 1e-9) + 1
-        centres, radii = _balls(human, number, blends)
+        cycle = WalkingCycle.of(human, walker)
+        centres, radii = _balls(cycle)
         margin = radii.max() + 2 * CELL_M
         reach = [_bounds(shape, matrix) for shape, matrix in placed]
         low = np.min([r[0] for r in reach], axis=0) - margin
@@ -74,7 +67,6 @@ class TouchTest:
         counts = np.ceil((high - low) / CELL_M).astype(int) + 1
         grid = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1) * CELL_M + low
         distance = np.min([_distance(shape, matrix, grid) for shape, matrix in placed], axis=0)
-        clip = human.clips[number]
 
         def on_device(array: Array) -> Tensor:
             return torch.as_tensor(array, dtype=dtype, device=device)
@@ -82,8 +74,7 @@ class TouchTest:
         return cls(
             field=on_device(_trilinear(distance)), low=on_device(low), last=on_device(counts - 2.0),
             strides=(int((counts[1] - 1) * (counts[2] - 1)), int(counts[2] - 1)),
-            balls=on_device(centres[:, near]), radii=on_device(radii[near]), blends=blends,
-            start_phase=clip.start_phase, stride_m=clip.stride_m,
+            balls=on_device(centres[:, near]), radii=on_device(radii[near]), cycle=cycle,
         )  # fmt: skip
 
     def touching(self, robot: RobotTensors, human: HumanTensors) -> Tensor:
@@ -96,23 +87,11 @@ class TouchTest:
         ahead = heading_direction(robot.heading)
         turn = human.heading - robot.heading
         c, s = turn.cos()[:, None], turn.sin()[:, None]
-        ball = self._posed(human)
-        x, y, z = ball.unbind(-1)
+        x, y, z = self.cycle.look_up(self.balls, human).unbind(-1)
         gx = gap[:, 0] * ahead[:, 0] + gap[:, 1] * ahead[:, 1]
         gz = gap[:, 1] * ahead[:, 0] - gap[:, 0] * ahead[:, 1]
         at = torch.stack([gx[:, None] + x * c + z * s, y, gz[:, None] + z * c - x * s], -1)
         return (self._distance(at) - self.radii).amin(-1)
-
-    def _posed(self, human: HumanTensors) -> Tensor:
-        """Her balls [W, S, 3] in the frame of her root, bilinear in phase and blend."""
-        phase = (human.distance - human.set_off) / self.stride_m + self.start_phase
-        frame = (phase - phase.floor()) * PHASES
-        level = human.blend * (self.blends - 1)
-        f0, b0 = frame.floor(), level.floor().clamp_max(self.blends - 2.0)
-        u, v = (frame - f0)[:, None, None], (level - b0)[:, None, None]
-        row = f0.long().clamp_max(PHASES - 1) * (2 * self.blends) + b0.long()
-        p00, p01, p10, p11 = (self.balls[row + k] for k in (0, 1, self.blends, self.blends + 1))
-        return torch.lerp(torch.lerp(p00, p10, u), torch.lerp(p01, p11, u), v)
 
     def _distance(self, points: Tensor) -> Tensor:
         """From points [..., 3] in the robot's frame to its shapes; beyond the field, that of its border."""
@@ -126,13 +105,9 @@ class TouchTest:
         return line[..., 0] + line[..., 1] * c
 
 
-def _balls(human: Humanoid, clip: int, blends: int) -> tuple[Array, Array]:
-    """Centres [PHASES * 2 * blends, S, 3] in her root's frame and radii [S] of balls along her capsules."""
-    ends = (np.arange(PHASES)[:, None] + (0.0, 1.0 - 1e-9)).ravel() / PHASES
-    phase, blend = np.meshgrid(ends, np.linspace(0, 1, blends), indexing="ij")
-    posture = human.clip_pose(np.full(phase.size, clip), phase.ravel(), blend.ravel())
-    base = np.tile(IDENTITY_POSE, (phase.size, 1))
-    start, end, radius = human.capsules_world(human.joint_matrices(base, *posture))
+def _balls(cycle: WalkingCycle) -> tuple[Array, Array]:
+    """Centres [rows, S, 3] in her root's frame and radii [S] of balls along her capsules."""
+    start, end, radius = cycle.human.capsules_world(cycle.joint_matrices())
     length = np.linalg.norm(end - start, axis=-1).max(0)
     apart = 2 * np.sqrt(2 * radius * SCALLOP_M)  # of balls whose union is thinner than the capsule by that much
     centres, radii = [], []

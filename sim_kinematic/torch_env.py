@@ -14,8 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import Scene
+from sim_kinematic.sensors import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
 from sim_kinematic.spec import SocialNavSpec
 from sim_kinematic.torch_graph import captured
 from sim_kinematic.torch_random import keys, random
@@ -24,10 +26,13 @@ from sim_kinematic.torch_social_nav import Play, SocialNavTensors
 if TYPE_CHECKING:
     from gymnasium.spaces import Box, Dict, Space
 
+    from sim_kinematic.torch_cameras import TensorCameras
     from sim_kinematic.torch_episodes import EpisodeBank
 
-TorchObservation = Literal["humanoid_gps", "egomotion", "localization"]
+TorchObservation = Literal["arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization"]
 """What a device shows; as in `sim_kinematic.observations`."""
+PICTURED = ("arm_depth", "humanoid_detector")
+"""Those that need a picture, and so a GPU and a bank of one scene."""
 STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
 EPISODES = 512
 """Of the bank, unless said otherwise: some seconds to draw."""
@@ -53,6 +58,7 @@ class SocialNavTorchEnv:
         spec: SocialNavSpec | None = None,
         reward: str = "paper",
         end_on_success: bool = False,
+        depth_size: tuple[int, int] | None = None,
         episodes: int | EpisodeBank = EPISODES,
         episodes_seed: int = 0,
         robot: str = "quad_arm",
@@ -69,6 +75,7 @@ class SocialNavTorchEnv:
             spec: The rules; by default those of the paper's training.
             reward: ``paper``; the other one needs the CPU.
             end_on_success: Whether having followed long enough terminates the episode too.
+            depth_size: Width and height of pictures [pixels]; None is that of the robot's camera.
             episodes: How many are drawn for the bank, or a bank.
             episodes_seed: The run whose first episodes these are.
             robot: Name of a built-in robot.
@@ -98,6 +105,8 @@ class SocialNavTorchEnv:
             episodes, device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
         )
         self._names = tuple(dict.fromkeys(observations))
+        pictured = bool(set(PICTURED) & set(observations))
+        self._cameras = self._make_cameras(depth_size, **bodies) if pictured else None
         self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self.play = Play.before_the_first(nothing, self.sim.dtype)
@@ -166,7 +175,32 @@ class SocialNavTorchEnv:
         after = self.sim.step(self.play, self._action)
         for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
             tensor.copy_(value)
-        self._shown = {name: self.sim.observation(name, self.play) for name in self._names}
+        pictures = {} if self._cameras is None else self._pictures(self._cameras)
+        self._shown = {
+            name: pictures[name] if name in pictures else self.sim.observation(name, self.play) for name in self._names
+        }
+
+    def _make_cameras(self, size: tuple[int, int] | None, *, robot: str, human: str) -> TensorCameras:
+        from sim_kinematic.torch_cameras import TensorCameras
+
+        if len(self.bank.scenes) != 1:
+            raise InputError(
+                f"Pictures on a device are of one scene, the episodes play in {len(self.bank.scenes)}. Hint: scenes='small:1'."
+            )
+        return TensorCameras(
+            self.bank.scenes[0], load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
+            floor_y=self.bank.floors[0].floor_y, size=size, device=self.device,
+        )  # fmt: skip
+
+    def _pictures(self, cameras: TensorCameras) -> Tensors:
+        detects = "humanoid_detector" in self._names
+        seen = cameras.observe(self.play.robot, self.play.human, ("depth", "semantic") if detects else ("depth",))
+        near, far = DEPTH_RANGE_M
+        shown = {"arm_depth": ((seen["depth"][0].clip(near, far) - near) / (far - near))[..., None]}
+        if detects:
+            pixels = (seen["semantic"][0] == HUMAN_ID).sum((-2, -1))
+            shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
+        return shown
 
     def _result(self, tensors: Tensors) -> Tensors:
         """In tensors of their own: a graph writes into the same ones again."""
@@ -193,7 +227,11 @@ class SocialNavTorchEnv:
         """Of one world."""
         from sim_kinematic.observations import gymnasium, state_box
 
-        return gymnasium.spaces.Dict({name: state_box(name) for name in self._names})
+        spaces: dict[str, Any] = {name: state_box(name) for name in self._names if name != "arm_depth"}
+        if self._cameras is not None and "arm_depth" in self._names:
+            shape = (self._cameras.renderer.height, self._cameras.renderer.width, 1)
+            spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
+        return gymnasium.spaces.Dict({name: spaces[name] for name in self._names})
 
     @cached_property
     def action_space(self) -> Space[Any]:

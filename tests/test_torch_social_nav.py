@@ -181,7 +181,8 @@ def test_ways_on_several_floors_and_off_the_floor(bank: EpisodeBank) -> None:
 @pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
 def test_contact_is_that_of_the_exact_shapes(name: str) -> None:
     from sim_kinematic.collision import AgentContacts
-    from sim_kinematic.contact import RobotHumanContact, body_shapes, shape_frames
+    from sim_kinematic.contact import RobotHumanContact
+    from sim_kinematic.posing import body_shapes, shape_frames
 
     robot, human, rng, count = load_robot(name), load_humanoid("female_0"), np.random.default_rng(0), 600
     robot_xz, robot_heading, human_heading = rng.uniform(-3, 3, (count, 2)), *rng.uniform(-4, 4, (2, count))
@@ -272,7 +273,8 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
         with pytest.raises(InputError, match=match):
             SocialNavTorchEnv(**{"num_envs": 1, "device": "cpu", "episodes": bank, "spec": RULES, **options})
 
-    wrong("humanoid_gps", observations=("arm_depth",))
+    wrong("humanoid_gps", observations=("rgb",))
+    wrong("one scene", observations=("arm_depth",))
     wrong("paper", reward="habitat")
     wrong("whole number", num_envs=0)
     wrong("Unknown device", device="toaster")
