@@ -91,6 +91,7 @@ def views(eyes: Any, targets: Any, *, hfov_deg: float = 80) -> list[Camera]:
 @cache
 def home_with_person(size: str) -> tuple[RenderScene, int]:
     """A furnished home with a person, and the number of the person's instance."""
+    pytest.importorskip("shapely", reason="furnishing a home needs shapely")
     home = render_scene(build_home(HomeSpec(seed=5, preset=size)))  # type: ignore[arg-type]
     body = load_humanoid("female_0").lod_mesh
     mesh = len(home.meshes)
@@ -366,6 +367,7 @@ def test_one_renderer_for_both_back_ends(make):
 
 def test_what_the_gpu_does_not_draw_is_left_to_the_cpu(make):
     """``backend="auto"``: orthographic cameras and shadows, with things moved before and after the CPU was first needed."""
+    pytest.importorskip("embreex", reason="the extra 'rays' is not installed")
 
     class Engine(AutoEngine):
         renderer_class = make
