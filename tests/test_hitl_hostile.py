@@ -164,6 +164,20 @@ def test_stamps_that_go_back_are_mended(tmp_path: Path) -> None:
     assert len(read_mcap(tmp_path / "x.mcap")) == 4
 
 
+@pytest.mark.parametrize(
+    ("start", "unix_ns"),
+    [("1700000042", 1_700_000_042_100_000_000), ("x", None), (3, None), ("9" * 400, None), ("1e9", None), (None, None)],
+)
+def test_when_it_was_is_kept_if_the_file_says_it(tmp_path: Path, start: Any, unix_ns: int | None) -> None:
+    content = session([frame(0), frame(1)])
+    content["episode"]["start_timestamp"] = start
+    recording = read_hitl_episode(stored(tmp_path, content))
+    found = recording.episode.info.get("t0_unix_ns")
+    assert found is None if unix_ns is None else found == pytest.approx(unix_ns, abs=1000)
+    write_mcap(recording, tmp_path / "x.mcap")
+    assert recording.episode.info["object_ids"] == {"can_:0000": 5}
+
+
 def test_unknown_keys_and_odd_values_are_skipped(tmp_path: Path) -> None:
     odd = frame(0, new_key={"a": [1]}, task_percent_complete=None)
     odd["users"][0]["events"] = [{"type": "pick", "obj_id": 5, "what": None}, {}]
@@ -182,12 +196,12 @@ def test_partnr_results_are_found_beside_the_trajectory(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (tmp_path / "processed_metrics.json").write_text(json.dumps({
         "eid_to_filename": {"3": "data/raw/s1/7.json.gz", "4": "data/raw/s2/7.json.gz"}, "eid_to_pc": {"3": 0.5},
-        "eid_to_success": {"3": False}, "eid_to_explanation": {}, "eid_to_round_needed": [1],
+        "eid_to_success": {"3": False}, "eid_to_explanation": {}, "eid_to_round_needed": [1], "ratio_agent_0": {"3": 0.25},
     }))  # fmt: skip
     path = folder / "7.json.gz"
     path.write_bytes(gzip.compress(json.dumps(session([frame(0)])).encode()))
     result = read_hitl_episode(path).episode.info["partnr"]
-    assert result == {"episode_id": "3", "percent_complete": 0.5, "success": False}
+    assert result == {"episode_id": "3", "percent_complete": 0.5, "success": False, "ratio_agent_0": 0.25}
     (tmp_path / "processed_metrics.json").write_text("[")
     assert "partnr" not in read_hitl_episode(path).episode.info
 

@@ -443,6 +443,7 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "bones": ({"keyframes": [rig(2), rig(3)]}, "rig 3 has 2 bones"),
     "axes": ({"keyframes": [{"loads": [{"filepath": "x.glb", "frame": FRAME}], "creations": [create(0, "x.glb")]}]},
              "perpendicular"),
+    "twice": ('{"keyframes":[{"deletions":[-1],"deletions":3}]}', "keyframe 0, deletions"),
     "lists": ({"keyframes": [{"creations": 5}]}, "keyframe 0, creations"),
 }  # fmt: skip
 

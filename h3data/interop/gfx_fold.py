@@ -17,6 +17,7 @@ from h3data.errors import FormatError
 from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data.interop.gfx_keyframes import BonePose, Creation, Keyframe, Load, Transform
 from h3data.interop.limits import MAX_BODIES, MAX_STEPS, check_count
+from h3data.interop.sniff import decode_json
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
@@ -227,8 +228,8 @@ def _pose_rig(rig: Rig, step: int, number: int, pose: list[BonePose], path: Path
 
 def _lights(text: bytes, step: int, path: Path) -> list[dict[str, Any]]:
     try:
-        return msgspec.json.decode(text or b"[]", type=list[dict[str, Any]])
-    except msgspec.ValidationError as fault:
+        return decode_json(text or b"[]", list[dict[str, Any]])
+    except msgspec.DecodeError as fault:
         raise FormatError(f"Not a valid gfx-replay: {fault}, keyframe {step}, lights: {path}") from None
 
 

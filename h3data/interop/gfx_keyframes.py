@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
@@ -124,6 +124,9 @@ class Keyframe(msgspec.Struct):
     lightsChanged: bool = False
 
 
+_Kind = TypeVar("_Kind")
+
+
 class _File(msgspec.Struct):
     keyframes: list[msgspec.Raw] | None = None
     keyframe: msgspec.Raw = msgspec.Raw()
@@ -154,9 +157,9 @@ def read_keyframes(
     found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
     number, known, strange = -1, False, list[str]()
     for number, (start, text) in enumerate(found):
-        keyframe = _decoded(path, number, start, text)
+        keyframe = _decoded(path, number, start, text, Keyframe)
         if not known:
-            members = list(decode_json(text, dict[str, msgspec.Raw]))
+            members = list(_decoded(path, number, start, text, dict[str, msgspec.Raw]))
             known = not REPLAY_MEMBERS.isdisjoint(members)
             strange = strange or members
         yield keyframe
@@ -226,9 +229,9 @@ def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: 
     return b"".join(parts)
 
 
-def _decoded(path: Path, number: int, start: int, text: bytes) -> Keyframe:
+def _decoded(path: Path, number: int, start: int, text: bytes, kind: type[_Kind]) -> _Kind:
     try:
-        return decode_json(text, Keyframe)
+        return decode_json(text, kind)
     except msgspec.ValidationError as fault:
         raise _explain(path, number, text, str(fault)) from None
     except msgspec.DecodeError as fault:
@@ -271,7 +274,7 @@ def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
 def _item(text: bytes, group: str, index: int) -> Any:
     try:
         return json.loads(text)[group][index]  # msgspec refuses numbers that are too large, which may be the very fault
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError, LookupError, TypeError):  # so is a member that is there twice
         return None
 
 

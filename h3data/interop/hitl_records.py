@@ -207,6 +207,7 @@ class HitlEpisode:
                     "source": {"format": self.form, "file": self.path.name, "sha256": digest},
                     "agents": notes,
                     "synthesised": {n["name"]: n["synthesised"] for n in notes},
+                    "object_ids": {name: number for number, name in self.object_of_id.items()},
                     **self.info,
                     "warnings": [*self.warnings, *place.warnings],
                 },

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +34,7 @@ from h3data.interop.sniff import KIND_WORDS, read_bytes
 from h3data.recording.records import STEP_NS, Event, Recording
 
 Order = Literal["xyzw", "wxyz"]
+_LAST_UNIX_S = 9e9
 _SELECTIONS = ("held_object", "hovered_object", "selected_object")
 
 
@@ -91,12 +93,14 @@ def read_hitl_episode(
 
     The file logs the roots of agents and objects, no joints. So:
 
-    - ``time_ns`` counts from the first stamp. A frame in which nobody was active is ``{}``: it has the state of the last
-      one, a time between its neighbours', and False in the column ``recorded``.
+    - ``time_ns`` counts from the first stamp, ``info["t0_unix_ns"]`` is when that was, to a second. A frame in which nobody
+      was active is ``{}``: it has the state of the last one, a time between its neighbours', and False in the column
+      ``recorded``.
     - Robots are drawn by a built-in one at rest; people get a walk along their way (`h3data.interop.walk_synthesis`);
       ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
-      absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none.
+      absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``
+      has the id of each body.
     - What users did (pick, place, open, close, state_change, ...) are events; ``detail`` is the rest of it as JSON.
     - ``object_state.<name>`` int8 [T, N]: 1 yes, 0 no, -1 unknown, per object.
 
@@ -136,6 +140,7 @@ def read_hitl_episode(
             "generation": 2,
             "quaternion_order": order,
             "t0_s": t0_s,
+            **_wall_clock(episode, t0_s),
             "empty_frames": int(steps - known.sum()),
             "episode": episode,
             "session": file.session,
@@ -203,6 +208,14 @@ def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]
     late = int((rising != nanoseconds).sum())
     warnings = [f"{late} time stamps do not increase; these steps are put right behind the ones before"] if late else []
     return rising, t0, warnings
+
+
+def _wall_clock(episode: Mapping[str, Any], t0_s: float) -> dict[str, int]:
+    """``t0_unix_ns``: when the first row was, if the episode says when it began (whole seconds as text)."""
+    start = episode.get("start_timestamp")
+    if not isinstance(start, str) or not re.fullmatch(r"\d{1,10}(\.\d{1,9})?", start):
+        return {}
+    return {"t0_unix_ns": round((float(start) + t0_s) * 1e9)} if 0 <= float(start) + t0_s < _LAST_UNIX_S else {}
 
 
 def _nominal_step_ns(config: Any) -> int:

@@ -24,7 +24,8 @@ _LEVELS = 3
 def partnr_result(path: Path) -> dict[str, Any]:
     """What ``processed_metrics.json``, in the folder of an episode or above, says about it; {} if there is none.
 
-    Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there.
+    Keys: ``episode_id``, ``rounds_needed``, ``percent_complete``, ``success``, ``explanation``, as far as they are there,
+    and every other table that has the episode, under its own name.
     """
     for folder in list(Path(path).absolute().parents)[: _LEVELS + 1]:
         file = folder / METRICS_FILE
@@ -45,10 +46,9 @@ def _result(file: Path, path: Path) -> dict[str, Any]:
     if len(same) != 1:
         return {}
     found: dict[str, Any] = {"episode_id": same[0]}
-    for key, ours in _RESULTS.items():
-        table = content.get(key)
-        if isinstance(table, dict) and same[0] in table:
-            found[ours] = table[same[0]]
+    for key, table in content.items():
+        if isinstance(table, dict) and same[0] in table and key != "eid_to_filename":
+            found[_RESULTS.get(str(key), str(key))] = table[same[0]]
     return found
 
 
