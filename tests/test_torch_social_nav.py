@@ -105,6 +105,23 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
     assert batch.floor_y.shape == (worlds,)
 
 
+def test_float32_plays_nearly_the_same(bank: EpisodeBank) -> None:
+    worlds, rng = 24, np.random.default_rng(4)
+    first = torch.arange(worlds) % len(bank) - 1
+    exact, single = (SocialNavTensors(bank, device="cpu", dtype=t, spec=RULES) for t in (torch.float64, torch.float32))
+    a, b = (Play.before_the_first(first, sim.dtype) for sim in (exact, single))
+    for _ in range(130):
+        actions = torch.tensor(chase(exact.observation("humanoid_gps", a).numpy(), rng))
+        a, b = exact.step(a, actions), single.step(b, actions.float())
+        assert b.robot.xz.dtype == b.reward.dtype == torch.float32
+        assert torch.equal(a.episode, b.episode)
+        assert (a.human.xz - b.human.xz).abs().max() < 1e-3
+    apart = (a.robot.xz - b.robot.xz).abs().amax(1)
+    assert (apart < 1e-3).double().mean() > 0.8  # a tie at a wall may part two tracks
+    same = apart < 1e-3
+    assert (a.reward - b.reward).abs()[same].median() < 1e-3
+
+
 def test_her_way_points_last_for_the_whole_episode(bank: EpisodeBank) -> None:
     sim = SocialNavTensors(bank, device="cpu", spec=RULES)
     play = sim.step(Play.before_the_first(torch.arange(len(bank)) - 1, torch.float64), torch.zeros(len(bank), 2))
