@@ -51,7 +51,7 @@ AVOIDANCE = AvoidanceSpec()
 
 
 @kernel(error_model="numpy")
-def _least_gap(x, z, heading, person_x, person_z, discs, radius):
+def least_gap(x, z, heading, person_x, person_z, discs, radius):
     least = math.inf
     for offset in discs:
         dx = x + math.cos(heading) * offset - person_x
@@ -81,7 +81,7 @@ def try_command(
             x, z, heading = nx, nz, nh
         if step % stride == 0:
             t = step * dt
-            now = _least_gap(x, z, heading, person[0] + velocity[0] * t, person[1] + velocity[1] * t, discs, radius)
+            now = least_gap(x, z, heading, person[0] + velocity[0] * t, person[1] + velocity[1] * t, discs, radius)
             gap = min(gap, now + 0.25 * t)
     return gap, x, z, heading
 
@@ -132,7 +132,7 @@ def is_crowded(
     """At which stands ``(x, z, heading)`` [N, 3] a robot would be too near to where a person is now."""
     radius = base.disc_radius_m + spec.person_radius_m
     discs = np.array(spec.discs_m)
-    gaps = [_least_gap(x, z, heading, person_xz[0], person_xz[1], discs, radius) for x, z, heading in stands]
+    gaps = [least_gap(x, z, heading, person_xz[0], person_xz[1], discs, radius) for x, z, heading in stands]
     return np.array(gaps) < spec.margin_m
 
 

@@ -293,6 +293,10 @@ class RecordedHuman:
         self._xz = base[:, [0, 2]].astype(np.float64)
         self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
 
+    def track(self) -> NDArray[np.float64]:
+        """As `sim_kinematic.social_nav.Foreseen.track`."""
+        return self._xz
+
     def advance(self, state: HumanState, step: int) -> Posture:
         """As `sim_kinematic.social_nav.Human.advance`."""
         state.distance[0] += float(np.hypot(*(self._xz[step] - state.xz[0])))

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from functools import partial
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from sim_kinematic.social_nav_log import HUMAN_SKILLS, EpisodeLog, Sink, Step, d
 from sim_kinematic.spec import SocialNavSpec
 from sim_kinematic.state import HumanState, RobotState
 from sim_kinematic.step import drive_robots, least_clearance, walk_humans
-from sim_kinematic.waypoint_human import WaypointHuman, human_plan
+from sim_kinematic.waypoint_human import HumanPlan, WaypointHuman, human_plan
 
 ROBOT, HUMAN = 0, 1
 
@@ -161,12 +162,28 @@ class Human(Protocol):
         ...
 
 
+@runtime_checkable
+class Foreseen(Protocol):
+    """A person whose whole future is known."""
+
+    def track(self) -> NDArray[np.float64]:
+        """Where she is after each step of the episode, shape [steps, 2] [m]."""
+        ...
+
+
 class ScriptedHuman(WaypointHuman):
     """The way-point walker with a body: what `play` moves by default."""
 
     def __init__(self, world: SocialNavWorld, clip: int) -> None:
         super().__init__(world.free, world.seed, world.spec.human, world.goals)
         self._world, self._clip = world, clip
+        self._track: NDArray[np.float64] | None = None
+
+    def track(self) -> NDArray[np.float64]:
+        """As `Foreseen.track`; computed when first asked for."""
+        if self._track is None:
+            self._track = plan_of(self._world).xz
+        return self._track
 
     def advance(self, state: HumanState, step: int) -> Posture:
         """As `Human.advance`."""
@@ -195,11 +212,16 @@ def play(
     contact = RobotHumanContact(world.robot, world.human)
     met = False
     before: tuple[NDArray[np.float64], float] | None = None
+    human_before: NDArray[np.float64] | None = None
+    track = human.track if isinstance(human, Foreseen) else None
     geodesic = float(free.geodesic(robot_xz, human_xz))
     for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
         heading = float(robot.heading[0])
-        view = View(free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before)
-        before = view.robot_xz, heading
+        view = View(
+            free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before, human_before,
+            None if track is None else partial(_from, track, step),
+        )  # fmt: skip
+        before, human_before = (view.robot_xz, heading), view.human_xz
         command = act(view, spec.robot)
         action = np.array([command.forward, command.turn], np.float32)
         goal, walked = human.goal, float(person.distance[0])
@@ -244,6 +266,10 @@ def play(
     return "max_steps"
 
 
+def _from(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
+    return track()[step:]
+
+
 def _collides(
     world: SocialNavWorld, robot: RobotState, person: HumanState, contact: RobotHumanContact, posture: Posture
 ) -> bool:
@@ -258,10 +284,18 @@ def _collides(
     )
 
 
+def plan_of(world: SocialNavWorld) -> HumanPlan:
+    """What the scripted person will do in an episode of greatest length."""
+    starts, spec = world.starts, world.spec
+    return human_plan(
+        world.free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals
+    )  # fmt: skip
+
+
 def hindsight(world: SocialNavWorld) -> dict[str, Any]:
     """What follows from the person's whole plan, however long the episode lasted: her goals, and the oracle's ``l``."""
     starts, spec, free = world.starts, world.spec, world.free
-    plan = human_plan(free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals)
+    plan = plan_of(world)
     return {
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
         "oracle_min_steps": oracle_min_steps(free, starts.robot_xz, starts.robot_heading, plan.xz, spec),

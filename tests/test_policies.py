@@ -1,0 +1,180 @@
+"""Robot policies of social navigation: laws of their commands, and what they score on a few episodes."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from shapely.affinity import scale
+from shapely.geometry import box
+
+from h3data.errors import InputError
+from h3data.geometry import wrap_angle
+from h3data.metrics import measure
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene.freespace_build import build_from_walkable
+from sim_kinematic.policies import POLICIES, ROBOT_SKILLS, Policy, View, future_oracle, heuristic_expert
+from sim_kinematic.rollouts import roll_out, straight_walk
+from sim_kinematic.social_nav import SocialNavWorld, plan_of, simulate_social_nav
+from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec
+from sim_kinematic.state import RobotState
+from sim_kinematic.step import drive_robots, least_clearance
+
+SPEC = BaseSpec()
+MIRROR = np.array([1.0, -1.0])
+"""z to -z: left and right change places."""
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=1))
+
+
+@pytest.fixture(scope="module")
+def free(home: Scene) -> FreeSpace:
+    return FreeSpace.from_scene(home, radius_m=0.25, cache=False)
+
+
+def places(free: FreeSpace, count: int) -> list[tuple[np.ndarray, float]]:
+    """Free poses of a base."""
+    rng, found = np.random.default_rng(3), []
+    while len(found) < count:
+        xz, heading = free.sample(rng, 1)[0], float(rng.uniform(-4, 4))
+        if least_clearance(free.sdf, free.origin, free.cell_m, *xz, heading, np.array(SPEC.disc_offsets_m)) >= 0.25:
+            found.append((xz, heading))
+    return found
+
+
+def views(free: FreeSpace, count: int) -> list[View]:
+    """Robots anywhere, most of them near the person, who stands or walks."""
+    rng, found = np.random.default_rng(8), []
+    for k, (xz, heading) in enumerate(places(free, count)):
+        human = free.snap(xz + rng.normal(size=2) * (1.0 if k % 3 else 4.0))
+        velocity = rng.normal(size=2) * (1.5 if k % 2 else 0.0)
+        future = partial(free.snap, human + velocity * (np.arange(1, 200)[:, None] * STEP_S))
+        found.append(
+            View(
+                free, xz, heading, human, float(free.geodesic(xz, human)), bool(k % 4), 5, k, None,
+                human - velocity * STEP_S, future,
+            )
+        )  # fmt: skip
+    return found
+
+
+@pytest.mark.parametrize("policy", POLICIES.values(), ids=POLICIES)
+def test_commands_are_in_range_and_the_same_again(policy: Policy, free: FreeSpace) -> None:
+    for view in views(free, 60):
+        command = policy(view, SPEC)
+        assert -1 <= command.forward <= 1
+        assert -1 <= command.turn <= 1
+        assert command.skill in ROBOT_SKILLS
+        assert policy(view._replace(robot_xz=view.robot_xz.copy()), SPEC) == command
+
+
+@pytest.mark.parametrize("policy", [heuristic_expert, POLICIES["sampling_expert"], future_oracle])
+def test_experts_wait_where_there_is_no_way(policy: Policy, free: FreeSpace) -> None:
+    for met in (False, True):
+        view = views(free, 1)[0]._replace(geodesic_m=np.inf, met=met)
+        assert policy(view, SPEC) == (0.0, 0.0, "wait")
+
+
+def test_a_mirrored_world_has_mirrored_commands() -> None:
+    """z to -z: the same speed, the opposite turn."""
+    room = box(-4, -3, 4, 3) - box(-1, 0, 0.5, 1) - box(2, -3, 2.5, -1)
+    free, mirrored = (
+        build_from_walkable(r, radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
+        for r in (room, scale(room, 1, -1, origin=(0, 0)))
+    )
+    for k, view in enumerate(views(free, 60)):
+        assert view.human_before is not None
+        other = view._replace(
+            free=mirrored, robot_xz=view.robot_xz * MIRROR, robot_heading=-view.robot_heading,
+            human_xz=view.human_xz * MIRROR, human_before=view.human_before * MIRROR,
+        )  # fmt: skip
+        one, two = heuristic_expert(view, SPEC), heuristic_expert(other, SPEC)
+        assert one.skill == two.skill
+        assert one[:2] == pytest.approx((two.forward, -two.turn), abs=1e-6), k
+
+
+def test_trials_are_the_motion_of_the_simulator(free: FreeSpace) -> None:
+    rng = np.random.default_rng(4)
+    for xz, heading in places(free, 20):
+        commands = np.concatenate(
+            [rng.uniform(-1, 1, (5, 2)), [[4], [0], [9], [30], [17]], rng.uniform(-1, 1, (5, 1))], 1
+        )
+        ends = roll_out(free, SPEC, xz, heading, commands, np.full((30, 2), 99.0), look_steps=25)
+        for n, (forward, turn, steps, then) in enumerate(commands):
+            robot = RobotState.zeros(1)
+            robot.xz[0], robot.heading[0] = xz, heading
+            for step in range(25):
+                action = [[forward, turn]] if step < steps else [[then, 0.0]]
+                drive_robots(robot, free, np.array(action), SPEC)
+            np.testing.assert_allclose(ends.xz[n], robot.xz[0], atol=1e-12)
+            assert ends.heading[n] == pytest.approx(robot.heading[0])
+
+
+def test_who_walks_stops_at_the_wall(free: FreeSpace) -> None:
+    rng = np.random.default_rng(6)
+    for xz in free.sample(rng, 30):
+        velocity = rng.normal(size=2) * 3
+        walk = straight_walk(free, xz, velocity, 60)
+        assert (free.signed_distance(walk) >= 0.25 - 0.031).all()
+        turned = np.abs(wrap_angle(np.arctan2(*(walk - xz).T) - np.arctan2(*velocity)))
+        assert (turned[np.hypot(*(walk - xz).T) > 1e-6] < 1e-6).all()
+        assert (straight_walk(free, xz, np.zeros(2), 9) == xz).all()
+
+
+def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
+    """The only difference is what she did in the last step: then it backs away at full speed."""
+    rng = np.random.default_rng(5)
+    while True:
+        xz, human = free.sample(rng, 2)
+        apart = float(np.hypot(*(human - xz)))
+        if 1.4 < apart < 1.49 and free.geodesic(xz, human) < apart + 1e-6 and free.clearance(2 * xz - human) > 0.6:
+            break
+    heading = float(np.arctan2(-(human - xz)[1], (human - xz)[0]))
+    still = View(free, xz, heading, human, apart, True, human_before=human)
+    comes = still._replace(human_before=human + (human - xz) / apart * 2.5 * STEP_S)
+    assert -1 < heuristic_expert(still, SPEC).forward < 0
+    assert heuristic_expert(comes, SPEC).forward == -1
+
+
+def test_only_the_oracle_needs_the_future(free: FreeSpace) -> None:
+    view = views(free, 2)[1]._replace(future=None)
+    with pytest.raises(InputError, match="scripted"):
+        future_oracle(view, SPEC)
+
+    def peeked() -> np.ndarray:
+        raise AssertionError("Nobody else may look.")
+
+    for name, policy in POLICIES.items():
+        if name != "future_oracle":
+            policy(view._replace(future=peeked), SPEC)
+
+
+def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
+    world = SocialNavWorld.create(home, seed=3, spec=SocialNavSpec(max_steps=40), free=free)
+    seen = {}
+
+    def watcher(view: View, spec: BaseSpec) -> object:
+        assert view.future is not None
+        seen[view.step] = (view.human_xz, view.future()[0], view.human_before)
+        return heuristic_expert(view, spec)
+
+    simulate_social_nav(world, policy=watcher)  # type: ignore[arg-type]
+    np.testing.assert_array_equal([seen[k + 1][0] for k in range(39)], [seen[k][1] for k in range(39)])
+    np.testing.assert_array_equal([seen[k + 1][2] for k in range(39)], [seen[k][0] for k in range(39)])
+    np.testing.assert_array_equal([seen[k][1] for k in range(40)], plan_of(world).xz)
+
+
+@pytest.mark.parametrize("policy", ["heuristic_expert", "sampling_expert", "future_oracle"])
+def test_experts_find_follow_and_keep_clear(policy: str, home: Scene, free: FreeSpace) -> None:
+    spec = SocialNavSpec(max_steps=400)
+    worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(4)]
+    values = [measure(simulate_social_nav(world, policy=policy)).values for world in worlds]
+    mean = {name: float(np.mean([v[name] for v in values])) for name in ("S", "SPS", "F", "CR")}
+    assert mean["S"] == 1
+    assert mean["SPS"] > 0.75
+    assert mean["F"] > 0.6
+    assert mean["CR"] <= 0.25
