@@ -6,10 +6,15 @@ process (getrusage), the median of seven rounds.
 
 from __future__ import annotations
 
+import json
 import resource
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -284,8 +289,105 @@ def _run_largest(emit: Emit, renderer: Renderer) -> None:
     emit("render.cpu.orthographic_640x480_cpu_ms", frame_ms(renderer, flat, outputs=IDS), "ms")
     cut = [replace(camera, near=0.5, far=8.0) for camera in views]
     emit("render.cpu.clipped_640x480_cpu_ms", frame_ms(renderer, cut, outputs=IDS), "ms")
+    leafy = Renderer(RenderScene([*renderer.scene.meshes, plant(200)], [*renderer.scene.instances, *plants(40)]))
+    emit("render.cpu.cutouts_640x480_cpu_ms", frame_ms(leafy, views, outputs=IDS), "ms")
+    whole = Renderer(RenderScene([*renderer.scene.meshes, replace(plant(200), textures=())], leafy.scene.instances))
+    emit("render.cpu.cutouts_as_whole_640x480_cpu_ms", frame_ms(whole, views, outputs=IDS), "ms")
     _run_rays(emit, renderer.scene)
     emit("render.cpu.update_cpu_ms", _update_ms(), "ms")
+    emit("render.cpu.two_threads_speedup", _speedup(renderer.scene), "x")
+    larger = Renderer(RenderScene(*home(5_000_000, 600)))
+    ratio = frame_ms(larger, views, outputs=IDS) / frame_ms(renderer, views, outputs=IDS)
+    emit("render.cpu.5m_over_1m_640x480", ratio, "x")
+    del larger
+    code = "import time; start = time.perf_counter(); from benchmarks.render import fresh; fresh(start)"
+    command, root = [sys.executable, "-c", code], Path(__file__).parents[1]
+    told = [subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout for _ in range(2)]
+    for name, value in json.loads(told[1]).items():  # the first may compile
+        emit(f"render.cpu.{name}", value, name.rsplit("_", 1)[1].replace("mb", "MB"))
+
+
+def plant(leaves: int) -> Mesh:
+    """Leaves on squares of two triangles, each with a texture that is clear around the leaf."""
+    rng = np.random.default_rng(1)
+    yaw, tilt = rng.uniform(0, 2 * np.pi, leaves), rng.uniform(0.2, 1.3, leaves)
+    out = np.stack([np.sin(tilt) * np.cos(yaw), np.cos(tilt), np.sin(tilt) * np.sin(yaw)], 1)
+    side = np.stack([-np.sin(yaw), np.zeros(leaves), np.cos(yaw)], 1) * 0.06
+    foot = np.stack([np.zeros(leaves), rng.uniform(0.2, 0.8, leaves), np.zeros(leaves)], 1)
+    corners = np.stack([foot - side, foot + side, foot + side + 0.3 * out, foot - side + 0.3 * out], 1)
+    y, x = np.mgrid[0:128, 0:128] / 127
+    pixels = np.full((128, 128, 4), (60, 130, 50, 0), np.uint8)
+    pixels[..., 3] = 255 * (np.abs(x - 0.5) < 0.45 * np.sin(np.pi * y))
+    first = 4 * np.arange(leaves, dtype=np.int32)[:, None]
+    return Mesh(
+        vertices=corners.reshape(-1, 3).astype(np.float32),
+        faces=np.concatenate([first + np.array([[0, 1, 2]]), first + np.array([[0, 2, 3]])]).astype(np.int32),
+        colors=np.full((4 * leaves, 3), 255, np.uint8),
+        uv=np.tile(np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32), (leaves, 1)),
+        textures=(Texture(pixels=pixels),),
+    )
+
+
+def plants(count: int) -> list[RenderInstance]:
+    """Instances of mesh 13, the one after those of `home`, on the floor all over it."""
+    rng = np.random.default_rng(2)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, [0, 2], 3] = rng.uniform(0.4, 1, (count, 2)) * (ROOMS_X * ROOM_M - 0.5, ROOMS_Z * ROOM_M - 0.5)
+    return [RenderInstance(13, pose) for pose in poses]
+
+
+def _speedup(scene: RenderScene) -> float:
+    """How much sooner two threads than one have drawn a batch of 32 pictures of 640x480: wall-clock time, best of five."""
+    cameras, best = _views("640x480") * 4, []
+    for threads in (1, 2):
+        renderer, times = Renderer(scene, threads=threads), []
+        for _ in range(6):
+            start = time.perf_counter()
+            renderer.render_batch(cameras, outputs=IDS)
+            times.append(time.perf_counter() - start)
+        best.append(min(times[1:]))
+    return best[0] / best[1]
+
+
+def fresh(start: float) -> None:
+    """Print what a process of its own takes: seconds from ``start`` (before any import) to the first picture of a small
+    scene, MB of the large home's arrays, and MB of resident memory of each world with a body of 23.6 k triangles, reposed and drawn."""
+    box_only = RenderScene([colored(box((0, 0, 0), (1, 1, 1), 4), (200, 200, 200))], [RenderInstance(0, np.eye(4))])
+    Renderer(box_only).render(_views("64x64")[0], outputs=(*IDS, "rgb"))
+    seconds = time.perf_counter() - start
+    meshes, instances = home(1_070_000, 600)
+    body = colored(blob((0, 0.9, 0), (0.5, 1.8, 0.3), 77, 0.9), (200, 160, 140))
+    scene = RenderScene([*meshes, body], [*instances, RenderInstance(len(meshes), np.eye(4))], deformable=[len(meshes)])
+    Renderer(scene).render(_views("640x480")[0], outputs=IDS)
+    before, worlds = _resident_mb(), 32
+    renderer = Renderer(scene, worlds=worlds)
+    for world in range(worlds):
+        renderer.set_vertices(len(meshes), body.vertices * np.float32(1 + world / 100), world=world)
+    renderer.render_batch(_views("64x64")[:1] * worlds, worlds=range(worlds), outputs=IDS)
+    print(
+        json.dumps(
+            {"startup_s": seconds, "shared_mb": _array_mb(scene), "world_mb": (_resident_mb() - before) / worlds}
+        )
+    )
+
+
+def _array_mb(thing: object) -> float:
+    """All arrays that something holds, each once."""
+    waiting, seen = [thing], {}
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, np.ndarray):
+            whole = one if one.base is None else one.base
+            seen[id(whole)] = getattr(whole, "nbytes", one.nbytes)
+        elif isinstance(one, list | tuple | dict):
+            waiting += one.values() if isinstance(one, dict) else one
+        elif hasattr(one, "__dict__"):
+            waiting += vars(one).values()
+    return sum(seen.values()) / 1e6
+
+
+def _resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def _run_rays(emit: Emit, scene: RenderScene) -> None:
