@@ -351,7 +351,8 @@ def _speedup(scene: RenderScene) -> float:
 
 def fresh(start: float) -> None:
     """Print what a process of its own takes: seconds from ``start`` (before any import) to the first picture of a small
-    scene, MB of the large home's arrays, and MB of resident memory of each world with a body of 23.6 k triangles, reposed and drawn."""
+    scene, MB of the large home's arrays, and MB of resident memory of each world with a body of 23.6 k triangles,
+    reposed and drawn."""
     box_only = RenderScene([colored(box((0, 0, 0), (1, 1, 1), 4), (200, 200, 200))], [RenderInstance(0, np.eye(4))])
     Renderer(box_only).render(_views("64x64")[0], outputs=(*IDS, "rgb"))
     seconds = time.perf_counter() - start
