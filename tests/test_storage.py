@@ -206,6 +206,9 @@ def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run("convert", uri, f"{s3}/logs", "--check")["converted"] == 2
     assert run("convert", f"{s3}/logs", tmp_path / "back", "--check")["converted"] == 2
     assert run("convert", f"{uri}#1", f"{s3}/one.mcap")["converted"] == 1
+    run("validate", uri, f"{s3}/one.mcap")
+    run("view", f"{uri}#0", "-o", tmp_path / "e.rrd")
+    run("replay", f"{uri}#0", "--verify")
     assert run("generate", "social_nav", *options, "--force", "-o", uri)["new"] == 2
     drawn = run("rerender", f"{uri}#1", "--steps", "0:2", "--format", "png", "-o", tmp_path / "pictures")
     assert (Path(drawn["recordings"][0]["files"][0]) / "000001.png").is_file()
