@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset
 
 _ROWS = 40
-"""At most so many are shown as text: the first and the last."""
+"""At most so many are shown as text: the first, and the last of the first 10,000."""
 _RECORDS = ("events", "skills", "agents", "bodies")
 _EPISODE_COLUMNS = (
     "dataset", "episode_index", "episode_id", "uid", "task", "scene", "seed", "policy", "partner", "length", "seconds",
@@ -87,9 +87,12 @@ class Sql:
         datasets = {path: found for path, found in opened.items() if isinstance(found, Dataset)}
         connection = connect(datasets, profile=self.profile if "episodes" in self.query.lower() else None)
         with explained_errors(connection):
+            found = select(connection, self.query)
             if self.out is None:
-                return _shown(select(connection, self.query).to_arrow_table())
-            rows = _write(select(connection, self.query), self.out)
+                return (
+                    Outcome(text="", data=_data(found.to_arrow_table())) if self.json else Outcome(text=_text_of(found))
+                )
+            rows = _write(found, self.out)
         return Outcome(text=f"{rows} rows in {self.out}", data={"rows": rows, "file": str(self.out)})
 
 
@@ -241,18 +244,21 @@ def _text(value: str) -> str:
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
-def _shown(table: pa.Table) -> Outcome:
-    import duckdb
-
-    data = {
-        "columns": table.column_names,
-        "types": [str(field.type) for field in table.schema],
-        "rows": [list(map(_plain, row)) for row in zip(*(c.to_pylist() for c in table.columns), strict=True)],
-    }
+def _text_of(relation: duckdb.DuckDBPyRelation) -> str:
+    """A table of the terminal's width; computes no more rows than DuckDB looks at for it."""
     text = io.StringIO()
     with redirect_stdout(text):
-        duckdb.connect().from_arrow(table).show(max_width=shutil.get_terminal_size((120, 24)).columns, max_rows=_ROWS)
-    return Outcome(text=text.getvalue(), data=data)
+        relation.show(max_width=shutil.get_terminal_size((120, 24)).columns, max_rows=_ROWS)
+    return text.getvalue()
+
+
+def _data(table: pa.Table) -> dict[str, Any]:
+    columns = [[_plain(value) for value in column.to_pylist()] for column in table.columns]
+    return {
+        "columns": table.column_names,
+        "types": [str(field.type) for field in table.schema],
+        "rows": [list(row) for row in zip(*columns, strict=True)],
+    }
 
 
 def _plain(value: Any) -> Any:
