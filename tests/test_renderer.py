@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.render import box, colored
 from h3data.errors import InputError, MissingExtraError
 from h3data.render import Light, Renderer, RenderInstance, RenderScene, equirectangular, look_at, orthographic, pinhole
 from h3data.scene.records import Mesh, Texture
@@ -150,6 +151,38 @@ def test_what_cannot_be_drawn_is_refused(monkeypatch):
         Renderer(drawn, backend="rays")
     with pytest.raises(MissingExtraError, match=r"h3data\[rays\]"):
         renderer.render(equirectangular(16), outputs=("depth",))
+
+
+def test_a_camera_inside_a_wall_sees_its_back():
+    wall = colored(box((0, 1.2, 0), (4, 2.4, 0.1), 2), (200, 200, 200))
+    drawn = RenderScene([wall], [RenderInstance(0, np.eye(4))])
+    camera = pinhole(24, 16, hfov_deg=90, pose=look_at([0.3, 1, 0.02], [0.9, 1.1, 5]))
+    for backend in ("cpu", "rays"):
+        if backend == "rays":
+            pytest.importorskip("embreex", reason="the extra 'rays' is not installed")
+        got = Renderer(drawn, backend=backend).render(camera, outputs=("depth", "instance"))
+        assert (got["instance"] == 0).all()
+        assert got["depth"] == pytest.approx(0.03, abs=0.02)
+
+
+def test_memory_does_not_grow_with_resets_and_worlds():
+    resource = pytest.importorskip("resource", reason="peak memory is read the POSIX way")
+    wall = bumpy(12)
+    drawn = RenderScene([wall], [RenderInstance(0, np.eye(4))], deformable=[0])
+    camera = pinhole(128, 96, hfov_deg=70, pose=look_at([0, 1, 6], [0, 0, 0]))
+    kept = Renderer(drawn)
+
+    def reset(times: int) -> None:
+        for k in range(times):
+            for renderer in (kept, Renderer(drawn, worlds=2)):
+                renderer.set_vertices(0, wall.vertices * np.float32(1 + k / 1000))
+                renderer.set_transforms([0], np.eye(4))
+                renderer.render(camera, outputs=EVERYTHING)
+
+    reset(50)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    reset(1000)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 8000, "kB"
 
 
 def test_without_a_gpu_auto_is_the_cpu_and_gpu_says_why():

@@ -2,7 +2,7 @@
 
 Only triangles whose texture has a hole where they lie are *cut out*; they have clusters of their own, which the rasteriser
 draws after all others, pixel by pixel. Opacity is taken bilinearly from the finest level: whether a point is solid must not
-depend on who looks from how far. A texture that is nowhere half opaque, a tinted pane, is drawn whole, as habitat-sim does.
+depend on who looks from how far. A texture that is nowhere half opaque, a tinted pane, is drawn whole.
 """
 
 from __future__ import annotations
