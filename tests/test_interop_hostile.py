@@ -81,6 +81,13 @@ def test_a_loop_of_links_is_an_input_error(tmp_path: Path) -> None:
         read_gfx_replay(path)
 
 
+def test_a_pipe_is_refused_before_it_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.gfx_replay.json"
+    os.mkfifo(path)  # nobody writes to it: reading would never end
+    assert main(["import", str(path), "-o", str(tmp_path / "rec")]) == 2
+    assert "pipe or device" in capsys.readouterr().err
+
+
 def test_names_in_a_file_do_not_decide_how_much_memory_is_taken() -> None:
     for name in (
         "cylinderSolid_rings_99999999_segments_99999999_halfLen_1_useTexCoords_false_useTangents_false_capEnds_true",

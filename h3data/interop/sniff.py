@@ -92,17 +92,27 @@ def sniff(path: str | Path) -> FileKind:
 
 
 def content_kind(data: bytes, *, name: str = "") -> FileKind:
-    """The kind of JSON text; "unknown" if it is none."""
+    """The kind of JSON text; "unknown" if it is none. Members that do not tell are not unfolded: files may be long."""
     import msgspec
 
     try:
-        return json_kind(decode_json(data), name=name)
+        members = decode_json(data, dict[str, msgspec.Raw])
+        return json_kind({key: _glimpse(key, bytes(text)) for key, text in members.items()}, name=name)
+    except msgspec.ValidationError:
+        return "json"
     except msgspec.DecodeError:
         pass
     try:
         return json_kind(json.loads(data.removeprefix(BYTE_ORDER_MARK)), name=name)
     except (ValueError, RecursionError):
         return "unknown"
+
+
+def _glimpse(key: str, text: bytes) -> Any:
+    """What `json_kind` looks at: the keyframes of a replay, of all others whether they are objects."""
+    if key in ("keyframes", "keyframe"):
+        return decode_json(text)
+    return {} if text.startswith(b"{") else None
 
 
 def json_kind(content: Any, *, name: str = "") -> FileKind:

@@ -140,8 +140,10 @@ def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
             if not found:
                 raise InputError(f"No .json, .json.gz or .pkl.gz file in this folder: {path}")
             sources += [(p, out / p.relative_to(path).parent) for p in found]
-        elif path.exists():
+        elif path.is_file():
             sources.append((path, out))
+        elif path.exists():
+            raise InputError(f"Expected a file or folder, this is a pipe or device, which cannot be read twice: {path}")
         else:
             raise InputError(f"There is no such file or folder. Expected a gfx-replay or a HITL log: {path}")
     return [(path, folder / f"{recording_stem(path)}.mcap") for path, folder in sources]
