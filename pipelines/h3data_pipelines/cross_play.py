@@ -17,7 +17,7 @@ METRICS = {
     "CR": "collision rate",
     "RC": "ratio of completion by the robot",
 }
-BINARY, PERCENT = ("SR", "CR"), ("SR",)
+BINARY, PERCENT = ("SR", "S", "CR"), ("SR",)
 ZSC_COLUMN = "ZSC planners"
 
 
@@ -71,7 +71,7 @@ class CrossPlayTable:
             for policy in self.policies:
                 cells = [self.cells.get((metric, policy, partner)) for partner in self.partners]
                 lines.append([policy, *(_shown(metric, cell) for cell in cells)])
-            blocks.append(_aligned(lines))
+            blocks.append(aligned(lines))
         return "\n\n".join([*blocks, _paper_text()])
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,11 +79,11 @@ class CrossPlayTable:
         return {
             "policies": list(self.policies),
             "partners": list(self.partners),
-            "solo_steps": _or_none(self.solo_steps),
+            "solo_steps": or_none(self.solo_steps),
             "cells": [
                 {
-                    "metric": metric, "policy": policy, "partner": partner, "mean": _or_none(c.mean),
-                    "low": _or_none(c.low), "high": _or_none(c.high), "episodes": c.count,
+                    "metric": metric, "policy": policy, "partner": partner, "mean": or_none(c.mean),
+                    "low": or_none(c.low), "high": or_none(c.high), "episodes": c.count,
                 }
                 for (metric, policy, partner), c in self.cells.items()
             ],
@@ -101,7 +101,7 @@ def cross_play_table(rows: Iterable[Row]) -> CrossPlayTable:
     if set(ZSC) <= set(partners):
         groups[ZSC_COLUMN] = ZSC
     cells = {
-        (metric, policy, name): _cell(
+        (metric, policy, name): cell_value(
             metric, [r.values.get(metric) for r in rows if r.policy == policy and r.partner in of]
         )
         for metric in METRICS
@@ -115,7 +115,8 @@ def cross_play_table(rows: Iterable[Row]) -> CrossPlayTable:
     )  # fmt: skip
 
 
-def _cell(metric: str, found: Sequence[float | None]) -> CellValue:
+def cell_value(metric: str, found: Sequence[float | None]) -> CellValue:
+    """The mean of what is defined, with its interval."""
     values = np.array([v for v in found if v is not None], np.float64)
     if metric in BINARY:
         low, high = wilson_interval(int(values.sum()), len(values))
@@ -140,13 +141,15 @@ def _paper_text() -> str:
     for row in paper.rows:
         of = [values.get(metric, ()) for values in (row.train, row.zsc) for metric in METRICS]
         lines.append([row.name, *(f"{v[0]:g} ± {v[1]:g}" if v else "-" for v in of)])
-    return f"{_aligned(lines)}\n{paper.source}."
+    return f"{aligned(lines)}\n{paper.source}."
 
 
-def _aligned(lines: list[list[str]]) -> str:
+def aligned(lines: list[list[str]]) -> str:
+    """Columns of equal width."""
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
-def _or_none(value: float) -> float | None:
+def or_none(value: float) -> float | None:
+    """The value as JSON has it."""
     return None if np.isnan(value) else value

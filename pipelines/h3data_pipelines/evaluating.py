@@ -1,8 +1,10 @@
-"""``h3data evaluate``: every robot with every partner over the same episodes, and the paper's numbers beside."""
+"""``h3data evaluate``: every robot, in rearrangement with every partner, over the same episodes, and the paper's numbers
+beside."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,32 +15,43 @@ from tqdm import tqdm
 
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
-from h3data_pipelines.cross_play import Row, cross_play_table
+from h3data_pipelines.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.episode_jobs import run_jobs
 from h3data_pipelines.rearrange_jobs import RearrangeJob, rearrange_jobs, reason_of, rules
+from h3data_pipelines.social_nav_evaluating import (
+    PoliciesJob,
+    PolicyTable,
+    play_policies,
+    policy_table,
+    social_nav_jobs,
+)
 
 ALL = "all"
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Play every robot with every partner in the same episodes and print SR, RE, CR and RC of each pair with 95 % intervals,
-    beside the paper's. Each episode is a small file in the output folder: an interrupted evaluation goes on where it was.
+    """Play every robot in the same episodes and print its metrics with 95 % intervals, beside the paper's: S, SPS, F, CR,
+    BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange. Each episode is a small file in the
+    output folder: an interrupted evaluation goes on where it was.
 
     Examples:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
         h3data evaluate rearrange --policies complement,still --partners both,object_1 --episodes 20 -o out/pairs
+        h3data evaluate social_nav --scenes h3-homes/test --workers 2 -o out/social_nav
+        h3data evaluate social_nav --policies heuristic_expert,weights:net.npz --episodes 20 -o out/mine
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
     """
 
     task: tyro.conf.Positional[str]
-    """rearrange: help a person to bring two objects to their goals."""
+    """social_nav: find a walking person and follow her; rearrange: help her to bring two objects to their goals."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
-    """Robots, separated by commas: complement, greedy_nearest, same_object, still; or all."""
+    """Robots, separated by commas. social_nav: heuristic_expert, sampling_expert, future_oracle, random, stand_still or
+    weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
     partners: str = ALL
-    """Partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
+    """rearrange: partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
     scenes: str = "h3-homes/test"
     """As of h3data generate."""
     episodes: int | None = None
@@ -52,19 +65,17 @@ class Evaluate:
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the paper's 2.5)."""
     max_steps: int | None = None
-    """Length limit of an episode (default: 750)."""
+    """Length limit of an episode (default: 1500; rearrange: 750)."""
     workers: int = 1
     """Processes."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        if self.task != "rearrange":
-            raise InputError(f"Unknown task {self.task!r}. Expected: rearrange.")
         for name, value in (("--episodes", self.episodes), ("--homes", self.homes), ("--workers", self.workers)):
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1, got {value}.")
-        jobs = self.jobs()
+        jobs, play, tabulate = self._task()
         folder = claim_folder(self.out, force=True) / "episodes"
         folder.mkdir(exist_ok=True)
         if self.force:
@@ -73,26 +84,48 @@ class Evaluate:
         files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
         wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
         bar = tqdm(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode", disable=None)
-        with bar, closing(run_jobs(play_pairs, wanted, workers=self.workers)) as results:
+        with bar, closing(run_jobs(play, wanted, workers=self.workers)) as results:
             for result in results:
                 write_text(files[result["job"]["episode"]["index"]], json.dumps(result) + "\n")
                 bar.update()
         results = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
-        rows = [Row(**row) for result in results for row in result["rows"]]
+        rows = [row for result in results for row in result["rows"]]
         failed = [
             f"episode {r['job']['episode']['index']} (seed {r['job']['episode']['seed']}), {f}"
             for r in results
             for f in r["failed"]
         ]
-        table = cross_play_table(rows)
+        table = tabulate(rows)
         text = table.to_text() + "".join(f"\nfailed {line}" for line in failed)
         data = {"episodes": len(jobs), "new": len(wanted), "failed": failed, **table.to_dict()}
         write_text(self.out / "table.txt", text + "\n")
         write_text(self.out / "table.json", json.dumps(data, indent=2) + "\n")
         return Outcome(text=text, data=data, exit_code=1 if failed else 0)
 
+    def _task(
+        self,
+    ) -> tuple[Sequence[Any], Callable[[Any], dict[str, Any]], Callable[[list[Any]], PolicyTable | CrossPlayTable]]:
+        """Its episodes, what plays one, and what makes a table of the rows of all."""
+        if self.task == "social_nav":
+            return self.social_nav_jobs(), play_policies, policy_table
+        if self.task == "rearrange":
+            return self.jobs(), play_pairs, lambda rows: cross_play_table(Row(**row) for row in rows)
+        raise InputError(f"Unknown task {self.task!r}. Expected: social_nav or rearrange.")
+
+    def social_nav_jobs(self) -> list[PoliciesJob]:
+        """All episodes of social navigation, or an `InputError` that names the bad option."""
+        from sim_kinematic.policies import POLICIES
+
+        if self.partners != ALL:
+            raise InputError("--partners is for rearrange: the person of social_nav walks to her way points.")
+        names = tuple(POLICIES) if self.policies == ALL else _listed(self.policies)
+        return social_nav_jobs(
+            self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed, policies=names, human=self.human,
+            human_speed=self.human_speed, max_steps=self.max_steps,
+        )  # fmt: skip
+
     def jobs(self) -> list[CrossPlayJob]:
-        """All episodes, or an `InputError` that names the bad option."""
+        """All episodes of rearrangement, or an `InputError` that names the bad option."""
         from sim_kinematic.planners import PARTNERS, ROBOT_POLICIES
 
         policies = _names("--policies", self.policies, tuple(ROBOT_POLICIES))
@@ -154,7 +187,7 @@ def play_pairs(job: CrossPlayJob) -> dict[str, Any]:
     return {"job": job.to_json(), "rows": [asdict(row) for row in rows], "failed": failed}
 
 
-def _is_done(file: Path, job: CrossPlayJob) -> bool:
+def _is_done(file: Path, job: CrossPlayJob | PoliciesJob) -> bool:
     """Whether the results of this very job are there; others' are refused."""
     if not file.is_file():
         return False
@@ -170,10 +203,14 @@ def _is_done(file: Path, job: CrossPlayJob) -> bool:
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    names = known if text == ALL else tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))
+    names = known if text == ALL else _listed(text)
     strangers = [name for name in names if name not in known]
     if strangers or not names:
         raise InputError(
             f"{option}: expected some of {', '.join(known)}, or all; got {', '.join(strangers) or 'none'}."
         )
     return names
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))

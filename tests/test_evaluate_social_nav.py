@@ -1,0 +1,69 @@
+"""``h3data evaluate social_nav``: every policy in the same episodes, resumed, beside the paper's numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from h3data.metrics import measure_files
+from h3data_pipelines.cli import main
+from h3data_pipelines.social_nav_evaluating import METRICS, policy_table
+
+RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main([str(a) for a in args]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, ds = tmp_path / "table", tmp_path / "ds"
+    evaluate = ("evaluate", "social_nav", *RULES, "--policies", "heuristic_expert,stand_still", "-o", out)
+    assert run_json(capsys, *evaluate, "--episodes", "1")["new"] == 1
+    result = run_json(capsys, *evaluate, "--episodes", "2")
+    assert (result["episodes"], result["new"], result["failed"]) == (2, 1, [])
+    run_json(capsys, "generate", "social_nav", *RULES, "--policy", "heuristic_expert", "--episodes", "2", "-o", ds)
+    for name, summary in measure_files([ds]).summary().items():
+        cell = next(c for c in result["cells"] if (c["policy"], c["metric"]) == ("heuristic_expert", name))
+        assert cell["mean"] == pytest.approx(summary.mean, nan_ok=True)
+        assert cell["low"] == pytest.approx(summary.low, nan_ok=True)
+        assert cell["episodes"] == summary.count
+    text = (out / "table.txt").read_text()
+    assert "Heuristic Expert" in text
+    assert "0.97" in text
+    assert run_json(capsys, *evaluate, "--episodes", "2")["new"] == 0
+    assert "other options" in run_json(capsys, *evaluate, "--human", "male_0", "--episodes", "2", code=2)["error"]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("social_nav", "--policies", "magic"), "sampling_expert"),
+        (("social_nav", "--policies", ","), "at least one"),
+        (("social_nav", "--partners", "both"), "rearrange"),
+        (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
+        (("dance",), "social_nav or rearrange"),
+    ],
+)
+def test_bad_options_are_refused(
+    options: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told in run_json(capsys, "evaluate", *options, "--json", "-o", tmp_path / "x", code=2)["error"]
+    assert not (tmp_path / "x").exists()
+
+
+def test_what_is_undefined_does_not_count() -> None:
+    rows: list[dict[str, Any]] = [
+        {"policy": "p", "values": dict.fromkeys(METRICS, value) | {"FD": fd}} for value, fd in ((1.0, None), (0.0, 1.5))
+    ]
+    cells = policy_table(rows).cells
+    assert cells["p", "FD"].count == 1
+    assert cells["p", "FD"].mean == 1.5
+    assert cells["p", "CR"].mean == 0.5
+    assert not math.isnan(cells["p", "S"].low)
