@@ -65,7 +65,7 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
 
     Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
     """
-    scenery = _scenery(scene)
+    scenery = scenery_of(scene)
     shapes = MovingShapes(body_shapes(robot))
     links = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
     shapes_at = shape_frames(robot, links)
@@ -79,7 +79,8 @@ def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
 
 
 @lru_cache(maxsize=4)
-def _scenery(scene: Scene) -> FclScene:
+def scenery_of(scene: Scene) -> FclScene:
+    """The static things of a scene in FCL, made once."""
     return FclScene(scene)
 
 

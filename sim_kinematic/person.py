@@ -140,7 +140,7 @@ class Person:
     # --- a hand's target --------------------------------------------------------------------------------------------
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
         """Put a palm at a world position [3] at once; where it cannot be, as near as it gets, and the result says so."""
-        result = reach(self.body, self._seen(position), hand)
+        result = reach(self.body, self.seen(position), hand)
         self._pose(result.quats, result.pelvis, hand)
         return result
 
@@ -196,7 +196,7 @@ class Person:
 
     def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
         """Walk, in a straight line, to where the hand reaches a world position [3]."""
-        result = reach(self.body, self._seen(position), hand)
+        result = reach(self.body, self.seen(position), hand)
         if result.base_motion is None:
             return SkillResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
         goal = result.base_motion.of(self.base)
@@ -210,7 +210,7 @@ class Person:
             raise InputError(f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.")
         if hand in self.held:
             raise InputError(f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.")
-        target = self._seen(self.objects[name][:3])
+        target = self.seen(self.objects[name][:3])
         answer = reach(self.body, target, hand)
         if not answer.reached:
             return _unreached(answer)
@@ -232,7 +232,7 @@ class Person:
         """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
         if hand not in self.held:
             raise InputError(f"The {hand} hand holds nothing.")
-        held, target = self.held[hand], self._seen(position)
+        held, target = self.held[hand], self.seen(position)
         answer = reach(self.body, target, hand)
         if not answer.reached:
             return _unreached(answer)
@@ -249,10 +249,18 @@ class Person:
         return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
 
     # --- how ---------------------------------------------------------------------------------------------------------
-    def _seen(self, position: ArrayLike) -> Array:
+    def seen(self, position: ArrayLike) -> Array:
         """A world position [3] in the agent root frame."""
         inverse = pose_inverse(self.base)
         return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
+
+    def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
+        """The poses of a hand's way to a world position [3], in the agent root frame: of an empty one, as `pick` takes it, or
+        of one that holds something, as `place` does. Nothing moves."""
+        target = self.seen(position)
+        if full:
+            return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
+        return self._line(hand, self._way_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
 
     def _carry_point(self, hand: Hand) -> Array:
         side = 1.0 if hand == "right" else -1.0

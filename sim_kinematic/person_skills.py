@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.reach import reacher
 from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.giving_way import PATIENCE_STEPS, Seen, crowds, in_the_way, round_somebody, waits
 from sim_kinematic.person import Person, SkillResult
+from sim_kinematic.reach_room import ReachRoom
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands
@@ -31,6 +33,8 @@ class PersonActor:
     objects: Objects
     number: int = HUMAN
     """Of the agent."""
+    room: ReachRoom | None = None
+    """Looks where her body would be; None: nobody does."""
     others: tuple[Seen, ...] = ()
     """Other people, the nearest first."""
 
@@ -82,9 +86,11 @@ class PersonActor:
             if not len(stands) or not crowds(stands, self.others).all():
                 break
             yield
-        k, left = nearest_stand(self.free, stands, self.xz, crowds(stands, self.others))
+        crowded = crowds(stands, self.others)
+        k, left = nearest_stand(self.free, stands, self.xz, crowded, lambda stand: self._has_room(stand, point))
         if not np.isfinite(left):
-            return Ending("failed", "no_way")
+            gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
+            return Ending("failed", "no_room" if gets_there else "no_way")
         for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
             self._follow()
             yield
@@ -121,6 +127,9 @@ class PersonActor:
     def _handle(self, picks: bool, k: int) -> Skill:
         """Pick or place with the right hand; objects change hands in the step in which the hand is there."""
         name = self.objects.names[k]
+        point = self.objects.poses[k, :3] if picks else self.objects.goals[k]
+        if not self._has_room(np.append(self.xz, self.heading), point):
+            return Ending("failed", "no_room")
         self.person.objects[name] = self.objects.poses[k].copy()
         skill = self.person.pick(name) if picks else self.person.place(self.objects.goals[k])
         result = SkillResult(success=False)
@@ -135,6 +144,16 @@ class PersonActor:
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield
         return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+
+    def _has_room(self, stand: NDArray, point: NDArray) -> bool:
+        """Whether her body keeps out of the home when she reaches for a point from a stand; yes where nobody looks, and where
+        her hand does not get there anyway."""
+        if self.room is None:
+            return True
+        seen = Person(self.person.body, ground_pose(stand[:2], float(stand[2]), self.free.floor_y)).seen(point)
+        if not reacher(self.person.body, "right").reachable(seen[None])[0]:
+            return True
+        return self.room.is_clear(stand, point)
 
     def _follow(self) -> None:
         """Tell the others what the hand holds."""

@@ -21,6 +21,7 @@ from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.cast import HUMAN_BODY, ROBOT_BODY, Member, cast_of, draw_places, kinds_of
 from sim_kinematic.contact import clear_of_furniture
 from sim_kinematic.randomness import generator
+from sim_kinematic.reach_room import reach_room
 from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.social_nav import Starts, draw_starts
 from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
@@ -29,7 +30,7 @@ from sim_kinematic.waypoint_human import sharp_corners
 
 PAIR = ("robot", "human")
 """The paper's agents."""
-ATTEMPTS = 120
+ATTEMPTS = 200
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
 LIFT_M = 0.001
@@ -275,9 +276,9 @@ class _Draw:
                 np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
             ):
                 continue
-            if not len(person_stands(self.free, self.human, point)) or not len(
-                robot_stands(self.free, self.robot, self.spec.robot, point)
-            ):
+            if not len(robot_stands(self.free, self.robot, self.spec.robot, point)):
+                continue
+            if self._person_stand(point)[0] is None:
                 continue
             taken.append((point, radius))
             return point, f"{instance.name}|{receptacle.name}"
@@ -288,19 +289,29 @@ class _Draw:
         instance, receptacle = self.surfaces[surface]
         return float(np.hypot(*((instance_matrix(instance) @ np.append(receptacle.center, 1.0))[[0, 2]] - here)))
 
+    def _person_stand(self, point: Array, here: Array | None = None) -> tuple[Array | None, float]:
+        """A stand [3] from which the person's hand gets to a point [3] while her body keeps out of the home, the nearest to
+        ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+        stands = person_stands(self.free, self.human, point)
+        if not len(stands):
+            return None, np.inf
+        room = reach_room(self.scene, self.human, self.free.floor_y)
+        start = stands[0, :2] if here is None else here
+        k, length = nearest_stand(self.free, stands, start, is_clear=lambda stand: room.is_clear(stand, point))
+        return (stands[k], length) if k >= 0 else (None, length)
+
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
         """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
         here, heading = starts.human_xz, starts.human_heading
         way, turned = 0.0, 0.0
         for target in targets:
             for point in (target.start[:3], target.goal):
-                stands = person_stands(self.free, self.human, point)
-                k, length = nearest_stand(self.free, stands, here)
-                if not np.isfinite(length):
+                stand, length = self._person_stand(point, here)
+                if stand is None:
                     return np.inf
-                legs = np.diff(sharp_corners(self.free, self.free.path(here, stands[k, :2])), axis=0)
-                headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stands[k, 2]]
+                legs = np.diff(sharp_corners(self.free, self.free.path(here, stand[:2])), axis=0)
+                headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
                 turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
-                here, heading, way = stands[k, :2], float(stands[k, 2]), way + length
+                here, heading, way = stand[:2], float(stand[2]), way + length
         walker = self.spec.human
         return way / walker.speed_mps + turned / walker.turn_rad_s + HANDLING_S * len(targets)

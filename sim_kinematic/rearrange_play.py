@@ -24,6 +24,7 @@ from sim_kinematic.person import Frame, Person
 from sim_kinematic.person_skills import PersonActor
 from sim_kinematic.planners import HighLevelPolicy, TaskView
 from sim_kinematic.posing import body_shapes, shape_frames
+from sim_kinematic.reach_room import reach_room
 from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.rearrange_log import RearrangeLog, Row, body_indices
 from sim_kinematic.rewards import REARRANGE_REWARDS
@@ -161,7 +162,9 @@ class RearrangePlay:
         x, z, heading = world.places[number]
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
-        return PersonActor(Person(body, base, objects, spec=spec.human), world.free, spec.human, self.objects, number)
+        room = reach_room(world.scene, body, world.free.floor_y)
+        person = Person(body, base, objects, spec=spec.human)
+        return PersonActor(person, world.free, spec.human, self.objects, number, room)
 
     def run(self, progress: Callable[[int], object] | None = None) -> str:
         """Play to the end under the policies; returns what ended it. ``progress`` is called with 1 after every step."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -66,17 +68,21 @@ def hand_turn(robot: Robot) -> Array:
 
 
 def nearest_stand(
-    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | None = None
-) -> tuple[int, float]:
+    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | None = None,
+    is_clear: Callable[[Array], bool] | None = None,
+) -> tuple[int, float]:  # fmt: skip
     """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to.
 
-    Those that are ``crowded`` [N] are taken only if all are.
+    Those that are ``crowded`` [N] are taken only if all are, and only one that ``is_clear``.
     """
     if not len(stands):
         return -1, np.inf
     ways = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
-    best = int(np.argmin(ways if crowded is None else ways + np.where(crowded, CROWDED_M, 0.0)))
-    return best, float(ways[best])
+    order = np.argsort(ways if crowded is None else ways + np.where(crowded, CROWDED_M, 0.0), kind="stable")
+    for k in order[np.isfinite(ways[order])].tolist():
+        if is_clear is None or is_clear(stands[k]):
+            return k, float(ways[k])
+    return -1, np.inf
 
 
 def _ring(point: Array, distances: Array, side: float) -> Array:

@@ -1,0 +1,93 @@
+"""Room to reach: whether a person who stands somewhere gets her hand to a point without her body in the walls or furniture.
+
+Her collision capsules are posed along the way of her hand (`Person.hand_way`) and asked of FCL against the static scene,
+thinner by `TOLERANCE_M`: what then touches is deeper than that.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_inverse, pose_multiply, pose_to_matrix
+from h3data.scene import Scene
+from sim_kinematic.collision import MovingShapes, capsule_transforms, collide, contacts, shapes_from_capsules
+from sim_kinematic.contact import scenery_of
+from sim_kinematic.person import Person
+
+TOLERANCE_M = 0.02
+"""So deep a capsule may be in something: bodies are softer than capsules, and capsules a little thicker than bodies."""
+EVERY = 4
+"""Each so many-th frame of the hand's way is looked at, and the last one."""
+REACHING_PARTS = ("right_forearm", "right_hand")
+"""They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
+WAYS_KEPT = 200
+"""So many ways of the hand are remembered, 50 kB each."""
+SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
+"""A thing in which the capsule from the point so far down is, of this radius, is what the point lies on."""
+
+
+class ReachRoom:
+    """Asks for one scene and one person; the right hand reaches."""
+
+    def __init__(self, scene: Scene, body: Humanoid, floor_y: float) -> None:
+        self._scenery, self._body, self._floor_y = scenery_of(scene), body, floor_y
+        start, end, radius = body.capsules_world(np.tile(np.eye(4), (1, 55, 1, 1)))
+        thinner = shapes_from_capsules(start[0], end[0], np.maximum(radius - TOLERANCE_M, 0.25 * radius))
+        reaches = np.array([capsule.name in REACHING_PARTS for capsule in body.capsules])
+        self._rows = np.flatnonzero(~reaches), np.flatnonzero(reaches)
+        self._trunk, self._arm = (MovingShapes([thinner[k] for k in rows]) for rows in self._rows)
+        self._below = MovingShapes(
+            shapes_from_capsules(np.zeros((1, 3)), np.array([[0.0, SUPPORT_M, 0.0]]), SUPPORT_RADIUS_M)
+        )
+        self._person = Person(body, IDENTITY_POSE)
+        self._ways: dict[tuple[float, ...], Array] = {}
+
+    def is_clear(self, stand: Array, point: Array) -> bool:
+        """Whether she can, from a stand ``(x, z, heading)`` [3], bring her hand to a world point [3] and back."""
+        base = ground_pose(stand[:2], float(stand[2]), self._floor_y)
+        frames = pose_to_matrix(base) @ self._capsules(base, np.asarray(point, np.float64))
+        allowed = self._supports(point)
+        for pose in frames[::-1]:  # at the point she leans most
+            self._trunk.set_transforms(pose[self._rows[0]])
+            if collide(self._scenery, self._trunk):
+                return False
+            self._arm.set_transforms(pose[self._rows[1]])
+            if any(self._scenery.names[c.index_a] not in allowed for c in contacts(self._scenery, self._arm)):
+                return False
+        return True
+
+    def _supports(self, point: Array) -> set[str]:
+        foot = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M, 0.0])
+        self._below.set_transforms(capsule_transforms(foot[None], np.asarray(point, np.float64)[None]))
+        return {self._scenery.names[c.index_a] for c in contacts(self._scenery, self._below)}
+
+    def _capsules(self, base: Array, point: Array) -> NDArray[np.floating]:
+        """Frames of the capsules on her hand's ways there, empty and full, in her root frame, [T, C, 4, 4]; last at the point.
+
+        Stands on one ring round the point share them.
+        """
+        local = pose_multiply(pose_inverse(base), np.append(point, [0, 0, 0, 1.0]))[:3]
+        seen = tuple(np.round(local, 4).tolist())
+        if seen not in self._ways:
+            if len(self._ways) >= WAYS_KEPT:
+                self._ways.clear()
+            quats, pelvis = [], []
+            for full in (False, True):
+                way = self._person.hand_way(np.array(seen), full=full)
+                rows = np.unique(np.append(np.arange(0, len(way.quats), EVERY), len(way.quats) - 1))
+                quats.append(way.quats[rows])
+                pelvis.append(way.pelvis[rows])
+            joints = self._body.joint_matrices(IDENTITY_POSE[None], np.concatenate(quats), np.concatenate(pelvis))
+            start, end, _ = self._body.capsules_world(joints)
+            self._ways[seen] = capsule_transforms(start, end)
+        return self._ways[seen]
+
+
+@lru_cache(maxsize=8)
+def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> ReachRoom:
+    """Made once for each scene and body."""
+    return ReachRoom(scene, body, floor_y)
