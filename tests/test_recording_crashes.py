@@ -107,7 +107,8 @@ def test_kill_9_at_any_moment_costs_a_dataset_its_unfinished_file(tmp_path, seed
         writer.add(simple_recording(steps=20, seed=kept))
     dataset = Dataset(root)
     assert len(dataset) == kept + 1
-    for k, back in enumerate(dataset):
+    for k in range(kept + 1):
+        back = dataset.recording(k)
         assert recordings_equal(simple_recording(steps=20, seed=k), back) == []
     assert pads.dataset(root / "data", format="parquet").count_rows() == 20 * (kept + 1), "others see the same episodes"
     assert not list(root.glob("**/*.part"))
@@ -292,7 +293,8 @@ def check_dataset(root: Path) -> bool:
     try:
         dataset = Dataset(root)
         repr(dataset)
-        for seed, back in enumerate(dataset):
+        for seed in range(len(dataset)):
+            back = dataset.recording(seed)
             differences = recordings_equal(small_recording(5, seed), back)
             assert [line for line in differences if "values differ" in line] == []
     except FormatError:

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     import polars
     import torch
 
-_DAMAGE = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError)
+_DAMAGE = (
+    pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError, RecursionError
+)  # fmt: skip
 
 
 class Dataset:
@@ -229,7 +231,7 @@ class Dataset:
         try:
             info = json.loads(path.read_bytes())
             version, episodes = info["h3data"]["schema_version"], int(info["total_episodes"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise FormatError(
                 f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
             ) from error
@@ -285,6 +287,8 @@ class Dataset:
         if not column.width:
             return column.empty(steps)
         home = self._declared[column.name]
+        if pa.types.is_fixed_size_list(table.schema.field(column.name).type) != (home.width > 1):
+            raise ValueError(f"column {column.name} is not {home}")
         chunks = [c.flatten() if home.width > 1 else c for c in table.column(column.name).chunks]
         if any(c.null_count for c in chunks):
             raise ValueError(f"column {column.name} has nulls")
@@ -335,7 +339,7 @@ class Dataset:
             return {
                 n: (folder / Path(stored).name).read_bytes() for n, stored in json.loads(row["attachments"]).items()
             }
-        except (OSError, ValueError, AttributeError, TypeError) as error:
+        except (OSError, ValueError, AttributeError, TypeError, RecursionError) as error:
             raise FormatError(
                 f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
             ) from error

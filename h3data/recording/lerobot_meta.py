@@ -118,7 +118,7 @@ class DatasetSchema:
             return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version)
         except FileNotFoundError:
             raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
-        except (OSError, KeyError, ValueError, TypeError) as error:
+        except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
             raise FormatError(f"The schema of the dataset is damaged ({error!r}): {path}") from error
 
 

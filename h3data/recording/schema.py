@@ -138,7 +138,7 @@ def layout_from_json(text: str) -> Layout:
     """The inverse of `layout_to_json`; a `FormatError` if it is not one."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(f"Expected a JSON list of [name, dtype, shape], got {text[:80]!r}.") from error
     unknown = sorted({c.dtype for c in layout} - DTYPES)
     if unknown:
@@ -284,7 +284,7 @@ def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
         known = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
         info = json.loads(values["info"])
         episode = Episode(**known, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(f"The episode record is incomplete or malformed ({error}): {path}") from error
     return episode
 
