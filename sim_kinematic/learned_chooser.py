@@ -17,8 +17,8 @@ TASK = "rearrange"
 
 
 class LearnedChooser:
-    """Chooses the action with the highest output. It thinks again in every step while the other agent is close; choosing
-    the same again goes on with it."""
+    """Chooses the action with the highest output. If it is shown ``interrupted``, it thinks again in every step while the other
+    agent is close, and goes on with what it was doing by choosing the same."""
 
     def __init__(self, network: Network, objects: int = 2, *, robot: bool = True) -> None:
         """
@@ -36,7 +36,7 @@ class LearnedChooser:
 
     def interrupts(self, view: TaskView) -> str:
         """As `sim_kinematic.planners.HighLevelPolicy.interrupts`."""
-        return "agents_close" if view.close else ""
+        return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 
 def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser:

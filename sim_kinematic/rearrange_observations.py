@@ -60,13 +60,17 @@ def _other(of: Callable[[TaskView], Floats], low: tuple[float, ...], high: tuple
     return Sense(lambda v: of(v) if np.isfinite(v.other_xz).all() else np.zeros(len(low)), low, high, "once")
 
 
-def _last_done(view: TaskView) -> Floats:
-    """One of `choices` is 1: what it has done last, if that ended well."""
-    known = choices(len(view.objects), robot=len(view.arm) > 0)
-    found = np.zeros(len(known))
-    if view.last is not None and view.last.outcome == "done" and view.action in known:
-        found[known.index(view.action)] = 1.0
-    return found
+def _one_of_choices(outcome: str) -> Callable[[TaskView], Floats]:
+    """One of `choices` is 1: what it has done last, if that ended so."""
+
+    def seen(view: TaskView) -> Floats:
+        known = choices(len(view.objects), robot=len(view.arm) > 0)
+        found = np.zeros(len(known))
+        if view.last is not None and view.last.outcome == outcome and view.action in known:
+            found[known.index(view.action)] = 1.0
+        return found
+
+    return seen
 
 
 SENSES: Mapping[str, Sense] = {
@@ -89,7 +93,8 @@ SENSES: Mapping[str, Sense] = {
         lambda v: localization(v.xz, v.heading, v.free.floor_y), (-FAR_M,) * 3 + (-np.pi,), (FAR_M,) * 3 + (np.pi,), "once"
     ),
     "arm_joints": Sense(lambda v: v.arm, (-10.0,), (10.0,), "joints"),
-    "last_done": Sense(_last_done, (0.0,), (1.0,), "choices"),
+    "last_done": Sense(_one_of_choices("done"), (0.0,), (1.0,), "choices"),
+    "interrupted": Sense(_one_of_choices("aborted"), (0.0,), (1.0,), "choices"),
 }  # fmt: skip
 PAPER_SENSES = (
     "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor", "obj_goal_sensor",
@@ -97,6 +102,7 @@ PAPER_SENSES = (
 """What the paper's high-level policy sees beside the depth picture (spec/habitat.md 2.5)."""
 STATE_SENSES = (
     "obj_gps_compass", "obj_goal_gps_compass", "holds", "held_by_other", "at_goal", "other_gps_compass", "last_done",
+    "interrupted",
 )  # fmt: skip
 """All that a policy without memory needs to do the task."""
 

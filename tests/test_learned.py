@@ -19,16 +19,23 @@ from torch import nn
 
 import h3data
 from h3data.errors import FormatError, InputError
+from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
 from sim_kinematic.env import SocialNavEnv
 from sim_kinematic.learned import LearnedNavigation, navigation_input, network_of, stamped
+from sim_kinematic.learned_chooser import chooser_input
 from sim_kinematic.network import FILE_FORMAT, Network, from_torch, load_network, save_network
+from sim_kinematic.planners import Chooser, TaskView, robot_policy
 from sim_kinematic.policies import Command, View, policy_by_name
+from sim_kinematic.rearrange import simulate_rearrange
+from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.resume import verify
+from sim_kinematic.skills import Action, choices
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import BaseSpec, SocialNavSpec
 
 NAMES = ("humanoid_gps", "egomotion")
+CHOOSER_INPUTS = ("holds", "at_goal", "last_done")
 
 
 def small_network(*, seed: int = 0, outputs: int = 2, task: str = "social_nav") -> Network:
@@ -244,3 +251,73 @@ def test_the_command_takes_weights(tmp_path: Path, weights: Path, capsys: pytest
     assert main([*args, "weights:nothing.npz", "-o", str(tmp_path / "no")]) == 2
     assert "found none" in capsys.readouterr().err
     assert main([*args, "weights:", "-o", str(tmp_path / "no")]) == 2
+
+
+# --- rearrangement ------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def task_world() -> RearrangeWorld:
+    home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
+    return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home))
+
+
+def copied_chooser(world: RearrangeWorld) -> Network:
+    """One layer that follows what the greedy robot does by `last_done`: next comes what came next then."""
+    known = choices(len(world.targets))
+    rows: list[tuple[np.ndarray, int]] = []
+
+    class Watched(Chooser):
+        def choose(self, view: TaskView) -> Action:
+            action = super().choose(view)
+            if action in known:
+                rows.append((chooser_input(view, CHOOSER_INPUTS), known.index(action)))
+            return action
+
+        def interrupts(self, view: TaskView) -> str:
+            return ""
+
+    simulate_rearrange(world, policy=Watched(lambda view, left: min(left, default=None)), partner="still", solo_steps=1)
+    x, y = np.stack([row for row, _ in rows]), np.array([k for _, k in rows])
+    weight = np.linalg.lstsq(np.append(x, np.ones((len(x), 1)), axis=1), np.eye(len(known))[y], rcond=None)[0]
+    return Network(
+        task="rearrange", observations=CHOOSER_INPUTS, weights=(weight[:-1].T.astype(np.float32).copy(),),
+        biases=(weight[-1].astype(np.float32),),
+    )  # fmt: skip
+
+
+def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: RearrangeWorld) -> None:
+    save_network(copied_chooser(task_world), tmp_path / "chooser.npz")
+    policy = f"weights:{tmp_path / 'chooser.npz'}"
+    recording = simulate_rearrange(task_world, policy=policy, partner="still", solo_steps=1)
+    assert recording.episode.info["ended"] == "success"
+    assert str(recording.episode.info["policy"]).startswith(f"{policy}@")
+    done = [s.name for s in recording.skills if s.agent == 0 and s.outcome == "done"]
+    assert done[:4] == ["nav_to_object", "pick", "nav_to_goal", "place"]
+
+
+def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: RearrangeWorld, weights: Path) -> None:
+    good = copied_chooser(task_world)
+    save_network(good, tmp_path / "robot.npz")
+    for policy, partner, message in (
+        (f"weights:{weights}", "both", "for the task rearrange"),
+        ("still", f"weights:{tmp_path / 'robot.npz'}", "9 outputs"),
+        ("weights:none.npz", "both", "found none"),
+    ):
+        with pytest.raises(InputError, match=message):
+            simulate_rearrange(task_world, policy=policy, partner=partner, solo_steps=1)
+    with pytest.raises(FormatError, match="21 outputs"):
+        robot_policy(f"weights:{tmp_path / 'robot.npz'}", objects=4)
+
+
+def test_the_commands_take_choosers(
+    tmp_path: Path, task_world: RearrangeWorld, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_network(copied_chooser(task_world), tmp_path / "c.npz")
+    common = ["rearrange", "--scenes", "small:1", "--episodes", "1"]
+    policy = f"weights:{tmp_path / 'c.npz'}"
+    args = ["evaluate", *common, "--policies", f"still,{policy}", "--partners", "still", "-o", str(tmp_path / "out")]
+    assert main(args) == 0
+    assert "weights:" in capsys.readouterr().out
+    args = ["generate", *common, "--policy", policy, "--partner", "still", "-o", str(tmp_path / "ds")]
+    assert main(args) == 0
+    assert "@" in str(h3data.open(tmp_path / "ds").recording(0).episode.info["job"]["policy"])
+    assert main(["evaluate", *common, "--policies", "weights:no.npz", "-o", str(tmp_path / "no")]) == 2

@@ -48,7 +48,7 @@ class Evaluate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
-    """Robots, separated by commas. social_nav: heuristic_expert, sampling_expert, future_oracle, random, stand_still or
+    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle, random, stand_still or
     weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
     partners: str = ALL
     """rearrange: partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
@@ -203,13 +203,15 @@ def _is_done(file: Path, job: CrossPlayJob | PoliciesJob) -> bool:
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    from sim_kinematic.learned import is_learned, stamped
+
     names = known if text == ALL else _listed(text)
-    strangers = [name for name in names if name not in known]
+    strangers = [name for name in names if name not in known and not is_learned(name)]
     if strangers or not names:
         raise InputError(
-            f"{option}: expected some of {', '.join(known)}, or all; got {', '.join(strangers) or 'none'}."
+            f"{option}: expected some of {', '.join(known)}, weights:FILE, or all; got {', '.join(strangers) or 'none'}."
         )
-    return names
+    return tuple(map(stamped, names))
 
 
 def _listed(text: str) -> tuple[str, ...]:

@@ -167,9 +167,11 @@ def rearrange_jobs(
     from h3data.interop.scene_names import named_scenes
     from h3data.scene.scene_sets import find_scene_set
     from sim_kinematic.cast import kinds_of
+    from sim_kinematic.learned import stamped
     from sim_kinematic.randomness import episode_seed
     from sim_kinematic.rearrange import minds_of
 
+    policy, partner = (",".join(map(stamped, names.split(","))) for names in (policy, partner))
     minds_of(kinds_of(recorded_cast(agents, policy)), policy, partner, seed=seed, objects=spec.objects)
     bodies = Changes(policy=policy, human=human)
 
