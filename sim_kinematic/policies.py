@@ -113,6 +113,25 @@ def heuristic_expert(view: View, spec: BaseSpec) -> Command:
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
 
 
+def plain_expert(view: View, spec: BaseSpec) -> Command:
+    """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
+    her. It tries nothing out and foresees nothing, so she often pins it against a wall."""
+    if not np.isfinite(view.geodesic_m):
+        return Command(0.0, 0.0, "wait")
+    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    if gap <= 0:
+        backward, turn, _ = _straight_back(view, spec, gap)
+        return Command(backward, turn, "back_up")
+    error, turn = _steer(view, next_waypoint(view, spec), spec)
+    return Command(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
+
+
+def _straight_back(view: View, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
+    """Forward and turn command of backing away while she is in front, else of turning to her; the heading error [rad]."""
+    error, turn = _steer(view, view.human_xz, spec)
+    return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
+
+
 def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Command:
     """Towards ``goal`` [2], by at most ``gap`` steps of way."""
     if not np.isfinite(view.geodesic_m):
@@ -128,9 +147,7 @@ def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float 
 
 def _back_up(view: View, spec: BaseSpec, gap: float) -> Command:
     """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
-    error, turn = _steer(view, view.human_xz, spec)
-    # backing away works while she is in front; else first turn to her
-    backward = max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0
+    backward, turn, error = _straight_back(view, spec, gap)
     commands = np.vstack([[(backward, turn, _steps_to_turn(error, spec), 0.0)], _BACKING])
     walk = _expected_walk(view)
     ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=ESCAPE_STEPS)
@@ -219,6 +236,7 @@ def random(view: View, spec: BaseSpec) -> Command:
 
 POLICIES: dict[str, Policy] = {
     "heuristic_expert": heuristic_expert,
+    "plain_expert": plain_expert,
     "sampling_expert": sampling_expert,
     "future_oracle": future_oracle,
     "random": random,

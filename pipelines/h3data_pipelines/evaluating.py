@@ -48,8 +48,8 @@ class Evaluate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
-    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle, random, stand_still or
-    weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
+    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle, random,
+    stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
     partners: str = ALL
     """rearrange: partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
     scenes: str = "h3-homes/test"

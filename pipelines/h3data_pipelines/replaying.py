@@ -39,8 +39,8 @@ class ReplayCommand:
     counterfactual: bool = False
     """Keep the person's recorded track; the robot follows --policy, from --resume-from on or from the start."""
     policy: str | None = None
-    """Robot policy: heuristic_expert, sampling_expert, future_oracle, random, stand_still or weights:FILE (default: the
-    recording's own)."""
+    """Robot policy: heuristic_expert, plain_expert, sampling_expert, future_oracle, random, stand_still or weights:FILE
+    (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The new recording (.mcap)."""
     force: ForceFlag = False
