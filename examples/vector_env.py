@@ -5,7 +5,7 @@ import numpy as np
 import h3data
 
 WORLDS = 32
-env = h3data.make("social_nav", scenes=[f"h3-homes/train#{k}" for k in range(4)], worlds=WORLDS)
+env = h3data.make("social_nav", scenes=[f"h3-homes/train#{k}" for k in range(4)], num_envs=WORLDS)
 
 
 def towards_her(observation: dict[str, np.ndarray]) -> np.ndarray:

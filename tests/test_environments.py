@@ -360,7 +360,7 @@ def test_actions_are_clipped() -> None:
         ({"scenes": "castle"}, "small, medium, large"),
         ({"scenes": []}, "at least one scene"),
         ({"scenes": 3}, "names or Scene"),
-        ({"worlds": 0}, "at least 1 world"),
+        ({"num_envs": 0}, "at least 1 world"),
         ({"observations": ["smell"]}, "humanoid_gps"),
         ({"observations": "arm_depth"}, "Expected a list"),
         ({"observations": ["arm_depth"], "depth_size": (0, 3)}, "1 x 1"),
@@ -369,7 +369,7 @@ def test_actions_are_clipped() -> None:
         ({"reward": "gold"}, "paper, habitat"),
         ({"render_mode": "human"}, "rgb_array"),
         ({"agents": ("robot", "robot")}, "agents"),
-        ({"agents": ("robot", "human"), "worlds": 2}, "leave out worlds"),
+        ({"agents": ("robot", "human"), "num_envs": 2}, "leave out num_envs"),
     ],
 )
 def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], message: str) -> None:
@@ -397,7 +397,7 @@ def test_reset_and_agents_come_first() -> None:
 # --- make ---------------------------------------------------------------------------------------------------------------
 def test_make_finds_tasks_without_knowing_them() -> None:
     assert isinstance(h3data.make("social_nav", scenes=HOME), SocialNavEnv)
-    vector = h3data.make("social_nav", scenes=HOME, worlds=3)
+    vector = h3data.make("social_nav", scenes=HOME, num_envs=3)
     assert isinstance(vector, SocialNavVectorEnv)
     assert vector.num_envs == 3
     assert isinstance(h3data.make("social_nav", scenes=HOME, agents=("robot", "human")), SocialNavParallelEnv)

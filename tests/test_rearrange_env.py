@@ -313,8 +313,8 @@ def test_what_is_no_command_moves_nothing(action: Any) -> None:
     ("options", "message"),
     [
         ({"agents": ("robot", "robot")}, "agents"),
-        ({"agents": ("robot", "human"), "worlds": 2}, "leave out worlds"),
-        ({"worlds": 0}, "at least 1 world"),
+        ({"agents": ("robot", "human"), "num_envs": 2}, "leave out num_envs"),
+        ({"num_envs": 0}, "at least 1 world"),
         ({"level": "middle"}, "high, low"),
         ({"agents": ("human",), "level": "low"}, "Only a robot"),
         ({"observations": ["smell"]}, "is_holding"),
@@ -335,7 +335,7 @@ def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], mes
 def test_make_finds_the_task() -> None:
     assert isinstance(h3data.make("rearrange", scenes=HOME), RearrangeEnv)
     assert isinstance(h3data.make("rearrange", scenes=HOME, agents=("robot", "human")), RearrangeParallelEnv)
-    many = h3data.make("rearrange", scenes=HOME, worlds=2)
+    many = h3data.make("rearrange", scenes=HOME, num_envs=2)
     assert isinstance(many, gymnasium.vector.VectorEnv)
     seen, _ = many.reset(seed=3)
     assert seen["holds"].shape == (2, 2)

@@ -306,8 +306,6 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
     env.reset(seed=1)
     with pytest.raises(InputError, match=r"shape \[2, 2\]"):
         env.step(torch.zeros(3, 2))
-    with pytest.raises(InputError, match="the same"):
-        h3data.make("social_nav", worlds=2, num_envs=2)
     with pytest.raises(InputError, match="two agents"):
         h3data.make("social_nav", device="cpu", agents=("robot", "human"))
 
