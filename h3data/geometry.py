@@ -22,27 +22,42 @@ def _floating(value: ArrayLike) -> Array:
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
+def _components(vectors: Array) -> list[Array]:
+    """The components [...] of vectors [..., n], as views."""
+    return [vectors[..., k] for k in range(vectors.shape[-1])]
+
+
 def normalized(vectors: ArrayLike) -> Array:
     """Unit vectors (or quaternions) along the last axis; a zero vector stays zero."""
     v = _floating(vectors)
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    length = np.sqrt(np.add.reduce(v * v, axis=-1, keepdims=True))
     return v / np.where(length > 0, length, 1)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross products [..., 3], as `numpy.cross` to the bit, whose checks cost more than a few vectors."""
+    ax, ay, az = _components(a)
+    bx, by, bz = _components(b)
+    x = ay * bz - az * by
+    out = np.empty((*np.shape(x), 3), np.result_type(a, b))
+    out[..., 0] = x
+    out[..., 1] = az * bx - ax * bz
+    out[..., 2] = ax * by - ay * bx
+    return out
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Hamilton product ``a b``, shape [..., 4]: rotate by ``b`` first, then by ``a``."""
     a, b = _floating(a), _floating(b)
-    ax, ay, az, aw = np.moveaxis(a, -1, 0)
-    bx, by, bz, bw = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
+    ax, ay, az, aw = _components(a)
+    bx, by, bz, bw = _components(b)
+    x = aw * bx + ax * bw + ay * bz - az * by
+    out = np.empty((*np.shape(x), 4), np.result_type(a, b))
+    out[..., 0] = x
+    out[..., 1] = aw * by - ax * bz + ay * bw + az * bx
+    out[..., 2] = aw * bz + ax * by - ay * bx + az * bw
+    out[..., 3] = aw * bw - ax * bx - ay * by - az * bz
+    return out
 
 
 def quat_conjugate(q: ArrayLike) -> Array:
@@ -55,16 +70,18 @@ def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
     """Rotate vectors [..., 3] by unit quaternions [..., 4]."""
     q, v = _floating(q), _floating(vectors)
     axis, w = q[..., :3], q[..., 3:]
-    t = 2 * np.cross(axis, v)
-    return v + w * t + np.cross(axis, t)
+    t = 2 * cross(axis, v)
+    return v + w * t + cross(axis, t)
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
     """Quaternions [..., 4] that turn by ``angle_rad`` [...] about ``axis`` [..., 3] (need not be unit)."""
     half = _floating(angle_rad)[..., None] / 2
     axis = normalized(axis)
-    axis, half = np.broadcast_arrays(axis, half)[0], half
-    return np.concatenate([axis * np.sin(half), np.broadcast_to(np.cos(half), (*axis.shape[:-1], 1))], axis=-1)
+    turned = axis * np.sin(half)
+    out = np.empty((*turned.shape[:-1], 4), turned.dtype)
+    out[..., :3], out[..., 3:] = turned, np.cos(half)
+    return out
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
@@ -76,8 +93,9 @@ def quat_from_rotvec(rotvec: ArrayLike) -> Array:
 def quat_from_heading(heading_rad: ArrayLike) -> Array:
     """Quaternions [..., 4] of headings [...]: rotation about +Y, 0 faces +X, positive turns left."""
     half = _floating(heading_rad) / 2
-    zero = np.zeros_like(half)
-    return np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
+    out = np.zeros((*half.shape, 4), half.dtype)
+    out[..., 1], out[..., 3] = np.sin(half), np.cos(half)
+    return out
 
 
 def heading_from_quat(q: ArrayLike) -> Array:
@@ -101,7 +119,7 @@ def wrap_angle(angle_rad: ArrayLike) -> Array:
 def quat_to_matrix(q: ArrayLike) -> Array:
     """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
     q = _floating(q)
-    x, y, z, w = np.moveaxis(q, -1, 0)
+    x, y, z, w = _components(q)
     m = np.empty((*q.shape[:-1], 3, 3), q.dtype)
     m[..., 0, 0] = 1 - 2 * (y * y + z * z)
     m[..., 0, 1] = 2 * (x * y - z * w)
@@ -122,20 +140,16 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
     """
     m = _floating(matrix)
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    squares = np.stack([1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22, 1 + m00 + m11 + m22], -1)
-    best = np.argmax(squares, axis=-1)
-    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    x2, y2, z2, w2 = np.moveaxis(squares, -1, 0)
-    rows = np.stack(
-        [
-            np.stack([x2, xy, xz, xw], -1),
-            np.stack([xy, y2, yz, yw], -1),
-            np.stack([xz, yz, z2, zw], -1),
-            np.stack([xw, yw, zw, w2], -1),
-        ],
-        axis=-2,
-    )
+    rows = np.empty((*m.shape[:-2], 4, 4), m.dtype)  # row i: the quaternion times four times its component i
+    rows[..., 0, 0], rows[..., 1, 1] = 1 + m00 - m11 - m22, 1 - m00 + m11 - m22
+    rows[..., 2, 2], rows[..., 3, 3] = 1 - m00 - m11 + m22, 1 + m00 + m11 + m22
+    best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    rows[..., 0, 1] = rows[..., 1, 0] = m[..., 0, 1] + m[..., 1, 0]
+    rows[..., 0, 2] = rows[..., 2, 0] = m[..., 0, 2] + m[..., 2, 0]
+    rows[..., 1, 2] = rows[..., 2, 1] = m[..., 1, 2] + m[..., 2, 1]
+    rows[..., 0, 3] = rows[..., 3, 0] = m[..., 2, 1] - m[..., 1, 2]
+    rows[..., 1, 3] = rows[..., 3, 1] = m[..., 0, 2] - m[..., 2, 0]
+    rows[..., 2, 3] = rows[..., 3, 2] = m[..., 1, 0] - m[..., 0, 1]
     q = normalized(np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
     return np.where(q[..., 3:] < 0, -q, q)
 
@@ -198,4 +212,6 @@ def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0)
     xz = _floating(xz)
     q = quat_from_heading(np.asarray(heading_rad, xz.dtype))
     y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])
-    return np.concatenate([np.stack([xz[..., 0], y, xz[..., 1]], -1), np.broadcast_to(q, (*xz.shape[:-1], 4))], -1)
+    out = np.empty((*xz.shape[:-1], 7), xz.dtype)
+    out[..., 0], out[..., 1], out[..., 2], out[..., 3:] = xz[..., 0], y, xz[..., 1], q
+    return out

@@ -114,3 +114,12 @@ def test_ground_pose_broadcasts() -> None:
     assert pose.shape == (4, 5, 7)
     assert pose.dtype == np.float32
     np.testing.assert_allclose(pose[..., 1], 0.3)
+
+
+def test_cross_products_are_numpys_to_the_bit() -> None:
+    rng = np.random.default_rng(0)
+    for shape in ((3,), (1, 3), (0, 3), (4, 5, 3)):
+        a, b = rng.normal(size=shape), rng.normal(size=3).astype(np.float32)
+        np.testing.assert_array_equal(g.cross(a, b), np.cross(a, b))
+    with pytest.raises(ValueError, match="unpack"):
+        g.cross(np.ones(4), np.ones(4))

@@ -11,13 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from h3data.bodies.skeleton import JOINT_INDEX
-from h3data.geometry import Array, normalized, quat_from_axis_angle, quat_from_matrix, quat_to_matrix
+from h3data.geometry import Array, cross, normalized, quat_from_axis_angle, quat_from_matrix, quat_to_matrix
 
 X, Y, Z = np.eye(3)
 SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
 """Name, sign of x, phase of the heel strike."""
 LEG_MAX = 0.9985
 """A leg is never stretched further than this share of its length."""
+_LEG_JOINTS = np.array(
+    [[JOINT_INDEX[f"{side}_{part}"] for side, *_ in SIDES] for part in ("hip", "knee", "ankle", "foot")]
+)
+_OUT = 0.10 * np.array([sign for _, sign, _ in SIDES])
+"""How far knees point out, to the x of the body."""
 HALF_WIDTH = 0.55
 """Half step width as a share of the hip joints' half distance, the same standing and moving: a first step needs no shuffle."""
 
@@ -82,34 +87,32 @@ class SolvedLegs:
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
     """Two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
-    pelvis_turn = quat_to_matrix(posture.quats[:, 0])
+    pelvis_turn = quat_to_matrix(posture.quats[:, 0])[:, None]
+    hip = posture.pelvis[:, None] + (pelvis_turn @ legs.hips[..., None])[..., 0]
+    way = posture.ankle - hip
+    distance = np.linalg.norm(way, axis=-1)
+    reach = np.minimum(distance, legs.length * 0.9999)
+    down = way / distance[..., None]
+    pitch, yaw, bend = (posture.foot[..., k] for k in range(3))
+    forward = np.stack([np.sin(np.radians(yaw)) + _OUT, 0 * yaw, np.cos(np.radians(yaw))], axis=-1)
+    pole = normalized(forward - np.sum(forward * down, axis=-1)[..., None] * down)
+    a, b = legs.thigh, legs.shank
+    lift = np.arccos(np.clip((a**2 + reach**2 - b**2) / (2 * a * reach), -1, 1))[..., None]
+    knee = np.degrees(np.pi - np.arccos(np.clip((a**2 + b**2 - reach**2) / (2 * a * b), -1, 1)))
+    bone = np.cos(lift) * down + np.sin(lift) * pole
+    front = np.cos(lift) * pole - np.sin(lift) * down
+    thigh_turn = np.stack([cross(-bone, front), -bone, front], axis=-1)
+    knee_turn = rotation(X, knee)
+    foot_turn = rotation(Y, yaw) @ rotation(X, -pitch)
+    shank_turn = thigh_turn @ knee_turn
     quats = posture.quats.copy()
-    found = np.zeros((3, len(quats), 2))
-    for k, (side, sign, _) in enumerate(SIDES):
-        hip = posture.pelvis + pelvis_turn @ legs.hips[k]
-        way = posture.ankle[:, k] - hip
-        distance = np.linalg.norm(way, axis=1)
-        reach = np.minimum(distance, legs.length * 0.9999)
-        down = way / distance[:, None]
-        pitch, yaw, bend = posture.foot[:, k].T
-        forward = np.stack([np.sin(np.radians(yaw)) + sign * 0.10, 0 * yaw, np.cos(np.radians(yaw))], axis=1)
-        pole = normalized(forward - np.sum(forward * down, axis=1)[:, None] * down)
-        a, b = legs.thigh, legs.shank
-        lift = np.arccos(np.clip((a**2 + reach**2 - b**2) / (2 * a * reach), -1, 1))[:, None]
-        knee = np.degrees(np.pi - np.arccos(np.clip((a**2 + b**2 - reach**2) / (2 * a * b), -1, 1)))
-        bone = np.cos(lift) * down + np.sin(lift) * pole
-        front = np.cos(lift) * pole - np.sin(lift) * down
-        thigh_turn = np.stack([np.cross(-bone, front), -bone, front], axis=-1)
-        knee_turn = rotation(X, knee)
-        foot_turn = rotation(Y, yaw) @ rotation(X, -pitch)
-        shank_turn = thigh_turn @ knee_turn
-        quats[:, JOINT_INDEX[f"{side}_hip"]] = quat_from_matrix(np.swapaxes(pelvis_turn, 1, 2) @ thigh_turn)
-        quats[:, JOINT_INDEX[f"{side}_knee"]] = quat_from_matrix(knee_turn)
-        quats[:, JOINT_INDEX[f"{side}_ankle"]] = quat_from_matrix(np.swapaxes(shank_turn, 1, 2) @ foot_turn)
-        quats[:, JOINT_INDEX[f"{side}_foot"]] = quat_from_axis_angle(X, np.radians(-bend))
-        thigh_deg = np.degrees(np.arctan2(bone[:, 2], -bone[:, 1]))
-        found[:, :, k] = thigh_deg, knee, np.maximum(distance / legs.length - LEG_MAX, 0)
-    return SolvedLegs(quats=quats, thigh_deg=found[0], knee_deg=found[1], overreach=found[2])
+    turns = [np.swapaxes(pelvis_turn, -1, -2) @ thigh_turn, knee_turn, np.swapaxes(shank_turn, -1, -2) @ foot_turn]
+    quats[:, _LEG_JOINTS[:3]] = quat_from_matrix(np.stack(turns, axis=1))
+    quats[:, _LEG_JOINTS[3]] = quat_from_axis_angle(X, np.radians(-bend))
+    thigh_deg = np.degrees(np.arctan2(bone[..., 2], -bone[..., 1]))
+    return SolvedLegs(
+        quats=quats, thigh_deg=thigh_deg, knee_deg=knee, overreach=np.maximum(distance / legs.length - LEG_MAX, 0)
+    )
 
 
 def within_reach(legs: Legs, posture: Posture) -> Posture:

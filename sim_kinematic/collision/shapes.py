@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, SceneError
-from h3data.geometry import normalized, pose_to_matrix, transform_points
+from h3data.geometry import cross, normalized, pose_to_matrix, transform_points
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 if TYPE_CHECKING:
@@ -66,11 +66,11 @@ def capsule_transforms(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     y = normalized(b - a)
-    y = np.where(np.linalg.norm(y, axis=-1, keepdims=True) > 0, y, np.array([0.0, 1.0, 0.0]))
+    y = np.where(y.any(-1, keepdims=True), y, np.array([0.0, 1.0, 0.0]))
     helper = np.where(np.abs(y[..., :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-    z = normalized(np.cross(helper, y))
+    z = normalized(cross(helper, y))
     frames = np.zeros((*y.shape[:-1], 4, 4))
-    frames[..., :3, 0] = np.cross(y, z)
+    frames[..., :3, 0] = cross(y, z)
     frames[..., :3, 1] = y
     frames[..., :3, 2] = z
     frames[..., :3, 3] = (a + b) / 2
@@ -150,7 +150,7 @@ def _convex(points: NDArray[np.float64]) -> tuple[fcl.CollisionGeometry, NDArray
     vertices = np.ascontiguousarray(points[used])
     faces = np.searchsorted(used, hull.simplices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    inwards = np.einsum("ij,ij->i", cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[inwards] = faces[inwards][:, ::-1]
     flat = np.concatenate([np.full((len(faces), 1), 3), faces], axis=1).ravel()  # each face: its count, its corners
     return fcl.Convex(vertices, len(faces), flat), np.eye(4)
