@@ -170,7 +170,7 @@ def cut_exact(low, high, edge, step, minus_inverse):
     return low, (high if edge >= 0 else -1.0)
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, inline="always", error_model="numpy")
 def edge_functions(p, view, x0, y0):
     """Homogeneous edge functions of a triangle [9] in camera space (Olano & Greer 1997) and its nearness, in double.
 
@@ -178,7 +178,8 @@ def edge_functions(p, view, x0, y0):
     what they change by from pixel to pixel to the right; and downwards.
 
     The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1). For an
-    orthographic camera 1 stands in the place of z there, and nearness follows from the corners'. Changes ``p``.
+    orthographic camera 1 stands in the place of z there, and nearness follows from the corners'. Changes ``p``. (Inlined by
+    numba: left to LLVM, small pictures take 5 % longer.)
     """
     fx, fy, cx, cy = view.intrinsics
     start, to_second, to_third = view.reach - p[2], p[2] - p[5], p[2] - p[8]
