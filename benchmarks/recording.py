@@ -2,9 +2,11 @@
 
 The mix is that of ``research/formats.md`` 2, column by column: agents move in 70 % of the steps, commands are held for 20
 steps; half of the episodes loop a 60-frame clip in ``joint_quat`` and half move every joint all the time with noise,
-which is the worst case (85 % of the bytes are joint rotations; alone it is ``*_free``). ``*_clips`` is what our own
+which is the worst case (85 % of the bytes are joint rotations; alone it is ``*_free``). ``*_restless`` is the same mix
+with agents that never stand still and commands that change every 5 and 30 steps. ``*_clips`` is what our own
 episodes have: a clip and a phase instead of rotations. ``mcap_live`` is a log whose rows came one by one, flushed each
-second. Speeds are steps per CPU second, files closed and synced, from and to numpy arrays.
+second; ``mcap_unclosed`` the same before it is closed. Speeds are steps per CPU second, files closed and synced, from and
+to numpy arrays.
 """
 
 from __future__ import annotations
@@ -39,10 +41,11 @@ from h3data.recording import (
 STEPS, OBJECTS, EPISODES, THOUSAND = 1500, 20, 10, 1000
 
 
-def synthetic_episode(seed: int, *, human: str) -> Recording:
+def synthetic_episode(seed: int, *, human: str, restless: bool = False) -> Recording:
     """An episode with ``human`` = ``clip`` (60 looping frames), ``free`` (every joint moves) or ``coded`` (clip phase)."""
     rng = np.random.default_rng(seed)
-    robot, person = _stroll(rng), _stroll(rng)
+    robot, person = _stroll(rng, restless=restless), _stroll(rng, restless=restless)
+    held = (5, 30) if restless else (20, 20)
     objects = np.tile(_unit_poses(rng, OBJECTS)[None], (STEPS, 1, 1))
     for k in range(3):
         start = rng.integers(0, STEPS - 400)
@@ -54,10 +57,10 @@ def synthetic_episode(seed: int, *, human: str) -> Recording:
         "agent_0.base_pose": robot,
         "agent_0.joint_pos": np.cumsum(rng.normal(0, 0.01, (STEPS, 7)), 0).astype(np.float32),
         "agent_0.grasp_body": np.where(np.arange(STEPS) % 500 < 300, 0, -1).astype(np.int32),
-        "agent_0.action": np.repeat(rng.normal(0, 1, (STEPS // 20, 10)), 20, axis=0).astype(np.float32),
+        "agent_0.action": np.repeat(rng.normal(0, 1, (STEPS // held[0], 10)), held[0], axis=0).astype(np.float32),
         "agent_0.skill": (np.arange(STEPS) // 300).astype(np.int32),
         "agent_1.base_pose": person,
-        "agent_1.action": np.repeat(rng.normal(0, 1, (STEPS // 20, 10)), 20, axis=0).astype(np.float32),
+        "agent_1.action": np.repeat(rng.normal(0, 1, (STEPS // held[1], 10)), held[1], axis=0).astype(np.float32),
         "agent_1.skill": (np.arange(STEPS) // 200).astype(np.int32),
         "metrics.dist_agents": np.linalg.norm(robot[:, :3] - person[:, :3], axis=1),
         "metrics.collision": np.zeros(STEPS, bool),
@@ -85,16 +88,14 @@ def run(emit: Callable[[str, float, str], None]) -> None:
     clip = [synthetic_episode(k, human="clip") for k in range(EPISODES)]
     coded = [synthetic_episode(k, human="coded") for k in range(EPISODES)]
     mixed = [episode for pair in zip(clip, free, strict=True) for episode in pair]
+    restless = [synthetic_episode(k, human=h, restless=True) for k in range(EPISODES) for h in ("clip", "free")]
     for store in (_parquet, _mcap):
         name = store.__name__.strip("_")
         with tempfile.TemporaryDirectory() as folder:
             store(coded, Path(folder) / "warm")  # imports, page cache
-            for suffix, episodes in (("_clips", coded), ("_free", free)):
-                emit(
-                    f"recording.{name}{suffix}.bytes_per_step",
-                    _per_step(store(episodes * 2, Path(folder) / suffix)[0]),
-                    "B",
-                )
+            for suffix, episodes in (("_clips", coded * 2), ("_free", free * 2), ("_restless", restless)):
+                size, _, _ = store(episodes, Path(folder) / suffix)
+                emit(f"recording.{name}{suffix}.bytes_per_step", _per_step(size), "B")
             size, write_s, read_s = store(mixed, Path(folder) / "mixed")
         emit(f"recording.{name}.bytes_per_step", _per_step(size), "B")
         emit(f"recording.{name}.write_steps_per_cpu_s", STEPS * len(mixed) / write_s, "steps/s")
@@ -110,14 +111,19 @@ def _per_step(size: int) -> float:
 
 
 def _live_log(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
+    size, unclosed, close_s = 0, 0, 0.0
     with tempfile.TemporaryDirectory() as folder:
-        path, size = Path(folder) / "live.mcap", 0
+        path = Path(folder) / "live.mcap"
         for episode in episodes:
-            with RecordingWriter(path, episode, overwrite=True, flush_s=float("inf")) as writer:
-                for k in range(STEPS):
-                    writer.append({name: array[k : k + 1] for name, array in episode.columns.items()})
+            writer = RecordingWriter(path, episode, overwrite=True, flush_s=float("inf"))
+            for k in range(STEPS):
+                writer.append({name: array[k : k + 1] for name, array in episode.columns.items()})
+            unclosed += writer.part.stat().st_size
+            close_s += _cpu_s(writer.close)
             size += path.stat().st_size
     emit("recording.mcap_live.bytes_per_step", size / (STEPS * len(episodes)), "B")
+    emit("recording.mcap_live.close_cpu_ms", 1e3 * close_s / len(episodes), "ms")
+    emit("recording.mcap_unclosed.bytes_per_step", unclosed / (STEPS * len(episodes)), "B")
 
 
 def _one_of_a_thousand(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
@@ -199,12 +205,15 @@ def _cpu_s(work: Callable[[], object]) -> float:
     return time.process_time() - start
 
 
-def _stroll(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A walk at about 1 m/s with slowly changing heading that pauses for 5 s now and then, pose7 [T, 7]."""
+def _stroll(rng: np.random.Generator, *, restless: bool) -> NDArray[np.float32]:
+    """A walk at about 1 m/s with slowly changing heading that pauses for 5 s now and then if not restless, pose7 [T, 7]."""
     heading = np.cumsum(np.cumsum(rng.normal(0, 0.002, STEPS)) * 0.2)
     xz = np.cumsum(np.stack([np.cos(heading), -np.sin(heading)], -1) / 30, axis=0)
+    poses = ground_pose(xz, heading).astype(np.float32)
+    if restless:
+        return poses
     moving = (np.arange(STEPS) + rng.integers(500)) % 500 < 350
-    return ground_pose(xz, heading).astype(np.float32)[np.cumsum(moving) - moving[0]]
+    return poses[np.cumsum(moving) - moving[0]]
 
 
 def _unit_poses(rng: np.random.Generator, count: int) -> NDArray[np.float32]:

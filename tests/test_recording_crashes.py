@@ -55,6 +55,16 @@ with RecordingWriter(out, rec) as writer:
         report(k + 1)
 """
 
+CLOSES_FOR_EVER = """
+rec = simple_recording(steps=100)
+for k in itertools.count():
+    with RecordingWriter(f"{out}{k}.mcap", rec) as writer:
+        for row in range(0, 100, 50):
+            writer.append({name: array[row : row + 50] for name, array in rec.columns.items()})
+        report(2 * k + 1)
+    report(2 * k + 2)
+"""
+
 ADDS_FOR_EVER = """
 with DatasetWriter(out, episodes_per_file=2) as writer:
     for k in itertools.count():
@@ -94,6 +104,17 @@ def test_kill_9_at_any_moment_costs_a_log_at_most_one_second(tmp_path, seed):
             back.columns[name], array[rows % 100] + (rows // 100 * 10**10 if name == "time_ns" else 0)
         )
     assert abs(len(back.events) - saved.steps / 7) <= 1 + FLUSH_ROWS / 7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_kill_9_while_logs_are_closed_costs_nothing(tmp_path, seed):
+    reported = killed_after(CLOSES_FOR_EVER, tmp_path / "a", random.Random(seed).randrange(1, 30))
+    named = list(tmp_path.glob("a*.mcap"))
+    assert reported // 2 <= len(named) <= (reported + 1) // 2 + 1
+    for path in named:
+        assert len(read_mcap(path)) == 100
+    for part in tmp_path.glob("a*.mcap.part"):
+        assert part.with_suffix("") not in named, "a log has one name"
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -221,7 +242,7 @@ def small_recording(steps: int, seed: int = 0) -> Recording:
 def small_log(path: Path) -> bytes:
     """A log of 6 steps in chunks of 2."""
     rec = small_recording(6)
-    with RecordingWriter(path, rec, flush_rows=2) as writer:
+    with RecordingWriter(path, rec, flush_rows=2, compact=False) as writer:
         for k in range(0, 6, 2):
             writer.append({name: array[k : k + 2] for name, array in rec.columns.items()})
         writer.skill(rec.skills[0])

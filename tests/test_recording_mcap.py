@@ -8,6 +8,8 @@ import random
 import struct
 from dataclasses import fields, replace
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,14 +59,17 @@ def test_what_is_written_is_read(tmp_path, rec):
 @given(rec=recordings(max_steps=20), sizes=st.lists(st.integers(0, 7), max_size=8), flush_rows=st.integers(1, 9))
 def test_blocks_of_any_size_make_the_same_recording(tmp_path, rec, sizes, flush_rows):
     cuts = np.clip(np.cumsum([0, *sizes, 40]), 0, len(rec))
-    with RecordingWriter(tmp_path / "a.mcap", rec, overwrite=True, flush_rows=flush_rows) as writer:
-        for a, b in pairwise(cuts):
-            writer.append({n: v[a:b] for n, v in rec.columns.items()})
-        for span in rec.skills:
-            writer.skill(span)
-        for event in rec.events:
-            writer.event(event)
-    assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+    for compact in (False, True):
+        with RecordingWriter(
+            tmp_path / "a.mcap", rec, overwrite=True, flush_rows=flush_rows, compact=compact
+        ) as writer:
+            for a, b in pairwise(cuts):
+                writer.append({n: v[a:b] for n, v in rec.columns.items()})
+            for span in rec.skills:
+                writer.skill(span)
+            for event in rec.events:
+                writer.event(event)
+        assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
 
 
 def test_equal_recordings_make_equal_files(tmp_path):
@@ -129,21 +134,22 @@ def test_only_the_wanted_columns(tmp_path):
 
 
 # --- messages of other writers -----------------------------------------------------------------------------------------
-def rewritten(data: bytes, edit, *, extra=None) -> bytes:
-    """The log with every message passed through ``edit(topic, schema, decoded) -> bytes``, written by mcap alone."""
+def rewritten(data: bytes, edit, *, extra=None, schema=lambda text: text) -> bytes:
+    """The log with every message passed through ``edit(topic, decoded) -> bytes``, written by mcap alone."""
     out, reader = io.BytesIO(), make_reader(io.BytesIO(data))
     writer = Writer(out)
     writer.start(profile="h3data")
     ids: dict[int, int] = {}
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
+    for of, channel, message in reader.iter_messages(log_time_order=False):
+        assert of is not None
         if channel.id not in ids:
             ids[channel.id] = writer.register_channel(
                 channel.topic,
                 channel.message_encoding,
-                writer.register_schema(schema.name, schema.encoding, schema.data),
+                writer.register_schema(of.name, of.encoding, schema(of.data)),
                 channel.metadata,
             )
-        decoded = message_class(schema.data, schema.name).FromString(message.data)
+        decoded = message_class(of.data, of.name).FromString(message.data)
         changed = edit(channel.topic, decoded)
         if changed is not None:
             writer.add_message(ids[channel.id], message.log_time, changed, message.publish_time)
@@ -217,6 +223,85 @@ def test_skills_begin_as_running_and_are_replaced(tmp_path):
             writer.skill(rec.skills[0], replaces=7)
     skills = read_mcap(tmp_path / "a.mcap").skills
     assert [(s.name, s.end_step, s.outcome) for s in skills] == [("walk", 9, "failed"), ("wait", 3, "done")]
+
+
+def record_live(path: Path, rec: Recording, **options: Any) -> Path:
+    """Row by row, as it would happen: each skill said twice, events between the rows."""
+    with RecordingWriter(path, replace(rec, skills=(), events=()), **options) as writer:
+        for span in rec.skills:
+            writer.skill(replace(span, end_step=span.start_step, outcome="running"))
+        for k in range(len(rec)):
+            writer.append({n: a[k : k + 1] for n, a in rec.columns.items()})
+            for event in rec.events:
+                if event.step == k:
+                    writer.event(event)
+        for number, span in enumerate(rec.skills):
+            writer.skill(span, replaces=number)
+    return path
+
+
+def test_a_live_log_ends_as_the_file_that_is_written_at_once(tmp_path):
+    rec = simple_recording(steps=100)
+    at_once = write_mcap(rec, tmp_path / "at_once.mcap").read_bytes()
+    live = record_live(tmp_path / "live.mcap", rec)
+    assert live.read_bytes() == at_once
+    assert len(record_live(tmp_path / "loose.mcap", rec, compact=False).read_bytes()) > len(at_once)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["at_once.mcap", "live.mcap", "loose.mcap"]
+
+
+def test_start_time_and_info_given_late_survive_the_rewriting(tmp_path):
+    rec, path = simple_recording(steps=70), tmp_path / "a.mcap"
+    writer = RecordingWriter(path, rec, t0_unix_ns=5_000)
+    for k in range(70):
+        writer.append({n: a[k : k + 1] for n, a in rec.columns.items()})
+    writer.close(info={"ended": "collision"})
+    reader = make_reader(io.BytesIO(path.read_bytes()))
+    assert [r.metadata["info"] for r in reader.iter_metadata() if r.name == "h3.episode"] == ['{"ended": "collision"}']
+    times = [m.log_time for _, _, m in reader.iter_messages(topics=["/h3/state"])]
+    assert times == [5_000 + int(t) for t in rec.columns["time_ns"]]
+
+
+@pytest.mark.parametrize("room", [0, 1_000, 4_000])
+def test_no_room_for_the_rewriting_leaves_the_live_log(tmp_path, monkeypatch, room):
+    def open_full(part, *, overwrite):
+        if ".compact" not in part.name:
+            return open(part, "wb")
+        disk = FullDisk(part, "wb")
+        disk.room = room
+        return io.BufferedWriter(disk, 256)
+
+    monkeypatch.setattr(mcap_log, "open_part", open_full)
+    rec = simple_recording(steps=100)
+    path = record_live(tmp_path / "a.mcap", rec)
+    assert recordings_equal(rec, read_mcap(path)) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+    assert path.read_bytes() == record_live(tmp_path / "b.mcap", rec, compact=False).read_bytes()
+
+
+def test_an_interrupt_while_rewriting_leaves_the_live_log(tmp_path, monkeypatch):
+    rec = simple_recording(steps=100)
+
+    def interrupted(writer, recording):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(mcap_log, "_write_all", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        record_live(tmp_path / "a.mcap", rec)
+    assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_disk_that_forgets_is_noticed(tmp_path, monkeypatch):
+    rec = simple_recording(steps=100)
+
+    def forgetful(part, final):
+        data = bytearray(part.read_bytes())
+        data[len(data) // 2] ^= 1
+        final.write_bytes(data)
+
+    monkeypatch.setattr(mcap_log, "publish", forgetful)
+    with pytest.raises(FormatError, match="recover"):
+        record_live(tmp_path / "a.mcap", rec)
 
 
 def test_info_can_be_added_at_the_end(tmp_path):
@@ -398,7 +483,7 @@ def test_headers_decide_or_the_first_rows_do(tmp_path):
 def sound(tmp_path_factory) -> tuple[Recording, bytes]:
     rec = simple_recording(steps=90)
     path = tmp_path_factory.mktemp("sound") / "a.mcap"
-    with RecordingWriter(path, rec) as writer:
+    with RecordingWriter(path, rec, compact=False) as writer:
         for k in range(0, 90, 10):
             writer.append({n: a[k : k + 10] for n, a in rec.columns.items()})
         writer.skill(rec.skills[0])
@@ -496,6 +581,18 @@ def test_a_length_that_lies_allocates_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(MAGIC + lie + b"x" * 50)
     with pytest.raises(FormatError, match="truncated"):
         read_mcap(tmp_path / "a.mcap")
+
+
+def test_fields_of_another_type_are_refused(tmp_path, sound):
+    path = tmp_path / "t.mcap"
+    data = rewritten(
+        sound[1],
+        lambda _, m: m.SerializeToString(),
+        schema=lambda text: text.replace(b"semantic_id\x18\x05 \x01", b"semantic_id\x18\x05 \x03"),
+    )
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match=r"Expected int64 in Body\.semantic_id"):
+        read_mcap(path)
 
 
 def test_descriptors_do_not_change_by_accident():

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from h3data.recording.dataset_writer import DatasetWriter
     from h3data.recording.lerobot_meta import rebuild_meta
     from h3data.recording.mcap_log import RecordingWriter, write_mcap
-    from h3data.recording.mcap_read import Recovery, read_mcap, recover_mcap
+    from h3data.recording.mcap_read import read_mcap
+    from h3data.recording.mcap_recover import Recovery, recover_mcap
     from h3data.recording.opening import looks_like, open_recording
     from h3data.recording.windows import WindowDataset
 
@@ -36,9 +37,9 @@ _HOMES = {
     "rebuild_meta": "lerobot_meta",
     "RecordingWriter": "mcap_log",
     "write_mcap": "mcap_log",
-    "Recovery": "mcap_read",
+    "Recovery": "mcap_recover",
     "read_mcap": "mcap_read",
-    "recover_mcap": "mcap_read",
+    "recover_mcap": "mcap_recover",
     "looks_like": "opening",
     "open_recording": "opening",
     "WindowDataset": "windows",

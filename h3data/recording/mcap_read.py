@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.mcap_log import PROFILE, TOPIC_MESSAGES, publish, write_mcap
+from h3data.recording.mcap_header import PROFILE, TOPIC_MESSAGES
 from h3data.recording.mcap_scan import McapRecords, decoding_errors, scan_records
 from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
@@ -25,20 +23,8 @@ from h3data.recording.schema import (
     required_columns,
     struct_from_dict,
 )
-from h3data.recording.storage import AnyPath, RemotePath, local, place
+from h3data.recording.storage import AnyPath, RemotePath, place
 from h3data.recording.wire import decode_messages, fields_from_metadata, message_class
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recovery:
-    """What `recover_mcap` saved."""
-
-    path: Path
-    steps: int
-    bytes_read: int
-    bytes_total: int
-    reason: str
-    """Why the original could not be read as a whole."""
 
 
 def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
@@ -48,8 +34,8 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
     A truncated or damaged file is a `FormatError` that says how much `recover_mcap` can save.
     """
     path = place(path)
-    log = scan_records(_load(path))
-    _check_kind(log, path)
+    log = scan_records(load(path))
+    check_kind(log, path)
     if log.fault is None and "h3.end" not in log.metadata:
         log.fault = "the recording was never finished"
     if log.fault is not None:
@@ -59,44 +45,15 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
         )
     try:
         steps = int(log.metadata["h3.end"]["steps"])
-        return _assemble(log, path, steps=steps, wanted=columns)
+        return assemble(log, path, steps=steps, wanted=columns)
     except FormatError as error:
         raise FormatError(f"{error} File: {path}") from error
     except (KeyError, *decoding_errors()) as error:
         raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
 
 
-def recover_mcap(
-    path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
-) -> Recovery:
-    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
-
-    The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed. The original
-    stays as it is, also when ``out`` is the name that it should have got.
-    """
-    path, out = place(path), local(out)
-    if os.path.exists(out) and not overwrite:
-        raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {out}")
-    log = scan_records(_load(path))
-    _check_kind(log, path)
-    finished = log.fault is None and "h3.end" in log.metadata
-    reason = log.fault or ("nothing is wrong with it" if finished else "the recording was never finished")
-    try:
-        recording = _assemble(log, path, steps=None, wanted=None)
-    except (KeyError, FormatError, *decoding_errors()) as error:
-        raise FormatError(f"Nothing can be recovered ({error}): {path}") from error
-    if not finished:
-        note = {"from": path.name, "reason": reason, "steps": len(recording)}
-        info = {**recording.episode.info, "recovered": note}
-        recording = replace(recording, episode=replace(recording.episode, info=info))
-    part = out.with_name(f".{out.name}.recovering")
-    write_mcap(recording, part, overwrite=True)
-    publish(part, out)
-    return Recovery(path=out, steps=len(recording), bytes_read=log.readable_bytes, bytes_total=log.size, reason=reason)
-
-
 # --- kinds of files --------------------------------------------------------------------------------------------------
-def _load(path: AnyPath) -> bytes:
+def load(path: AnyPath) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -107,7 +64,7 @@ def _load(path: AnyPath) -> bytes:
         raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
 
 
-def _check_kind(log: McapRecords, path: AnyPath) -> None:
+def check_kind(log: McapRecords, path: AnyPath) -> None:
     if not log.readable_bytes:
         raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
     if log.profile != PROFILE and (log.profile or log.fault is None):
@@ -184,7 +141,7 @@ def _layout(log: McapRecords) -> Layout | None:
     return layout_from_json(log.metadata["h3.layout"]["columns"]) if "h3.layout" in log.metadata else None
 
 
-def _assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None) -> Recording:
+def assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None) -> Recording:
     episode = _episode(log, path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
@@ -224,6 +181,6 @@ def _assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Seq
 
 def _recoverable_steps(log: McapRecords, path: AnyPath) -> int:
     try:
-        return len(_assemble(log, path, steps=None, wanted=None))
+        return len(assemble(log, path, steps=None, wanted=None))
     except (KeyError, FormatError, *decoding_errors()):
         return 0

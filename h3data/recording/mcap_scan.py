@@ -83,7 +83,8 @@ def scan_records(data: bytes) -> McapRecords:
             if end > len(data):
                 raise EOFError(f"truncated inside a record that starts at byte {position}")
             body = view[position + _RECORD.size : end]
-            _take(log, opcode, body)
+            if not ended:  # the summary only repeats, and may be damaged
+                _take(log, opcode, body)
             if opcode == _DATA_END:
                 _check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
                 ended = True

@@ -213,6 +213,7 @@ RECORD_TYPES: dict[str, type] = {"Asset": AssetRef, "Body": Body, "Agent": Agent
 _STRUCT_NAMES = {cls: name for name, cls in RECORD_TYPES.items()}
 
 _SCALARS: dict[str, Callable[[Any], Any]] = {"string": str, "int64": int, "double": float}
+_TYPES: dict[str, type | tuple[type, ...]] = {"string": str, "int64": int, "double": (float, int)}
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
@@ -230,17 +231,25 @@ def struct_to_dict(record: Any) -> dict[str, Any]:
 
 
 def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
-    """The record of `struct_to_dict`; fields that the file does not know keep their defaults."""
+    """The record of `struct_to_dict`; fields that the file does not know keep their defaults.
+
+    Raises:
+        FormatError: a field is of another type.
+    """
     arguments: dict[str, Any] = {}
     for name, kind in STRUCTS[struct].items():
         if name not in values or values[name] is None:
             continue
+        value = values[name]
         if kind == "float*":
-            arguments[name] = np.array(values[name], np.float32)
-        elif kind.endswith("*"):
-            arguments[name] = tuple(values[name])
-        else:
-            arguments[name] = values[name]
+            arguments[name] = np.array(value, np.float32)
+            continue
+        many = kind.endswith("*")
+        if isinstance(value, list | tuple) != many or not all(
+            isinstance(v, _TYPES[kind.rstrip("*")]) for v in (value if many else (value,))
+        ):
+            raise FormatError(f"Expected {kind.replace('*', ' values')} in {struct}.{name}, got {value!r:.60}.")
+        arguments[name] = tuple(value) if many else value
     if arguments.get("color") == ():
         arguments["color"] = None
     return RECORD_TYPES[struct](**arguments)
