@@ -34,6 +34,7 @@ def run(emit: Emit) -> None:
     home = build_home(HomeSpec(preset="small", seed=1))
     free = FreeSpace.from_scene(home)
     emit("sim.state.w1_steps_per_s", _state_steps(free, worlds=1, steps=20_000), "steps/s")
+    emit("sim.state.w16_steps_per_s", 16 * _state_steps(free, worlds=16, steps=10_000), "steps/s")
     emit("sim.state.w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, worlds=1024, steps=300), "steps/s")
     habitat = BaseSpec(slide="habitat")
     emit("sim.state.habitat_slide_w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, 1024, 20, habitat), "steps/s")

@@ -43,11 +43,16 @@ class Cell:
     worlds: int = 1
     action: Action = "nav"
     skinned: bool = True
+    pictures: Literal["each", "arm"] = "each"
+    """The paper's square picture of each agent, or one of the first robot's arm camera as it is, 224x171."""
 
     @property
-    def image_px(self) -> int:
-        """Width and height of the depth images: 128 of one agent, 256 of each of two."""
-        return 256 if self.agents in ("robot_robot", "human_robot") else 128
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the depth images [pixels]; the paper's are 128 of one agent, 256 of each of two."""
+        if self.pictures == "arm":
+            camera = load_robot(ROBOT).camera(CAMERA)
+            return camera.width, camera.height
+        return (256, 256) if self.agents in ("robot_robot", "human_robot") else (128, 128)
 
 
 class Run(NamedTuple):
@@ -68,6 +73,8 @@ class BenchmarkWorlds:
         loose = [i for i in self.home.instances if i.motion != "static" and len(self.home.assets[i.asset].mesh.faces)]
         if not 1 <= cell.objects <= len(loose):
             raise InputError(f"The {cell.home} home has 1 to {len(loose)} objects, got {cell.objects}.")
+        if cell.pictures == "arm" and "robot" not in cell.agents:
+            raise InputError(f"There is no arm camera: nobody of {cell.agents} is a robot.")
         self._loose = loose[: cell.objects]
         self.agents = self._make_agents()
         self._contact = AgentContacts(*(body_shapes(agent.body) for agent in self.agents))
@@ -133,11 +140,13 @@ class BenchmarkWorlds:
         return self.render(("depth",))["depth"]
 
     def render(self, outputs: tuple[Any, ...]) -> dict[str, Any]:
-        """What each agent sees in each world, by output, [agents * W, H, W', ...]: all worlds of the first agent come first."""
+        """What each agent (or the arm) sees in each world, by output, [agents * W, H, W', ...]: all worlds of the first come
+        first."""
         self.drawn.pose(self.state, frames=[agent.frames for agent in self._in_order()])
-        size = self.cell.image_px
+        if self.cell.pictures == "arm":
+            return self.drawn.picture(self.drawn.cameras(CAMERA), outputs)
         cameras = [
-            pinhole(size, size, hfov_deg=HFOV_DEG, near=camera.near, pose=camera.pose)
+            pinhole(*self.cell.image_size, hfov_deg=HFOV_DEG, near=camera.near, pose=camera.pose)
             for agent in self.agents
             for camera in self.drawn.cameras(CAMERA, agent=agent.number)
         ]

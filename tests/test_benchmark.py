@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import re
+import tracemalloc
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -64,6 +67,35 @@ def test_two_agents_see_and_touch_each_other(agents: str) -> None:
         there = np.isin(picture, benchmark.drawn.instances(other.number))
         assert there.sum() > 500
         assert 0.8 < np.median(depth[there]) < 3.2
+
+
+def test_the_arm_sees_one_picture_of_each_world() -> None:
+    benchmark, rng = BenchmarkWorlds(Cell(pictures="arm", worlds=2)), np.random.default_rng(1)
+    benchmark.reset(rng)
+    depth = benchmark.step(benchmark.sample(rng))
+    assert depth.shape == (2, 171, 224)
+    assert (depth > 0).any((1, 2)).all()
+    with pytest.raises(InputError, match="no arm camera"):
+        BenchmarkWorlds(Cell(agents="human", pictures="arm"))
+
+
+def test_resets_leave_nothing_behind() -> None:
+    benchmark, rng = BenchmarkWorlds(Cell(worlds=2)), np.random.default_rng(1)
+
+    def play(resets: int) -> int:
+        """Bytes that Python and NumPy hold afterwards."""
+        for _ in range(resets):
+            benchmark.reset(rng)
+            benchmark.step(benchmark.sample(rng))
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        held = [play(25) for _ in range(5)]
+        assert min(after - before for before, after in pairwise(held)) < 10_000  # what leaks does so every time
+    finally:
+        tracemalloc.stop()
 
 
 def test_bones_fill_nearly_what_skin_does() -> None:

@@ -221,10 +221,10 @@ def measure(
     cpu = np.array([[run.cpu_s for run in process] for process in results]).sum(0)
     frames = (steps - UNTIMED) * cell.worlds
     fps = frames / wall
-    usual = cell.objects == 2 and cell.action == "nav" and cell.skinned
+    usual = cell.objects == 2 and cell.action == "nav" and cell.skinned and cell.pictures == "each"
     return {
         **asdict(cell),
-        "image": [cell.image_px, cell.image_px],
+        "image": list(cell.image_size),
         "processes": count,
         "fps": fps.tolist(),
         "fps_mean": float(fps.mean()),
