@@ -24,7 +24,8 @@ from h3data.scene.records import Mesh
 from h3data_viewers import CameraFeed, write_rrd
 from h3data_viewers.mesh_detail import thin_mesh, view_mesh
 from h3data_viewers.rerun_cameras import frame_steps
-from h3data_viewers.rerun_tracks import Timeline, lanes_of, log_scalars
+from h3data_viewers.rerun_sink import Sink
+from h3data_viewers.rerun_tracks import lanes_of, log_scalars
 
 STEPS = 60
 pytest.importorskip("rerun")
@@ -253,7 +254,7 @@ def test_only_distances_share_a_plot():
     columns = example().columns
     recording = example(columns={**columns, "metrics.facing": np.zeros(STEPS, np.float32)})
     stream = rr.RecordingStream("h3data", recording_id="test")
-    assert log_scalars(stream, recording, Timeline(recording.columns["time_ns"])) == (
+    assert log_scalars(Sink(stream, recording.columns["time_ns"]), recording) == (
         "/metrics/geodesic_agents",
         "/metrics/distance_l2",
         "/metrics/follow_from_1m",
@@ -378,7 +379,7 @@ def test_thin_meshes_stay_close_and_small(limit):
 
 def test_meshes_without_normals_become_facets():
     mesh = sphere(normals=False)
-    facets = view_mesh(mesh)
+    (facets,) = view_mesh(mesh)
     assert facets.faces is None
     assert np.array_equal(facets.vertices.reshape(-1, 3, 3), mesh.vertices[mesh.faces])
     assert np.array_equal(facets.colors.reshape(-1, 3, 3), mesh.colors[mesh.faces])

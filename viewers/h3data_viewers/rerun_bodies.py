@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import pose_inverse, pose_to_matrix, quat_from_matrix, quat_sign_continuous, transform_points
 from h3data.recording.records import Recording
-from h3data.scene.records import Mesh
-from h3data_viewers.mesh_detail import ViewMesh, thin_mesh, view_mesh
-from h3data_viewers.rerun_tracks import Timeline
-
-if TYPE_CHECKING:
-    import rerun as rr
+from h3data.scene.records import Mesh, Texture
+from h3data_viewers.mesh_detail import ViewMesh, baked_colors, thin_mesh, view_mesh, view_texture
+from h3data_viewers.rerun_sink import Sink
 
 _LOG = logging.getLogger(__name__)
 
 MESH_BYTES = 12_000_000
 """Above this, all rigid meshes are thinned alike: the file stays below 30 MB."""
+TEXTURE_BYTES = 8_000_000
+"""Above this, textures are halved until they fit: the viewer's format holds texels as they are, for each mesh anew."""
+TEXTURE_SIDE_PX = 512
 SKIN_BYTES = 16_000_000
 """Above this, skinned bodies are sampled less often."""
 SKIN_VERTICES = 3_500
@@ -71,7 +72,7 @@ def entity_part(name: str) -> str:
     return rr.escape_entity_path_part(name or "unnamed")
 
 
-def log_agents(stream: rr.RecordingStream, recording: Recording, timeline: Timeline, drawn: set[int]) -> None:
+def log_agents(sink: Sink, recording: Recording, drawn: set[int]) -> None:
     """Root frames, name tags and tracks of all agents; plain solids for those that nothing else draws."""
     import rerun as rr
 
@@ -79,16 +80,16 @@ def log_agents(stream: rr.RecordingStream, recording: Recording, timeline: Timel
         pose = recording.agent_column(i, "base_pose")
         color = AGENT_COLORS[agent.kind]
         root = f"world/{entity_part(agent.name)}"
-        log_track(stream, root, timeline, pose_to_matrix(pose.astype(np.float64)))
+        log_track(sink, root, pose_to_matrix(pose.astype(np.float64)))
         height = 1.95 if agent.kind == "human" else 0.95
         tag = rr.Points3D([[0, height, 0]], radii=[0.02], colors=[color], labels=[agent.name], show_labels=True)
-        stream.log(f"{root}/name", tag, static=True, strict=True)
+        sink.static(f"{root}/name", tag)
         if i not in drawn:
-            stream.log(f"{root}/solid", _solid(agent.kind, color), static=True, strict=True)
+            sink.static(f"{root}/solid", _solid(agent.kind, color))
         strips = _strips(pose[:, :3] + np.array([0, 0.03, 0], np.float32))
         if strips:
             lines = rr.LineStrips3D(strips, colors=[color] * len(strips), radii=[0.015])
-            stream.log(f"world/trajectories/{entity_part(agent.name)}", lines, static=True, strict=True)
+            sink.static(f"world/trajectories/{entity_part(agent.name)}", lines)
 
 
 def _solid(kind: str, color: tuple[int, int, int]) -> Any:
@@ -110,17 +111,25 @@ def _strips(points: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
 
 # --- rigid things -----------------------------------------------------------------------------------------------------
-def log_rigid(stream: rr.RecordingStream, recording: Recording, timeline: Timeline, replay: Posed) -> None:
-    """Meshes of everything that does not deform, static or with a track."""
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """How a drawable looks: its parts, and the texels of their textures."""
+
+    parts: list[ViewMesh]
+    texels: Mapping[Texture, NDArray[np.uint8]]
+
+
+def log_rigid(sink: Sink, recording: Recording, replay: Posed, *, share: float = 1.0) -> None:
+    """Meshes of everything that does not deform, static or with a track; ``share`` of the file's bytes are theirs."""
     rigid = [(i, d) for i, d in enumerate(replay.drawables) if not d.deformable and len(d.mesh.faces)]
-    meshes = _view_meshes([d.mesh for _, d in rigid])
+    looks = _looks([d.mesh for _, d in rigid], share)
     inverse: dict[int, NDArray[np.floating]] = {}
     taken: set[str] = set()
-    for (index, drawable), mesh in zip(rigid, meshes, strict=True):
+    for (index, drawable), look in zip(rigid, looks, strict=True):
         if not drawable.moving:
             layer = f"{entity_part(drawable.layer)}/" if drawable.layer else ""
             entity = _unique(f"world/scene/{layer}{entity_part(drawable.name)}", taken)
-            _log_mesh(stream, entity, mesh, drawable.matrix)
+            _log_mesh(sink, entity, look, drawable.matrix)
             continue
         matrices = replay.matrices(index).astype(np.float64)
         parent = "world/objects"
@@ -135,8 +144,8 @@ def log_rigid(stream: rr.RecordingStream, recording: Recording, timeline: Timeli
         else:
             name = drawable.name
         entity = _unique(f"{parent}/{entity_part(name)}", taken)
-        scale = log_track(stream, entity, timeline, matrices)
-        _log_mesh(stream, f"{entity}/mesh", mesh, np.diag([*scale, 1.0]))
+        scale = log_track(sink, entity, matrices)
+        _log_mesh(sink, f"{entity}/mesh", look, np.diag([*scale, 1.0]))
 
 
 def _has_root(recording: Recording, agent: int) -> bool:
@@ -155,32 +164,43 @@ def _unique(entity: str, taken: set[str]) -> str:
     return name
 
 
-def _view_meshes(meshes: list[Mesh]) -> list[ViewMesh]:
+def _looks(meshes: list[Mesh], share: float) -> list[_Look]:
     """Every mesh for the viewer, all thinned alike if they are too large together; shared ones are prepared once."""
-    ready = {id(m): view_mesh(m) for m in meshes}
-    total = sum(ready[id(m)].nbytes for m in meshes)
-    if total > MESH_BYTES:
-        share = MESH_BYTES / total
-        _LOG.info("Meshes of %.0f MB are thinned to %.0f %% of their vertices", total / 1e6, 100 * share)
-        for mesh in {id(m): m for m in meshes}.values():
-            ready[id(mesh)] = view_mesh(mesh, max_vertices=max(300, int(share * len(mesh.vertices))))
-    return [ready[id(m)] for m in meshes]
+    distinct = {id(m): m for m in meshes}
+    ready = {key: view_mesh(m) for key, m in distinct.items()}
+    total = sum(part.nbytes for m in meshes for part in ready[id(m)])
+    if total > share * MESH_BYTES:
+        kept = share * MESH_BYTES / total
+        _LOG.info("Meshes of %.0f MB are thinned to %.0f %% of their vertices", total / 1e6, 100 * kept)
+        for key, mesh in distinct.items():
+            ready[key] = view_mesh(mesh, max_vertices=max(300, int(kept * len(mesh.vertices))))
+    textures = [part.texture for m in meshes for part in ready[id(m)] if part.texture is not None]
+    side = TEXTURE_SIDE_PX
+    while side > 1 and sum(3 * np.prod(np.minimum(t.pixels.shape[:2], side)) for t in textures) > share * TEXTURE_BYTES:
+        side //= 2
+    texels = {t: view_texture(t, side) for t in dict.fromkeys(textures)}
+    return [_Look(ready[id(m)], texels) for m in meshes]
 
 
-def _log_mesh(stream: rr.RecordingStream, entity: str, mesh: ViewMesh, matrix: NDArray[np.floating]) -> None:
+def _log_mesh(sink: Sink, entity: str, look: _Look, matrix: NDArray[np.floating]) -> None:
+    """Further parts of a mesh, which have textures of their own, hang below its entity."""
     import rerun as rr
 
-    shape = rr.Mesh3D(
-        vertex_positions=mesh.vertices,
-        triangle_indices=mesh.faces,
-        vertex_colors=mesh.colors,
-        vertex_normals=mesh.normals,
-    )
-    parts: list[Any] = [shape]
-    if not np.allclose(matrix, np.eye(4)):
-        position, quat, scale = decompose(matrix[None])
-        parts.append(rr.Transform3D(translation=position[0], quaternion=quat[0], scale=scale[0]))
-    stream.log(entity, *parts, static=True, strict=True)
+    for number, part in enumerate(look.parts):
+        components: list[Any] = [
+            rr.Mesh3D(
+                vertex_positions=part.vertices,
+                triangle_indices=part.faces,
+                vertex_colors=part.colors,
+                vertex_normals=part.normals,
+                vertex_texcoords=part.uv,
+                albedo_texture=None if part.texture is None else look.texels[part.texture],
+            )
+        ]
+        if number == 0 and not np.allclose(matrix, np.eye(4)):
+            position, quat, scale = decompose(matrix[None])
+            components.append(rr.Transform3D(translation=position[0], quaternion=quat[0], scale=scale[0]))
+        sink.static(f"{entity}/part_{number + 1}" if number else entity, *components)
 
 
 def decompose(
@@ -194,16 +214,14 @@ def decompose(
     return matrices[:, :3, 3], quat_from_matrix(rotation), scale
 
 
-def log_track(
-    stream: rr.RecordingStream, entity: str, timeline: Timeline, matrices: NDArray[np.floating]
-) -> NDArray[np.floating]:
+def log_track(sink: Sink, entity: str, matrices: NDArray[np.floating]) -> NDArray[np.floating]:
     """Log poses [T, 4, 4] where they change; returns the scale [3] of the first one, which the poses leave out."""
     import rerun as rr
 
     there = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))
     if not len(matrices) or not there.any():
         if len(matrices):
-            stream.log(entity, rr.Transform3D(scale=HIDDEN), static=True, strict=True)
+            sink.static(entity, rr.Transform3D(scale=HIDDEN))
         return np.ones(3)
     filled = np.where(there[:, None, None], matrices, matrices[np.argmax(there)])
     position, quat, scale = decompose(filled)
@@ -213,14 +231,12 @@ def log_track(
     rows = np.flatnonzero(np.concatenate([[True], np.any(np.diff(coarse, axis=0) != 0, axis=1)]))
     shown = None if there.all() else np.where(there[rows, None], 1.0, HIDDEN) * np.ones(3)
     columns = rr.Transform3D.columns(translation=position[rows], quaternion=quat[rows], scale=shown)
-    stream.send_columns(entity, timeline.at(rows), columns, strict=True)
+    sink.columns(entity, rows, columns)
     return scale[np.argmax(there)]
 
 
 # --- skinned bodies ---------------------------------------------------------------------------------------------------
-def log_skins(
-    stream: rr.RecordingStream, recording: Recording, timeline: Timeline, replay: Posed, skin_every: int
-) -> None:
+def log_skins(sink: Sink, recording: Recording, replay: Posed, skin_every: int, *, share: float = 1.0) -> None:
     """Vertices of skinned bodies at a reduced rate, in the root frame of their agent, which moves at the full rate."""
     import rerun as rr
 
@@ -229,7 +245,7 @@ def log_skins(
         return
     thin = {i: thin_mesh(d.mesh, SKIN_VERTICES) for i, d in skins}
     per_sample = sum(12 * len(t.keep) for t in thin.values())
-    every = max(1, skin_every, int(np.ceil(len(recording) * per_sample / SKIN_BYTES)))
+    every = max(1, skin_every, int(np.ceil(len(recording) * per_sample / (share * SKIN_BYTES))))
     steps = np.arange(0, len(recording), every)
     for index, drawable in skins:
         keep = thin[index].keep
@@ -244,8 +260,8 @@ def log_skins(
         chosen = np.flatnonzero(np.concatenate([[True], changed]))
         vertices, rows = vertices[chosen], rows[chosen]
         look = rr.Mesh3D.from_fields(
-            triangle_indices=thin[index].faces, vertex_colors=drawable.mesh.colors[keep], clear_unset=False
+            triangle_indices=thin[index].faces, vertex_colors=baked_colors(drawable.mesh)[keep], clear_unset=False
         )
-        stream.log(entity, look, static=True, strict=True)
+        sink.static(entity, look)
         columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)).partition([len(keep)] * len(rows))
-        stream.send_columns(entity, timeline.at(rows), columns, strict=True)
+        sink.columns(entity, rows, columns)

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
+from h3data.replay import Replay, camera_track
 from h3data_viewers.rerun_bodies import decompose, entity_part, log_track
-from h3data_viewers.rerun_tracks import Timeline
-
-if TYPE_CHECKING:
-    import rerun as rr
+from h3data_viewers.rerun_sink import Sink
 
 Pictures = Literal["stills", "video"]
 STILL_WIDTH = 320
 STILL_EVERY = 5
-"""Video frames per still. Together 1.4 MB and 0.7 CPU-s for 1,500 frames of 640x480."""
+"""Frames per still. Together 1.4 MB and 0.7 CPU-s for 1,500 frames of a 640x480 video."""
 JPEG_QUALITY = 80
+BATCH = 64
+"""Stills that are held before they go to the file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,13 +38,39 @@ class CameraFeed:
     """An MP4 file."""
     steps: NDArray[np.integer] | None = None
     """Step that each video frame shows; None: the frames are spread evenly over the recording."""
+    drawn: Iterable[tuple[int, NDArray[np.uint8]]] | None = None
+    """In place of a video: steps and their pictures, sRGB [H, W, 3]."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether there are pictures."""
+        return self.video is not None or self.drawn is not None
 
 
-def log_camera(stream: rr.RecordingStream, timeline: Timeline, feed: CameraFeed, *, pictures: Pictures) -> str:
-    """Log one camera, its track and its pictures; returns its entity.
+def drawn_feed(replay: Replay, name: str) -> CameraFeed:
+    """A camera of a replay, by name or file as `h3data.replay.camera_track`, with stills drawn for the viewer."""
+    track = camera_track(replay, name)
+    shrink = min(1.0, STILL_WIDTH / track.camera.width)
+    small = replace(track, camera=scaled(track.camera, shrink))
+    steps = range(0, len(replay), STILL_EVERY)
+    frames = replay.frames([small], steps, outputs=("rgb",))
+    pictures = ((step, images[0]["rgb"]) for step, images in frames)
+    return CameraFeed(camera=track.camera, poses=track.poses, drawn=pictures)
+
+
+def scaled(camera: Camera, factor: float) -> Camera:
+    """The same view in a picture of another size."""
+    return replace(
+        camera, width=max(round(camera.width * factor), 1), height=max(round(camera.height * factor), 1),
+        fx=camera.fx * factor, fy=camera.fy * factor, cx=camera.cx * factor, cy=camera.cy * factor,
+    )  # fmt: skip
+
+
+def log_camera(sink: Sink, feed: CameraFeed, *, pictures: Pictures) -> str:
+    """Log one camera, its track and its pictures; returns the path of its entity.
 
     ``video`` embeds the file as it is: smooth, but Rerun's desktop viewer plays H.264 only beside an installed FFmpeg
-    (AV1 without). ``stills`` are JPEGs of some frames that every viewer shows.
+    (AV1 without). ``stills`` are JPEGs of some frames that every viewer shows. Only perspective cameras have a frustum.
     """
     import rerun as rr
 
@@ -52,26 +79,28 @@ def log_camera(stream: rr.RecordingStream, timeline: Timeline, feed: CameraFeed,
     poses = np.asarray(camera.pose)[None] if feed.poses is None else feed.poses
     if len(poses) == 1:
         position, quat, _ = decompose(np.asarray(poses, np.float64))
-        stream.log(entity, rr.Transform3D(translation=position[0], quaternion=quat[0]), static=True, strict=True)
+        sink.static(entity, rr.Transform3D(translation=position[0], quaternion=quat[0]))
     else:
-        log_track(stream, entity, timeline, np.asarray(poses, np.float64))
-    shrink = 1.0
-    if feed.video is not None and len(timeline.time_ns):
+        log_track(sink, entity, np.asarray(poses, np.float64))
+    small = scaled(camera, min(1.0, STILL_WIDTH / camera.width))
+    if len(sink.time_ns) and feed.drawn is not None:
+        _log_stills(sink, f"{entity}/image", _encoded(feed.drawn))
+        camera = small
+    elif len(sink.time_ns) and feed.video is not None:
         if pictures == "video":
-            _log_video(stream, timeline, f"{entity}/image", feed.video, feed.steps)
+            _log_video(sink, f"{entity}/image", feed.video, feed.steps)
         else:
-            shrink = min(1.0, STILL_WIDTH / camera.width)
-            size = (round(camera.width * shrink), round(camera.height * shrink))
-            _log_stills(stream, timeline, f"{entity}/image", feed.video, feed.steps, size)
-    scaled = camera.intrinsics * np.array([[shrink], [shrink], [1.0]])
-    pinhole = rr.Pinhole(
-        image_from_camera=scaled,
-        resolution=[round(camera.width * shrink), round(camera.height * shrink)],
-        camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=0.5,
-    )
-    stream.log(entity, pinhole, static=True, strict=True)
-    return f"/{entity}"
+            _log_stills(sink, f"{entity}/image", _stills_of_video(sink, feed, (small.width, small.height)))
+            camera = small
+    if camera.projection == "perspective":
+        pinhole = rr.Pinhole(
+            image_from_camera=camera.intrinsics,
+            resolution=[camera.width, camera.height],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.5,
+        )
+        sink.static(entity, pinhole)
+    return sink.path(entity)
 
 
 def frame_steps(frames: int, steps: int) -> NDArray[np.int64]:
@@ -79,9 +108,7 @@ def frame_steps(frames: int, steps: int) -> NDArray[np.int64]:
     return np.floor(np.arange(frames) * steps / max(frames, 1)).astype(np.int64)
 
 
-def _log_video(
-    stream: rr.RecordingStream, timeline: Timeline, entity: str, video: Path, steps: NDArray[np.integer] | None
-) -> None:
+def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] | None) -> None:
     import rerun as rr
 
     asset = rr.AssetVideo(path=video)
@@ -89,40 +116,50 @@ def _log_video(
         stamps = np.asarray(asset.read_frame_timestamps_nanos())
     except RuntimeError as error:
         raise InputError(f"Not a video that Rerun can read ({error}): {video}") from None
-    rows = frame_steps(len(stamps), len(timeline.time_ns)) if steps is None else np.asarray(steps)
+    rows = frame_steps(len(stamps), len(sink.time_ns)) if steps is None else np.asarray(steps)
     count = min(len(stamps), len(rows))
-    stream.log(entity, asset, static=True, strict=True)
+    sink.static(entity, asset)
     frames = rr.VideoFrameReference.columns_nanos(stamps[:count])
-    stream.send_columns(entity, timeline.at(rows[:count]), frames, strict=True)
+    sink.columns(entity, rows[:count], frames)
 
 
-def _log_stills(
-    stream: rr.RecordingStream,
-    timeline: Timeline,
-    entity: str,
-    video: Path,
-    steps: NDArray[np.integer] | None,
-    size: tuple[int, int],
-) -> None:
+def _log_stills(sink: Sink, entity: str, stills: Iterable[tuple[int, bytes]]) -> None:
+    """Log JPEGs by step, some at a time."""
     import rerun as rr
 
-    stills = list(_stills(video, size))
+    waiting = iter(stills)
+    while batch := list(islice(waiting, BATCH)):
+        blobs = [image for _, image in batch]
+        columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(blobs))
+        sink.columns(entity, [step for step, _ in batch], columns)
+
+
+def _encoded(drawn: Iterable[tuple[int, NDArray[np.uint8]]]) -> Iterator[tuple[int, bytes]]:
+    for step, rgb in drawn:
+        yield step, _jpeg(rgb[..., ::-1])
+
+
+def _jpeg(bgr: NDArray[Any]) -> bytes:
+    import cv2
+
+    return cv2.imencode(".jpg", np.ascontiguousarray(bgr), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+
+
+def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> list[tuple[int, bytes]]:
+    """Some frames with the steps that they show; how many there are in all is known only at the end."""
+    assert feed.video is not None
+    stills = list(_stills(feed.video, size))
     if not stills:
-        raise InputError(f"The camera's video has no frames: {video}")
-    total = stills[-1][0]
-    numbers = np.array([number for number, image in stills if image])
-    rows = frame_steps(total, len(timeline.time_ns)) if steps is None else np.asarray(steps)
-    numbers = numbers[numbers < len(rows)]
-    blobs = [image for _, image in stills if image][: len(numbers)]
-    columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(blobs))
-    stream.send_columns(entity, timeline.at(rows[numbers]), columns, strict=True)
+        raise InputError(f"The camera's video has no frames: {feed.video}")
+    total = stills.pop()[0]
+    steps = frame_steps(total, len(sink.time_ns)) if feed.steps is None else np.asarray(feed.steps)
+    return [(int(steps[number]), image) for number, image in stills if number < len(steps)]
 
 
 def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
     """``(frame number, JPEG)`` of some frames; last comes ``(number of frames, b"")``."""
     import av
     import av.error
-    import cv2
 
     number = 0
     try:
@@ -132,7 +169,7 @@ def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
             for frame in container.decode(track):
                 if number % STILL_EVERY == 0:
                     pixels = frame.reformat(width=size[0], height=size[1], format="bgr24").to_ndarray()
-                    yield number, cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+                    yield number, _jpeg(pixels)
                 number += 1
     except (av.error.FFmpegError, IndexError) as error:
         raise InputError(f"Not a video that can be read ({error}): {video}") from None

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +11,12 @@ from h3data.errors import InputError
 from h3data.metrics import find_agents
 from h3data.metrics.social_nav import following_rows, l2_distance
 from h3data.recording.records import Recording
-
-if TYPE_CHECKING:
-    import rerun as rr
+from h3data_viewers.rerun_sink import Sink
 
 NOTHING = "-"
 """Lane state while nothing runs."""
+ENDED = "ended"
+"""Lane state after the last step, where another recording goes on."""
 KNOWN_COLORS = {
     NOTHING: 0x3A3A3AFF,
     "apart": 0x616161FF,
@@ -26,23 +24,11 @@ KNOWN_COLORS = {
     "following": 0x43A047FF,
     "too close": 0xFB8C00FF,
     "contact": 0xE53935FF,
+    ENDED: 0x1A1A1AFF,
 }
+CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
+"""Of the first and the second recording in one plot."""
 PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
-
-
-@dataclass(frozen=True, eq=False)
-class Timeline:
-    """The two timelines of a recording."""
-
-    time_ns: NDArray[np.int64]
-
-    def at(self, steps: NDArray[np.integer] | Sequence[int] | None = None) -> list[rr.TimeColumn]:
-        """Time columns ``step`` and ``sim_time`` of some rows; all rows by default."""
-        import rerun as rr
-
-        rows = np.arange(len(self.time_ns)) if steps is None else np.asarray(steps, np.int64)
-        durations = self.time_ns[rows].astype("timedelta64[ns]")
-        return [rr.TimeColumn("step", sequence=rows), rr.TimeColumn("sim_time", duration=durations)]
 
 
 def agent_pair(recording: Recording) -> tuple[int, int] | None:
@@ -54,8 +40,11 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 # --- plots ------------------------------------------------------------------------------------------------------------
-def log_scalars(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> tuple[str, ...]:
-    """Log every per-step scalar below ``metrics/``; returns the entities that are distances and belong in one plot."""
+def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None) -> tuple[str, ...]:
+    """Log every per-step scalar below ``metrics/``; returns the paths of the distances, which belong in one plot.
+
+    ``shade`` 0, 1, ... colours and names the curves by the recording, for plots that several share; only 0 has the bounds.
+    """
     import rerun as rr
 
     curves: dict[str, NDArray[Any]] = {
@@ -71,16 +60,19 @@ def log_scalars(stream: rr.RecordingStream, recording: Recording, timeline: Time
     for name, column in curves.items():
         values = column.astype(np.float64)
         values[np.isinf(values)] = np.nan  # no path: a gap in the curve, not a cliff
-        stream.send_columns(f"metrics/{name}", timeline.at(), rr.Scalars.columns(scalars=values), strict=True)
-    if pair is not None and len(recording):
+        if shade is not None and name in plotted:
+            color = CURVE_COLORS[shade][plotted.index(name) % 3]
+            style = rr.SeriesLines(names=[f"{sink.label} {name}"], colors=np.array([color], np.uint32), widths=[2.0])
+            sink.static(f"metrics/{name}", style)
+        sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
+    if pair is not None and len(recording) and not shade:
         ends = np.unique([0, len(recording) - 1])
         for name, bound in (("follow_from_1m", 1.0), ("follow_to_2m", 2.0)):
-            style = rr.SeriesLines(colors=np.array([0x43A047A0], np.uint32), widths=[1.0])
-            stream.log(f"metrics/{name}", style, static=True, strict=True)
-            columns = rr.Scalars.columns(scalars=np.full(len(ends), bound))
-            stream.send_columns(f"metrics/{name}", timeline.at(ends), columns, strict=True)
+            style = rr.SeriesLines(names=[name], colors=np.array([0x43A047A0], np.uint32), widths=[1.0])
+            sink.static(f"metrics/{name}", style)
+            sink.columns(f"metrics/{name}", ends, rr.Scalars.columns(scalars=np.full(len(ends), bound)))
             plotted.append(name)
-    return tuple(f"/metrics/{name}" for name in plotted)
+    return tuple(sink.path(f"metrics/{name}") for name in plotted)
 
 
 # --- lanes ------------------------------------------------------------------------------------------------------------
@@ -100,22 +92,23 @@ def lanes_of(recording: Recording) -> dict[str, list[str]]:
     return lanes
 
 
-def log_lanes(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> tuple[str, ...]:
-    """Log the lanes below ``actions/``; returns their entities."""
+def log_lanes(sink: Sink, recording: Recording, *, ends: bool = False) -> tuple[str, ...]:
+    """Log the lanes below ``actions/``; returns their paths. ``ends``: they show where the recording ends."""
     import rerun as rr
 
     lanes = {name: states for name, states in lanes_of(recording).items() if states}
-    for name, states in lanes.items():
+    for name, lane in lanes.items():
+        states = [*lane, ENDED] if ends else lane
         values = list(dict.fromkeys(states))
         unknown = [v for v in values if v not in KNOWN_COLORS]
         colors = {v: PALETTE[k % len(PALETTE)] for k, v in enumerate(unknown)} | KNOWN_COLORS
         rgba = np.array([colors[v] for v in values], np.uint32)
         config = rr.StateConfiguration(values=values, labels=values, colors=rgba)
-        stream.log(f"actions/{name}", config, static=True, strict=True)
+        sink.static(f"actions/{name}", config)
         rows = [0, *(k for k in range(1, len(states)) if states[k] != states[k - 1])]
         columns = rr.StateChange.columns(state=[states[k] for k in rows])
-        stream.send_columns(f"actions/{name}", timeline.at(rows), columns, strict=True)
-    return tuple(f"/actions/{name}" for name in lanes)
+        sink.columns(f"actions/{name}", rows, columns)
+    return tuple(sink.path(f"actions/{name}") for name in lanes)
 
 
 def _skill_states(recording: Recording, agent: int) -> list[str] | None:
@@ -148,8 +141,8 @@ def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]
 
 
 # --- log --------------------------------------------------------------------------------------------------------------
-def log_events(stream: rr.RecordingStream, recording: Recording, timeline: Timeline) -> bool:
-    """Log events and skills as text below ``log/``; returns whether there are any."""
+def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
+    """Log events and skills as text below ``log/``; returns whether there are any. ``ends``: the end is one, too."""
     import rerun as rr
 
     lines: dict[str, list[tuple[int, str, str]]] = {}
@@ -165,9 +158,14 @@ def log_events(stream: rr.RecordingStream, recording: Recording, timeline: Timel
         if s.outcome in ("failed", "aborted"):
             end = f"{what} {s.outcome}" + (f": {s.reason}" if s.reason else "")
             lines.setdefault("skills", []).append((s.end_step, end, "WARN"))
+    if ends:
+        why = str(recording.episode.info.get("ended", ""))
+        lines.setdefault("events", []).append(
+            (len(recording), "the recording ends" + (f" ({why})" if why else ""), "INFO")
+        )
     for name, group in lines.items():
         group.sort(key=lambda line: line[0])
-        steps = np.clip([line[0] for line in group], 0, max(len(recording) - 1, 0))
+        steps = np.clip([line[0] for line in group], 0, len(recording) if ends else max(len(recording) - 1, 0))
         columns = rr.TextLog.columns(text=[line[1] for line in group], level=[line[2] for line in group])
-        stream.send_columns(f"log/{name}", timeline.at(steps), columns, strict=True)
+        sink.columns(f"log/{name}", steps, columns)
     return bool(lines)

@@ -1,0 +1,49 @@
+"""Where the entities of one recording go in a Rerun file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording.records import STEP_NS
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+Rows = NDArray[np.integer] | Sequence[int]
+
+
+@dataclass(frozen=True, eq=False)
+class Sink:
+    """A stream that takes the entities of one recording, at its times and below its own root."""
+
+    stream: rr.RecordingStream
+    time_ns: NDArray[np.int64]
+    """Column ``time_ns`` of the recording, shape [T]."""
+    label: str = ""
+    """Root of all its entities; empty if the file shows nothing else."""
+
+    def path(self, entity: str) -> str:
+        """Absolute path of an entity."""
+        return f"/{self.label}/{entity}" if self.label else f"/{entity}"
+
+    def static(self, entity: str, *parts: Any) -> None:
+        """Log what does not change."""
+        self.stream.log(self.path(entity), *parts, static=True, strict=True)
+
+    def columns(self, entity: str, rows: Rows | None, columns: Iterable[rr.ComponentColumn]) -> None:
+        """Log one value per row of ``rows``, all rows if None; row T lies one step after the last one."""
+        self.stream.send_columns(self.path(entity), self._at(rows), columns, strict=True)
+
+    def _at(self, rows: Rows | None) -> list[rr.TimeColumn]:
+        import rerun as rr
+
+        count = len(self.time_ns)
+        steps = np.arange(count) if rows is None else np.asarray(rows, np.int64)
+        after = self.time_ns[-1] + STEP_NS if count else 0
+        durations = np.append(self.time_ns, after)[steps].astype("timedelta64[ns]")
+        return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("sim_time", duration=durations)]
