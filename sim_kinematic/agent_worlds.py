@@ -73,13 +73,16 @@ class AgentWorlds:
         Raises:
             SceneError: there is no room for them.
         """
-        places = np.stack([self._places(generator(seed, "agent_worlds", world=w)) for w in range(self.state.worlds)])
+        self.place(np.stack([self._places(generator(seed, "agent_worlds", world=w)) for w in range(self.state.worlds)]))
+
+    def place(self, places: Array) -> None:
+        """Everybody at ``(x, z, heading)``, [W, A, 3] or [A, 3] in all worlds, at rest."""
         joints = [own.joints.shape[1] for own in self.state.robots]
         self.state.put(
             slice(None), WorldState.zeros(1, robots=len(joints), people=len(self.state.people), joints=joints)
         )
         for k, (member, own) in enumerate(zip(self.cast, self.state.agents, strict=True)):
-            own.xz[:], own.heading[:] = places[:, k, :2], places[:, k, 2]
+            own.xz[:], own.heading[:] = places[..., k, :2], places[..., k, 2]
             if isinstance(own, RobotState) and isinstance(member.body, Robot):
                 own.joints[:] = member.body.rest
         self.touching = self._touching()

@@ -138,7 +138,13 @@ def describe(
         **_starts(world),
         "goal_objects": body_indices(world),
         "goals": [
-            {"object": t.name, "position": t.goal.tolist(), "from": t.source, "to": t.destination}
+            {
+                "object": t.name,
+                "start": t.start.tolist(),
+                "position": t.goal.tolist(),
+                "from": t.source,
+                "to": t.destination,
+            }
             for t in world.targets
         ],
         "scene_source": dict(scene.source),

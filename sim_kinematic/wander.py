@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -105,20 +106,8 @@ def simulate_wander(
         raise InputError(f"Expected at least 1 step, got {steps}.")
     worlds = AgentWorlds(scene, agents, spec=spec, free=free)
     worlds.reset(seed)
-    minds, rows, events = Wanderers(worlds, seed), [], list[Event]()
     places = [[*own.xz[0].tolist(), float(own.heading[0])] for own in worlds.state.agents]
-    before = np.zeros(len(worlds.pairs), np.bool_)
-    for step in range(steps):
-        actions = minds.actions()
-        touching = worlds.step(actions)[0]
-        for p in np.flatnonzero(touching & ~before):
-            a, b = worlds.pairs[p]
-            events.append(Event(step=step, agent=a, kind="collision", target=worlds.cast[b].name))
-        before = touching.copy()
-        rows.append(_row(worlds, actions))
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    columns = {"time_ns": np.arange(1, steps + 1, dtype=np.int64) * STEP_NS, **columns}
-    columns["state_hash"] = state_hash(columns)
+    columns, events = wander(worlds, seed, steps)
     file, digest = scene_attachment(scene)
     models = ",".join(member.model for member in worlds.cast)
     episode = Episode(
@@ -126,8 +115,8 @@ def simulate_wander(
         episode_id=episode_id, task="wander", scene=scene.name, seed=seed,
         created_by=f"h3data {importlib.metadata.version('h3data')}",
         info={
-            "max_steps": steps, "starts": places, "scene_source": dict(scene.source), "scene_sha256": digest,
-            "categories": list(CATEGORIES),
+            "max_steps": steps, "spec": asdict(worlds.spec), "starts": places,
+            "scene_source": dict(scene.source), "scene_sha256": digest, "categories": list(CATEGORIES),
         },
     )  # fmt: skip
     bodies = tuple(
@@ -142,6 +131,32 @@ def simulate_wander(
         agents=tuple(_agent(worlds, k) for k in range(len(worlds.cast))), columns=columns, events=tuple(events),
         attachments={"scene.glb": file},
     )  # fmt: skip
+
+
+def wander(
+    worlds: AgentWorlds, seed: int, steps: int, commands: Mapping[int, NDArray[np.floating]] | None = None
+) -> tuple[dict[str, NDArray[Any]], list[Event]]:
+    """Columns and events of so many steps from where everybody is.
+
+    ``commands`` [T, 2], by number of a robot, take the place of what it would do in its first T steps.
+    """
+    minds, rows, events = Wanderers(worlds, seed), [], list[Event]()
+    before = np.zeros(len(worlds.pairs), np.bool_)
+    for step in range(steps):
+        actions = minds.actions()
+        for k, told in (commands or {}).items():
+            if step < len(told):
+                actions[k] = told[step : step + 1].astype(np.float64)
+        touching = worlds.step(actions)[0]
+        for p in np.flatnonzero(touching & ~before):
+            a, b = worlds.pairs[p]
+            events.append(Event(step=step, agent=a, kind="collision", target=worlds.cast[b].name))
+        before = touching.copy()
+        rows.append(_row(worlds, actions))
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    columns = {"time_ns": np.arange(1, steps + 1, dtype=np.int64) * STEP_NS, **columns}
+    columns["state_hash"] = state_hash(columns)
+    return columns, events
 
 
 def _agent(worlds: AgentWorlds, number: int) -> Agent:

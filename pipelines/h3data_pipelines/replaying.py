@@ -1,4 +1,4 @@
-"""``h3data replay``: simulate a recording again, to check it, to go on from any step, or to try another robot."""
+"""``h3data replay``: simulate a recording again, to check it, to go on from any step, or to try another policy."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class ReplayCommand:
     """Simulate the recorded actions again: compare every step, continue from any step, or swap the robot's policy.
 
     --verify names the first step, column and values that differ. --resume-from K keeps the first K steps as they are and
-    simulates on, under the episode's own policy or another. --counterfactual keeps the person's track, who then does not
-    react, and lets another policy drive the robot.
+    simulates on, under the episode's own policy or another. --counterfactual keeps people's tracks, who then do not
+    react, and lets another policy drive the robots. For recordings of social_nav, rearrange and wander.
 
     Examples:
         h3data replay out/demo/episode.mcap --verify
@@ -28,6 +28,7 @@ class ReplayCommand:
         h3data replay ds#3 --resume-from 200 -o again.mcap
         h3data replay episode.mcap --resume-from 200 --policy stand_still -o other.mcap
         h3data replay episode.mcap --counterfactual --policy random -o what_if.mcap
+        h3data replay rearrange.mcap --resume-from 120 --policy greedy_nearest --partner object_2 -o other.mcap
     """
 
     recording: tyro.conf.Positional[Path]
@@ -37,10 +38,13 @@ class ReplayCommand:
     resume_from: int | None = None
     """Keep this many steps, then simulate on."""
     counterfactual: bool = False
-    """Keep the person's recorded track; the robot follows --policy, from --resume-from on or from the start."""
+    """Keep people's recorded tracks; robots follow --policy, from --resume-from on or from the start."""
     policy: str | None = None
-    """Robot policy: heuristic_expert, plain_expert, sampling_expert, future_oracle, random, stand_still or weights:FILE
-    (default: the recording's own)."""
+    """Robot policy, as of h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
+    plain_expert, sampling_expert, future_oracle, random or stand_still; rearrange: complement, greedy_nearest, same_object
+    or still."""
+    partner: str | None = None
+    """rearrange: what moves the person, as of h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The new recording (.mcap)."""
     force: ForceFlag = False
@@ -51,9 +55,9 @@ class ReplayCommand:
         if self.verify == continues:
             raise InputError("Choose one: --verify, or --resume-from K and --counterfactual.")
         if self.verify:
-            if self.policy is not None or self.out is not None:
+            if (self.policy, self.partner, self.out) != (None, None, None):
                 raise InputError(
-                    "--verify simulates the recorded actions and writes nothing: leave out --policy and -o."
+                    "--verify simulates what was recorded and writes nothing: leave out --policy, --partner and -o."
                 )
             return self._verify()
         return self._continue()
@@ -91,23 +95,24 @@ class ReplayCommand:
             raise InputError(f"Expected a .mcap file to write with -o, got: {self.out}")
         if self.counterfactual and self.policy is None:
             raise InputError("--counterfactual needs the other policy: --policy NAME.")
+        if self.counterfactual and self.partner is not None:
+            raise InputError("With --counterfactual people keep their tracks: leave out --partner.")
         out = claim_file(self.out, force=self.force)
         old, step = open_episode(self.recording), self.resume_from or 0
         if self.counterfactual:
             assert self.policy is not None
             made = counterfactual(old, self.policy, step=step)
         else:
-            made = resume(old, step, policy=self.policy)
+            made = resume(old, step, policy=self.policy, partner=self.partner)
         write_mcap(made, out, overwrite=self.force)
         info = made.episode.info
-        whose = "beside the recorded person, who does not react" if self.counterfactual else ""
-        text = (
-            f"{out}: {len(made)} steps, the first {step} as recorded, then {info['policy']}{' ' if whose else ''}{whose}; "
-            f"ended by {info['ended']}"
-        )
+        then = f", then {info['policy']}" if info.get("policy") else ""
+        whose = " beside the recorded person, who does not react" if self.counterfactual else ""
+        ended = f"; ended by {info['ended']}" if "ended" in info else ""
+        text = f"{out}: {len(made)} steps, the first {step} as recorded{then}{whose}{ended}"
         data = {
             "recording": str(out), "uid": made.episode.uid, "of": old.episode.uid, "steps": len(made), "kept": step,
-            "policy": info["policy"], "ended": info["ended"], "human_reactive": info.get("human_reactive"),
+            "policy": info.get("policy"), "ended": info.get("ended"), "human_reactive": info.get("human_reactive"),
         }  # fmt: skip
         return Outcome(text=text, data=data)
 
