@@ -27,8 +27,14 @@ def cache_folder(kind: str) -> Path | None:
 
 
 @contextmanager
-def part_file(path: str | os.PathLike[str], *, shared: bool = False) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to; renamed to ``path`` on success, removed on any exception.
+def part_file(
+    path: str | os.PathLike[str],
+    *,
+    shared: bool = False,
+    kept_after: tuple[type[BaseException], ...] | type[BaseException] = (),
+) -> Iterator[Path]:
+    """A temporary path beside ``path`` to write to; renamed to ``path`` on success, removed on any exception but those
+    of ``kept_after``.
 
     It is ``<path>.part``; with ``shared``, one that no other process writes at the same time, for caches: the last wins.
 
@@ -46,6 +52,7 @@ def part_file(path: str | os.PathLike[str], *, shared: bool = False) -> Iterator
     try:
         yield part
         os.replace(part, final)
-    except BaseException:
-        part.unlink(missing_ok=True)
+    except BaseException as error:
+        if not isinstance(error, kept_after):
+            part.unlink(missing_ok=True)
         raise

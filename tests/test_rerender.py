@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -18,7 +18,6 @@ import pytest
 
 import h3data
 from h3data.recording.mcap_log import write_mcap
-from h3data.render import VideoWriter
 from h3data.replay import camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
@@ -155,36 +154,34 @@ main(sys.argv[1:])
 """
 
 
-def test_a_full_disk_is_said_and_nothing_half_done_stays(
-    episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("kind", "unfinished"), [("mp4", "rgb.mp4.part"), ("data", "depth.mkv.part"), ("png", "depth.part/")]
+)
+def test_a_full_disk_is_said_and_the_next_run_goes_on(
+    kind: str, unfinished: str, episode: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    written = []
-
-    def write_planes(self: VideoWriter, planes: np.ndarray) -> None:
-        written.append(planes)
-        if len(written) > 8:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        quick(self, planes)
-
-    quick = VideoWriter.write_planes
-    monkeypatch.setattr(VideoWriter, "write_planes", write_planes)
+    """The disk is one where no file grows as large as the largest must: the kernel refuses, as when nothing is left."""
     options = (
-        episode,
-        "--camera",
-        episode.with_name("near.toml"),
-        "--camera",
-        "robot_arm",
-        "--steps",
-        "0:6",
-        "-o",
-        tmp_path,
-    )
-    error = rerender(capsys, *options, code=2)["error"]
+        episode, "--camera", episode.with_name("near.toml"), "--camera", "robot_arm", "--outputs", "rgb,depth",
+        "--steps", "0:6", "--format", kind,
+    )  # fmt: skip
+    rerender(capsys, *options, "-o", tmp_path / "whole")
+    whole, out = files_below(tmp_path / "whole"), tmp_path / "full"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (max(map(len, whole.values())) - 1, limits[1]))
+    try:
+        error = rerender(capsys, *options, "-o", out, code=2)["error"]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert "The disk is full" in error
     assert "go on" in error
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.cameras.json", "walk.near.rgb.mp4"]
-    monkeypatch.setattr(VideoWriter, "write_planes", quick)
-    assert len(rerender(capsys, *options)["recordings"][0]["kept"]) == 1
+    left = files_below(out)
+    assert any(name.startswith(f"walk.robot_arm.{unfinished}") for name in left)
+    complete = {name: data for name, data in left.items() if ".part" not in name and "cameras.json" not in name}
+    assert all(whole[name] == data for name, data in complete.items())
+    assert {name for name in complete if "near" in name} == {name for name in whole if "near" in name}
+    assert len(rerender(capsys, *options, "-o", out)["recordings"][0]["kept"]) == 2
+    assert files_below(out) == whole
 
 
 def test_one_bad_recording_does_not_stop_the_others(

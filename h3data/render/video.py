@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
@@ -43,7 +44,8 @@ class VideoWriter:
 
     ``h264`` and ``av1`` take RGB uint8 [H, W, 3]; odd sizes are padded to even ones by repeating the last row or column.
     ``ffv1`` takes uint16 [H, W] and is lossless. The file is written as ``<path>.part`` and gets its name only when the
-    block ends without an exception; otherwise nothing remains. The same frames make the same bytes.
+    block ends without an exception; otherwise nothing remains, but for ``<path>.part`` when the disk failed (`OSError`). The
+    same frames make the same bytes.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class VideoWriter:
         settings = _SETTINGS[self.codec]
         even = settings.pixels == "yuv420p"
         with ExitStack() as stack:
-            part = stack.enter_context(part_file(self.path))
+            part = stack.enter_context(part_file(self.path, kept_after=OSError))
             options = {"movflags": "+faststart"} if settings.container == "mp4" else {"fflags": "+bitexact"}
             self._container = stack.enter_context(av.open(str(part), "w", format=settings.container, options=options))
             rate = Fraction(self.fps).limit_denominator(1001)
@@ -146,19 +148,32 @@ class VideoWriter:
 
 @kernel(boundscheck=False)
 def _to_yuv(rgb, y, u, v):
-    """BT.601, limited range, 8-bit fixed point; colour is the mean of 2x2 pixels. rgb [H, W, 3], y [H, W], u and v half."""
-    for row in range(0, rgb.shape[0], 2):
-        for column in range(0, rgb.shape[1], 2):
-            red, green, blue = 0, 0, 0
-            for i in range(2):
-                for j in range(2):
-                    r = int(rgb[row + i, column + j, 0])
-                    g = int(rgb[row + i, column + j, 1])
-                    b = int(rgb[row + i, column + j, 2])
-                    y[row + i, column + j] = (66 * r + 129 * g + 25 * b + 4224) >> 8
-                    red, green, blue = red + r, green + g, blue + b
-            u[row // 2, column // 2] = (-38 * red - 74 * green + 112 * blue + 131584) >> 10
-            v[row // 2, column // 2] = (112 * red - 94 * green - 18 * blue + 131584) >> 10
+    """BT.601, limited range, 8-bit fixed point; colour is the mean of 2x2 pixels. rgb [H, W, 3], y [H, W], u and v half.
+
+    In 32 bits and over flat lines, so that it becomes SIMD.
+    """
+    for row in range(y.shape[0]):
+        line, luma = rgb[row].reshape(-1), y[row]
+        for c in range(y.shape[1]):
+            r, g, b = np.int32(line[3 * c]), np.int32(line[3 * c + 1]), np.int32(line[3 * c + 2])
+            luma[c] = np.uint8(_weighted(66, r, 129, g, 25, b, 4224) >> np.int32(8))
+    for row in range(u.shape[0]):
+        upper, lower, u_line, v_line = rgb[2 * row].reshape(-1), rgb[2 * row + 1].reshape(-1), u[row], v[row]
+        for c in range(u.shape[1]):
+            r, g, b = _four(upper, lower, 6 * c), _four(upper, lower, 6 * c + 1), _four(upper, lower, 6 * c + 2)
+            u_line[c] = np.uint8(_weighted(-38, r, -74, g, 112, b, 131584) >> np.int32(10))
+            v_line[c] = np.uint8(_weighted(112, r, -94, g, -18, b, 131584) >> np.int32(10))
+
+
+@njit(nogil=True, forceinline=True)
+def _weighted(of_r, r, of_g, g, of_b, b, more):
+    return np.int32(of_r) * r + np.int32(of_g) * g + np.int32(of_b) * b + np.int32(more)
+
+
+@njit(nogil=True, forceinline=True, boundscheck=False)
+def _four(upper, lower, k):
+    """Sum of a channel over 2x2 pixels."""
+    return np.int32(upper[k]) + np.int32(upper[k + 3]) + np.int32(lower[k]) + np.int32(lower[k + 3])
 
 
 def _import_av() -> Any:
