@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,21 @@ from h3data.geometry import Array, normalized
 from h3data.scene.accessors import GltfArrays
 from h3data.scene.glb import FLOAT32, INDICES, UINT16, VERTICES, GlbChunk, pack_glb, unpack_glb
 from h3data.scene.meshes import joined, painted
-from h3data.scene.records import Mesh
+from h3data.scene.records import Mesh, Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (176, 178, 182)
 """sRGB of things whose file gives no colour: light grey."""
+MAX_SIDE_PX = 2048
+"""Larger textures are reduced to this."""
 
 
 def load_mesh(path: Path, *, color: tuple[int, int, int] | None = None) -> Mesh:
-    """The triangles of a mesh file in its own frame; ``color`` (sRGB) replaces the file's colours."""
+    """The triangles of a mesh file in its own frame, with its colours and textures; ``color`` (sRGB) replaces both.
+
+    Raises:
+        SceneError: the file cannot be read, or holds no triangles.
+    """
     mesh = read_plain_glb(path) if path.suffix.lower() == ".glb" else None
     if mesh is None:
         mesh = _load_with_trimesh(path)
@@ -32,23 +39,61 @@ def load_mesh(path: Path, *, color: tuple[int, int, int] | None = None) -> Mesh:
 def _load_with_trimesh(path: Path) -> Mesh:
     import trimesh
 
+    linear = path.suffix.lower() in (".glb", ".gltf")
     try:
-        loaded = trimesh.load(path, force="mesh", process=False)
+        scene = trimesh.load_scene(path, process=False)
+        order = {name: k for k, name in enumerate(scene.geometry)}
+        nodes = [(order[scene.graph[node][1]], str(node), *scene.graph[node]) for node in scene.graph.nodes_geometry]
+        parts = [(matrix, scene.geometry[name]) for _, _, matrix, name in sorted(nodes, key=lambda node: node[:2])]
+        meshes = [_mesh_of(p, matrix, linear) for matrix, p in parts if isinstance(p, trimesh.Trimesh) and len(p.faces)]
     except Exception as error:  # trimesh raises whatever its many parsers raise
         raise SceneError(f"Expected a mesh file, could not read this one ({error}): {path}") from error
-    if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
+    if not meshes:
         raise SceneError(f"Expected a mesh file, this one has no triangles: {path}")
-    colors = np.tile(np.array(DEFAULT_COLOR, np.uint8), (len(loaded.vertices), 1))
-    visual: Any = loaded.visual
-    if visual is not None and visual.defined:
-        painted = visual if visual.kind == "vertex" else visual.to_color()
-        colors = np.asarray(painted.vertex_colors)[:, :3].astype(np.uint8)
+    return joined(meshes)
+
+
+def _mesh_of(geometry: Any, matrix: Array, linear: bool) -> Mesh:
+    """One geometry of trimesh's, moved by its node's matrix [4, 4]; ``linear`` says that its colours are not sRGB."""
+    visual: Any = geometry.visual
+    part = geometry.copy()
+    part.apply_transform(matrix)
+    colors = np.tile(np.array(DEFAULT_COLOR, np.uint8), (len(part.vertices), 1))
+    uv, textures = None, ()
+    image = _image_of(visual)
+    if image is not None:
+        factor = getattr(visual.material, "baseColorFactor", None)
+        colors[:] = 255 if factor is None else linear_to_bytes(np.asarray(factor)[:3] / 255)
+        uv = np.nan_to_num(np.asarray(visual.uv, np.float64)[:, :2] * [1, -1] + [0, 1]).astype(np.float32)
+        textures = (_texture(image),)
+    elif visual is not None and visual.defined:
+        shown = visual if visual.kind == "vertex" else visual.to_color()
+        given = np.atleast_2d(np.asarray(shown.vertex_colors))[:, :3].astype(np.uint8)
+        colors[:] = linear_to_bytes(given / 255) if linear else given  # a material gives one colour for all
     return Mesh(
-        vertices=np.ascontiguousarray(loaded.vertices, np.float32),
-        faces=np.ascontiguousarray(loaded.faces, np.int32),
+        vertices=np.ascontiguousarray(part.vertices, np.float32),
+        faces=np.ascontiguousarray(part.faces, np.int32),
         colors=np.ascontiguousarray(colors),
-        normals=np.ascontiguousarray(loaded.vertex_normals, np.float32),
+        normals=np.ascontiguousarray(part.vertex_normals, np.float32),
+        uv=uv,
+        textures=textures,
     )
+
+
+def _image_of(visual: Any) -> Any:
+    """The Pillow image on a textured visual, or None."""
+    material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
+    images = (getattr(material, name, None) for name in ("baseColorTexture", "image"))
+    image = next((i for i in images if i is not None), None)
+    stand_in = getattr(image, "format", None) is None  # what trimesh makes up for a material that is not there
+    return None if stand_in or uv is None or not len(uv) else image
+
+
+def _texture(image: Any) -> Texture:
+    small = image.convert("RGB")
+    small.thumbnail((MAX_SIDE_PX, MAX_SIDE_PX))
+    rgb = np.asarray(small, np.uint8)
+    return Texture(pixels=np.concatenate([rgb, np.full((*rgb.shape[:2], 1), 255, np.uint8)], 2))
 
 
 # --- plain GLB --------------------------------------------------------------------------------------------------------
@@ -181,6 +226,4 @@ def moved(mesh: Mesh, matrix: Array, scale: Sequence[float] = (1.0, 1.0, 1.0)) -
         normals = normalized((normals / stretch) @ rotation.T).astype(np.float32)
     faces = mesh.faces if np.prod(stretch) > 0 else mesh.faces[:, ::-1]
     vertices = (mesh.vertices * stretch) @ rotation.T + matrix[:3, 3]
-    return Mesh(
-        vertices=vertices.astype(np.float32), faces=np.ascontiguousarray(faces), colors=mesh.colors, normals=normals
-    )
+    return replace(mesh, vertices=vertices.astype(np.float32), faces=np.ascontiguousarray(faces), normals=normals)
