@@ -16,6 +16,7 @@ import json
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,11 @@ from h3data.recording import (
     Recording,
     RecordingWriter,
     SkillSpan,
+    open_steps,
     read_mcap,
     write_mcap,
 )
+from h3data.recording.steps import DatasetSteps
 
 STEPS, OBJECTS, EPISODES, THOUSAND = 1500, 20, 10, 1000
 
@@ -103,6 +106,7 @@ def run(emit: Callable[[str, float, str], None]) -> None:
         if store is _parquet:
             _against_gfx_replay(emit, mixed[:2], size / len(mixed), read_s / len(mixed))
     _live_log(emit, mixed[:4])
+    _step_of_a_long_log(emit, mixed)
     _one_of_a_thousand(emit, mixed)
 
 
@@ -136,6 +140,31 @@ def _one_of_a_thousand(emit: Callable[[str, float, str], None], episodes: list[R
         read = _cpu_s(lambda: [dataset.recording(index) for index in order])
         emit("recording.parquet.open_1000_cpu_ms", 1e3 * _cpu_s(lambda: len(Dataset(folder))), "ms")
         emit("recording.parquet.episode_of_1000_cpu_ms", 1e3 * read / len(order), "ms")
+        rng = np.random.default_rng(1)
+
+        def one_step() -> None:
+            DatasetSteps(dataset, int(rng.integers(THOUSAND)))[int(rng.integers(STEPS))]
+
+        emit("recording.parquet.random_step_ms", 1e3 * _cpu_s(lambda: [one_step() for _ in range(100)]) / 100, "ms")
+
+
+def _step_of_a_long_log(emit: Callable[[str, float, str], None], episodes: list[Recording]) -> None:
+    """Single steps of a log of 15,000 (8 minutes, 8 MB) in random order, page cache warm; opening it for one; all of it."""
+    columns = {n: np.concatenate([e.columns[n] for e in episodes[:10]]) for n in episodes[0].columns}
+    columns["time_ns"] = np.arange(10 * STEPS, dtype=np.int64) * STEP_NS
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.mcap"
+        write_mcap(replace(episodes[0], columns=columns), path)
+        order = np.random.default_rng(1).integers(10 * STEPS, size=100).tolist()
+        with open_steps(path) as steps:
+            emit("recording.mcap.random_step_ms", 1e3 * _cpu_s(lambda: [steps[k] for k in order]) / len(order), "ms")
+
+        def opened(k: int) -> None:
+            with open_steps(path) as steps:
+                steps[k]
+
+        emit("recording.mcap.open_and_step_ms", 1e3 * _cpu_s(lambda: [opened(k) for k in order]) / len(order), "ms")
+        emit("recording.mcap.whole_long_log_ms", 1e3 * _cpu_s(lambda: read_mcap(path)), "ms")
 
 
 def _against_gfx_replay(

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from h3data.recording.mcap_read import read_mcap
     from h3data.recording.mcap_recover import Recovery, recover_mcap
     from h3data.recording.opening import looks_like, open_recording
+    from h3data.recording.steps import Steps, open_steps
     from h3data.recording.windows import WindowDataset
 
 _HOMES = {
@@ -42,6 +43,8 @@ _HOMES = {
     "recover_mcap": "mcap_recover",
     "looks_like": "opening",
     "open_recording": "opening",
+    "Steps": "steps",
+    "open_steps": "steps",
     "WindowDataset": "windows",
 }
 
@@ -60,9 +63,11 @@ __all__ = [
     "RecordingWriter",
     "Recovery",
     "SkillSpan",
+    "Steps",
     "WindowDataset",
     "looks_like",
     "open_recording",
+    "open_steps",
     "read_mcap",
     "rebuild_meta",
     "recordings_equal",

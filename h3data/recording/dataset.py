@@ -16,12 +16,12 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
+from h3data.recording.arrow_columns import to_numpy
 from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS, conform, record_schema
 from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording
 from h3data.recording.schema import (
-    Column,
     Layout,
     check_version,
     episode_from_dict,
@@ -138,6 +138,16 @@ class Dataset:
                     attachments=self._attachments(row) if records is None else {},
                     **{kind: of[k] for kind, of in found.items()},
                 )
+
+    def with_columns(self, index: int, columns: Mapping[str, NDArray[Any]]) -> Recording:
+        """Episode ``index`` with all its records and attachments, and these arrays in the place of its columns."""
+        row, one = self._row(index), range(index, index + 1)
+        return Recording(
+            episode=episode_from_dict(row, path=self.root),
+            columns=columns,
+            attachments=self._attachments(row),
+            **{kind: self._records(kind, self.shard_of(row), one)[0] for kind in SIDECARS},
+        )
 
     def iter_columns(
         self, columns: Sequence[str], *, episodes: Iterable[int] | None = None
@@ -274,7 +284,9 @@ class Dataset:
             return [{c.name: c.empty(row["length"]) for c in layout} for row in rows]
         try:
             table = self.read_group(group, stored)
-            whole = {c.name: self._to_numpy(table, c, steps) for c in layout}
+            whole = {
+                c.name: to_numpy(table[c.name] if c.width else None, c, self._declared[c.name], steps) for c in layout
+            }
         except _DAMAGE as error:
             raise self._damage(group, error) from error
         return [
@@ -282,21 +294,17 @@ class Dataset:
             for row, end in zip(rows, ends, strict=True)
         ]
 
-    def _to_numpy(self, table: pa.Table, column: Column, steps: int) -> NDArray[Any]:
-        """One column in its own shape: a writable copy, padding cut off."""
-        if not column.width:
-            return column.empty(steps)
-        home = self._declared[column.name]
-        if pa.types.is_fixed_size_list(table.schema.field(column.name).type) != (home.width > 1):
-            raise ValueError(f"column {column.name} is not {home}")
-        chunks = [c.flatten() if home.width > 1 else c for c in table.column(column.name).chunks]
-        if any(c.null_count for c in chunks):
-            raise ValueError(f"column {column.name} has nulls")
-        values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
-        wide = _as_declared(values, home.dtype).reshape(steps, *home.shape)
-        if home.shape == column.shape:
-            return wide
-        return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
+    def to_numpy(self, index: int, stored: Mapping[str, pa.ChunkedArray], rows: int) -> dict[str, NDArray[Any]]:
+        """Stored columns of episode ``index`` (of `read_group`), ``rows`` of them, in their own shapes; columns without
+        width are not stored, but are in the result."""
+        try:
+            return {
+                c.name: to_numpy(stored.get(c.name), c, self._declared[c.name], rows)
+                for c in self.layout(index)
+                if c.name in stored or not c.width
+            }
+        except _DAMAGE as error:
+            raise self._damage([index], error) from error
 
     def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
         path = shard_path(self.root, "data", self.shard_of(self._row(group[0])))
@@ -343,15 +351,6 @@ class Dataset:
             raise FormatError(
                 f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
             ) from error
-
-
-def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Stored values in the dtype of their column: since version 1.2 a uint64 lies in the file as an int64 of equal bits."""
-    if dtype == "uint64" and stored.dtype == np.int64:
-        return stored.view(np.uint64)
-    if stored.dtype != dtype:
-        raise ValueError(f"expected {dtype}, got {stored.dtype}")
-    return stored
 
 
 @lru_cache(maxsize=64)

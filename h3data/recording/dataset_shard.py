@@ -10,8 +10,8 @@ from typing import IO, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from h3data.recording.arrow_columns import padded, to_arrow
 from h3data.recording.lerobot_meta import (
     FILES_PER_CHUNK,
     STANDARD,
@@ -100,7 +100,7 @@ class Shard:
         for c in self.schema.columns:
             if c.width:  # the same bits
                 arrays[c.name] = arrays[c.name].view(self.schema.stored_dtype(c))
-        table = pa.Table.from_arrays([_to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
+        table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
@@ -160,26 +160,6 @@ def _sync(stream: IO[bytes]) -> None:
     stream.flush()
     os.fsync(stream.fileno())
     stream.close()
-
-
-def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[Any]:
-    """Rows in the declared width, flattened to [T, width]; what is not there is NaN, -1, 0 (unsigned) or False."""
-    if values is not None and values.shape[1:] == column.shape:
-        return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
-    kind = np.dtype(column.dtype).kind
-    wide = np.full((steps, *column.shape), {"f": np.nan, "i": -1}.get(kind, 0), column.dtype)
-    if values is not None:
-        wide[(slice(None), *(slice(0, n) for n in values.shape[1:]))] = values
-    return wide.reshape(steps, column.width)
-
-
-def _to_arrow(rows: NDArray[Any]) -> pa.Array:
-    flat = rows.reshape(-1)
-    if flat.dtype == bool:
-        flat = pa.array(flat)
-    else:  # pa.array(ndarray) looks for pandas on every call: 1.5 ms per episode
-        flat = pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(flat)])
-    return flat if rows.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
 
 
 def _arrow_type(spec: str) -> pa.DataType:

@@ -19,6 +19,7 @@ from h3data.recording.schema import (
     default_layout,
     episode_from_dict,
     layout_from_json,
+    layout_hash,
     ordered,
     required_columns,
     struct_from_dict,
@@ -109,8 +110,10 @@ def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
     return tuple(spans[k] for k in sorted(spans))
 
 
-def _columns(log: McapRecords, *, steps: int | None, wanted: set[str] | None) -> dict[str, NDArray[Any]]:
-    """Columns of all topics; exactly ``steps`` rows, or as many as all topics have in unbroken order if None."""
+def columns_of(
+    log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
+) -> dict[str, NDArray[Any]]:
+    """Columns of all topics; exactly ``steps`` rows from ``first`` on, or as many as are in unbroken order if None."""
     parts: list[dict[str, NDArray[Any]]] = []
     for topic, message in TOPIC_MESSAGES.items():
         channel = log.channel_of(f"/h3/{topic}")
@@ -128,20 +131,30 @@ def _columns(log: McapRecords, *, steps: int | None, wanted: set[str] | None) ->
             )
         )
         numbers = parts[-1].pop("")
-        broken = np.flatnonzero(numbers != np.arange(len(numbers)))
+        broken = np.flatnonzero(numbers != np.arange(first, first + len(numbers)))
         sound = int(broken[0]) if len(broken) else len(numbers)
         if steps is not None and (len(numbers) != steps or sound != steps):
-            raise FormatError(f"Expected steps 0..{steps - 1} in /h3/{topic}, got {len(numbers)}, {sound} in order.")
+            raise FormatError(
+                f"Expected steps {first}..{first + steps - 1} in /h3/{topic}, got {len(numbers)}, {sound} in order."
+            )
         parts[-1] = {name: array[:sound] for name, array in parts[-1].items()}
     rows = min((len(a) for part in parts for a in part.values()), default=0)
     return {name: array[:rows] for part in parts for name, array in part.items()}
 
 
 def _layout(log: McapRecords) -> Layout | None:
-    return layout_from_json(log.metadata["h3.layout"]["columns"]) if "h3.layout" in log.metadata else None
+    if "h3.layout" not in log.metadata:
+        return None
+    layout = layout_from_json(log.metadata["h3.layout"]["columns"])
+    if log.metadata["h3.layout"].get("hash") != layout_hash(layout):
+        raise FormatError("The record of the column layout is damaged: its hash does not match.")
+    return layout
 
 
-def assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None) -> Recording:
+def assemble(
+    log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
+) -> Recording:
+    """The recording of these records; ``steps`` and ``first`` as for `columns_of`."""
     episode = _episode(log, path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
@@ -158,7 +171,7 @@ def assemble(log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequ
         if unknown:
             raise InputError(f"No columns {unknown} in this log. It has: {', '.join(known)}. File: {path}")
         names = set(wanted) | required_columns(len(scene["agents"]))
-    columns = _columns(log, steps=steps, wanted=names)
+    columns = columns_of(log, steps=steps, wanted=names, first=first)
     if not columns:
         if steps:
             raise FormatError(f"Expected {steps} steps, got none.")

@@ -84,9 +84,9 @@ def scan_records(data: bytes) -> McapRecords:
                 raise EOFError(f"truncated inside a record that starts at byte {position}")
             body = view[position + _RECORD.size : end]
             if not ended:  # the summary only repeats, and may be damaged
-                _take(log, opcode, body)
+                take(log, opcode, body)
             if opcode == _DATA_END:
-                _check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
+                check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
                 ended = True
             position = log.readable_bytes = end
             if opcode == _FOOTER:
@@ -94,7 +94,7 @@ def scan_records(data: bytes) -> McapRecords:
         if not ended:
             raise ValueError("the end of the data section is missing")
         summary_start, _, crc = struct.unpack("<QQI", body)
-        _check_crc(crc, view[summary_start or position : end - 4], "summary")
+        check_crc(crc, view[summary_start or position : end - 4], "summary")
         if bytes(data[end:]) != MAGIC:
             raise EOFError("the closing magic bytes are missing")
         log.readable_bytes = len(data)
@@ -103,17 +103,19 @@ def scan_records(data: bytes) -> McapRecords:
     return log
 
 
-def _check_crc(expected: int, data: memoryview, what: str) -> None:
+def check_crc(expected: int, data: memoryview, what: str) -> None:
+    """A `ValueError` if there is a checksum (not 0) and it is another."""
     if expected and zlib.crc32(data) != expected:
         raise ValueError(f"the checksum of the {what} does not match")
 
 
-def _take(log: McapRecords, opcode: int, body: memoryview) -> None:
+def take(log: McapRecords, opcode: int, body: memoryview) -> None:
+    """Add what one record holds to the log; indexes and what is unknown are passed over."""
     from mcap.data_stream import ReadDataStream
-    from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+    from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
     if opcode == _CHUNK:
-        _take_chunk(log, _decompress(Chunk.read(ReadDataStream(BytesIO(body)))))
+        _take_chunk(log, unfold(body))
         return
     if opcode == _MESSAGE_OP:
         (channel,) = struct.unpack_from("<H", body)
@@ -123,7 +125,7 @@ def _take(log: McapRecords, opcode: int, body: memoryview) -> None:
     if opcode not in readers:
         return  # indexes, statistics, records of later versions
     if opcode == _ATTACHMENT:
-        _check_crc(struct.unpack_from("<I", body, len(body) - 4)[0], body[:-4], "attachment")
+        check_crc(struct.unpack_from("<I", body, len(body) - 4)[0], body[:-4], "attachment")
     record: Any = readers[opcode].read(ReadDataStream(BytesIO(body)))
     if opcode == _HEADER:
         log.profile = record.profile
@@ -137,9 +139,13 @@ def _take(log: McapRecords, opcode: int, body: memoryview) -> None:
         log.metadata[record.name] = record.metadata
 
 
-def _decompress(chunk: Any) -> bytes:
+def unfold(body: memoryview) -> bytes:
+    """The records in the body of a chunk, its checksum checked."""
     import zstandard
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk
 
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     if chunk.uncompressed_size > _LARGEST_CHUNK:
         raise ValueError(f"a chunk claims {chunk.uncompressed_size} bytes")
     if chunk.compression == "zstd":
@@ -151,7 +157,7 @@ def _decompress(chunk: Any) -> bytes:
         data = chunk.data
     else:
         raise ValueError(f"chunk compression {chunk.compression!r} is not supported (zstd is)")
-    _check_crc(chunk.uncompressed_crc, memoryview(data), "chunk")
+    check_crc(chunk.uncompressed_crc, memoryview(data), "chunk")
     return data
 
 
@@ -170,5 +176,5 @@ def _take_chunk(log: McapRecords, data: bytes) -> None:
                 kept = messages[channel] = []
             kept.append(view[position + skip : end])
         else:
-            _take(log, opcode, view[position + _RECORD.size : end])
+            take(log, opcode, view[position + _RECORD.size : end])
         position = end
