@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_builder import COLORS, FLOAT, U8, U16, UV, Builder, encoded
+from gltf_builder import COLORS, FLOAT, U8, U16, UV, Builder, encoded, separate
 
 from h3data.errors import SceneError
 from h3data.interop import images
 from h3data.interop.images import image_size, image_texture, largest_side, reduced
+from h3data.interop.meshes import load_mesh
 from h3data.scene.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
@@ -119,16 +120,44 @@ def test_texture_transform(tmp_path: Path, transform: dict[str, Any], expected: 
 
 
 def test_opacity_counts_only_where_the_material_says_so(tmp_path: Path) -> None:
+    """The texture's, times that of the base colour factor."""
     pixels = np.dstack([COLORS, [[255, 0], [100, 200]]]).astype(np.uint8)
-    for material, expected in (
-        ({}, [255, 255, 255, 255]),
-        ({"alphaMode": "MASK"}, [255, 0, 0, 255]),
-        ({"alphaMode": "MASK", "alphaCutoff": 0.3}, [255, 0, 255, 255]),
-        ({"alphaMode": "BLEND"}, [255, 0, 100, 200]),
+    for material, factor, expected in (
+        ({}, 1, [255, 255, 255, 255]),
+        ({}, 0.5, [255, 255, 255, 255]),
+        ({"alphaMode": "MASK"}, 1, [255, 0, 0, 255]),
+        ({"alphaMode": "MASK"}, 0.6, [255, 0, 0, 0]),
+        ({"alphaMode": "MASK", "alphaCutoff": 0.3}, 1, [255, 0, 255, 255]),
+        ({"alphaMode": "MASK", "alphaCutoff": 0.3}, 0.6, [255, 0, 0, 255]),
+        ({"alphaMode": "BLEND"}, 1, [255, 0, 100, 200]),
+        ({"alphaMode": "BLEND"}, 0.6, [153, 0, 60, 120]),
     ):
         build = Builder()
         build.image(encoded(pixels), material)
+        build.document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, factor]
         assert build.mesh(tmp_path).textures[0].pixels[..., 3].ravel().tolist() == expected
+
+
+def test_missing_textures_show_the_materials_colour_and_are_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    build = Builder()
+    factors = ([1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1])
+    primitives = []
+    for k, factor in enumerate(factors):
+        build.image(encoded(COLORS))
+        build.document["materials"][k]["pbrMetallicRoughness"]["baseColorFactor"] = factor
+        primitives.append({**build.primitive, "material": k})
+    build.document["meshes"][0]["primitives"] = primitives
+    build.document["images"] = [{"uri": f"gone{k}.png"} for k in range(len(factors))]
+    mesh = load_mesh(separate(build, tmp_path / "a"))
+    assert mesh.textures == ()
+    seen = {tuple(color) for color in mesh.colors[mesh.faces[:, 0]].tolist()}
+    assert seen == {(255, 0, 0), (0, 255, 0), (0, 0, 255)}
+    (warning,) = caplog.records
+    assert "gone0.png" in warning.getMessage()
+    load_mesh(separate(build, tmp_path / "b"))
+    assert len(caplog.records) == 2  # one for each file
 
 
 def test_images_of_every_kind(tmp_path: Path) -> None:

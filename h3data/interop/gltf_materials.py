@@ -57,22 +57,25 @@ class GltfMaterials:
         rgb = np.array([1, 1, 1] if factor is None else factor[:3], np.float64)
         if rgb.shape != (3,) or not np.isfinite(rgb).all():
             raise ValueError(f"{where} has the base colour {factor!r}, not 4 numbers")
+        opacity = 1.0 if factor is None or len(factor) < 4 else float(factor[3])
+        if not 0 <= opacity <= 1:
+            raise ValueError(f"{where} has the opacity {factor!r}[3], not between 0 and 1")
         if info is None:
             return Look(factor=rgb)
         alpha = _ALPHA_MODES.get(record.get("alphaMode", "OPAQUE"), "OPAQUE")
-        texture = self._texture(info, where, alpha, float(record.get("alphaCutoff", 0.5)))
+        texture = self._texture(info, where, alpha, float(record.get("alphaCutoff", 0.5)), opacity)
         moved = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_set = natural(moved, "texCoord", where, natural(info, "texCoord", where, 0))
         return Look(factor=rgb, texture=texture, uv_set=uv_set, uv_transform=_uv_transform(moved, where))
 
-    def _texture(self, info: dict[str, Any], where: str, alpha: Alpha, cutoff: float) -> Texture | None:
+    def _texture(self, info: dict[str, Any], where: str, alpha: Alpha, cutoff: float, opacity: float) -> Texture | None:
         fault = f"{where} names no image"
         for index in self._sources(info):
             try:
                 data = self._image(index)
                 return image_texture(
                     data, name=str(entry(self._document, "images", index).get("name", "")), side=self._largest_side(),
-                    alpha=alpha, cutoff=cutoff,
+                    alpha=alpha, cutoff=cutoff, opacity=opacity,
                 )  # fmt: skip
             except SceneError as reason:
                 fault = f"images[{index}]: {reason}"

@@ -62,18 +62,21 @@ def reduced_size(width: int, height: int, side: int) -> tuple[int, int]:
 
 
 def image_texture(
-    data: bytes | memoryview, *, name: str = "", side: int = MAX_SIDE_PX, alpha: Alpha = "BLEND", cutoff: float = 0.5
-) -> Texture:
+    data: bytes | memoryview, *, name: str = "", side: int = MAX_SIDE_PX, alpha: Alpha = "BLEND", cutoff: float = 0.5,
+    opacity: float = 1.0,
+) -> Texture:  # fmt: skip
     """The texture of an encoded image, reduced to fit into ``side`` x ``side``; the same content gives the same object.
 
-    ``OPAQUE`` makes every texel opaque, ``MASK`` those whose opacity reaches ``cutoff`` and all others clear.
+    ``OPAQUE`` makes every texel opaque, ``MASK`` those whose opacity reaches ``cutoff`` and all others clear; before that
+    all are made less opaque by the factor ``opacity``.
     Raises `SceneError` (the reason alone) if it cannot be read.
     """
-    key = (hashlib.sha256(data).digest(), side, alpha, cutoff if alpha == "MASK" else 0.0)
+    key = (hashlib.sha256(data).digest(), side, alpha)
+    key += (cutoff if alpha == "MASK" else 0.0, opacity if alpha != "OPAQUE" else 1.0)
     found = _textures.get(key)
     if found is None:
         pixels = _ktx2_pixels(data, side) if data[:12] == _KTX2 else _pixels(_opened(data), side)
-        found = _textures[key] = Texture(pixels=_with_alpha(reduced(pixels, side), alpha, cutoff), name=name)
+        found = _textures[key] = Texture(pixels=_with_alpha(reduced(pixels, side), alpha, cutoff, opacity), name=name)
     return found
 
 
@@ -84,7 +87,7 @@ def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) ->
     key = (hashlib.sha256(pixels.tobytes()).digest(), pixels.shape, "picture")
     found = _textures.get(key)
     if found is None:
-        found = _textures[key] = Texture(pixels=_with_alpha(pixels, "OPAQUE", 0.5), name=name)
+        found = _textures[key] = Texture(pixels=_with_alpha(pixels, "OPAQUE"), name=name)
     return found
 
 
@@ -164,11 +167,15 @@ def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
         raise SceneError(f"its KTX2 content is not Basis Universal or is damaged ({_reason(fault)})") from None
 
 
-def _with_alpha(pixels: NDArray[np.uint8], alpha: Alpha, cutoff: float) -> NDArray[np.uint8]:
+def _with_alpha(
+    pixels: NDArray[np.uint8], alpha: Alpha, cutoff: float = 0.5, opacity: float = 1.0
+) -> NDArray[np.uint8]:
     if alpha == "OPAQUE":
         pixels[..., 3] = 255
     elif alpha == "MASK":
-        pixels[..., 3] = np.where(pixels[..., 3] >= cutoff * 255, 255, 0)
+        pixels[..., 3] = np.where(pixels[..., 3] * opacity >= cutoff * 255, 255, 0)
+    elif opacity < 1:
+        pixels[..., 3] = np.round(pixels[..., 3] * opacity)
     return pixels
 
 
