@@ -314,8 +314,7 @@ def check_dataset(root: Path) -> bool:
     try:
         dataset = Dataset(root)
         repr(dataset)
-        for seed in range(len(dataset)):
-            back = dataset.recording(seed)
+        for seed, back in enumerate(dataset.recordings(range(len(dataset)))):
             differences = recordings_equal(small_recording(5, seed), back)
             assert [line for line in differences if "values differ" in line] == []
     except FormatError:

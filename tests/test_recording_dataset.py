@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from recording_strategies import recordings, simple_recording
 
@@ -40,7 +40,7 @@ from h3data.recording.lerobot_meta import merged, moments_of
 from h3data.recording.schema import DTYPES
 
 SOME = settings(
-    max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
@@ -68,9 +68,9 @@ def test_what_is_added_is_read(tmp_path, rec):
 @given(recs=st.lists(recordings(max_steps=12), min_size=2, max_size=4), per_file=st.integers(1, 3))
 def test_episodes_of_different_shapes_share_a_dataset(tmp_path, recs, per_file):
     kinds: dict[str, tuple] = {}
-    for rec in recs:
-        for name, a in rec.columns.items():
-            assume(kinds.setdefault(name, (a.dtype, a.ndim)) == (a.dtype, a.ndim))
+    for k, rec in enumerate(recs):  # a column has one dtype in a dataset
+        kept = {n: a for n, a in rec.columns.items() if kinds.setdefault(n, (a.dtype, a.ndim)) == (a.dtype, a.ndim)}
+        recs[k] = replace(rec, columns=kept)
     ds = written(tmp_path / "ds", *recs, like=recs, episodes_per_file=per_file)
     assert len(ds) == len(recs)
     for k, rec in enumerate(recs):
@@ -78,7 +78,7 @@ def test_episodes_of_different_shapes_share_a_dataset(tmp_path, recs, per_file):
         assert list(ds.recording(k).columns) == list(rec.columns)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(rec=recordings())
 def test_log_to_dataset_to_log(tmp_path, rec):
     first = read_mcap(write_mcap(rec, tmp_path / "a.mcap", overwrite=True))
