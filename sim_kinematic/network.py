@@ -6,6 +6,7 @@ code. PyTorch is needed for none of it; `from_torch` takes over what was trained
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -24,6 +25,10 @@ FILE_FORMAT = "h3data.network/1"
 MAX_BYTES = 256 << 20
 """Files whose arrays take more than this are refused."""
 Activation = Literal["tanh", "relu"]
+_DAMAGE = (
+    ValueError, OSError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError
+)  # fmt: skip
+"""What zipfile and numpy raise at files that are none, or damaged; numpy tokenizes headers."""
 _FUNCTIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 
 
@@ -201,9 +206,11 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             raise FormatError(f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}")
         with np.load(path, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
+        if not all(isinstance(array, np.ndarray) for array in data.values()):
+            raise ValueError("it holds files that are no arrays")
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"Expected a file of weights, found none. {hint} File: {path}") from None
-    except (ValueError, OSError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error, NotImplementedError) as fault:
+    except _DAMAGE as fault:
         raise FormatError(
             f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {hint} File: {path}"
         ) from None

@@ -141,6 +141,13 @@ def test_arrays_that_are_no_network(tmp_path: Path, change: dict, message: str) 
     assert not Path("/tmp/this-must-not-be-made").exists()
 
 
+def _repacked(source: Path, target: Path, changed: dict[str, tuple[str, bytes]]) -> None:
+    """A copy of a zip file with other members, check sums and all."""
+    with zipfile.ZipFile(source) as packed, zipfile.ZipFile(target, "w") as copy:
+        for name in packed.namelist():
+            copy.writestr(*changed.get(name, (name, packed.read(name))))
+
+
 def test_files_that_are_no_weights(tmp_path: Path, weights: Path) -> None:
     torch.save({"a": torch.zeros(2)}, tmp_path / "torch.pt")
     (tmp_path / "pickle.pkl").write_bytes(pickle.dumps(Bomb()))
@@ -148,6 +155,10 @@ def test_files_that_are_no_weights(tmp_path: Path, weights: Path) -> None:
     (tmp_path / "text.npz").write_text("weights")
     (tmp_path / "short.npz").write_bytes(weights.read_bytes()[:-100])
     np.save(tmp_path / "array.npy", np.zeros(3))
+    _repacked(weights, tmp_path / "no_array.npz", {"mean.npy": ("mean", b"0.0")})
+    with zipfile.ZipFile(weights) as packed:
+        header = packed.read("scale.npy").replace(b"}", b"(", 1)
+    _repacked(weights, tmp_path / "header.npz", {"scale.npy": ("scale.npy", header)})
     for file in tmp_path.iterdir():
         if file != weights:
             with pytest.raises(FormatError, match="file of weights"):
