@@ -7,11 +7,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from h3data.metrics import measure_files
 from h3data_pipelines.cli import main
 from h3data_pipelines.social_nav_evaluating import METRICS, policy_table
+from sim_kinematic.network import Network, save_network
 
 RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
 
@@ -56,6 +58,21 @@ def test_bad_options_are_refused(
 ) -> None:
     assert told in run_json(capsys, "evaluate", *options, "--json", "-o", tmp_path / "x", code=2)["error"]
     assert not (tmp_path / "x").exists()
+
+
+def test_results_of_other_weights_in_the_same_file_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, rules = tmp_path / "net.npz", ("--scenes", "h3-homes/val#1", "--max-steps", "2", "--episodes", "1", "--json")
+    evaluate = ("evaluate", "social_nav", *rules, "--policies", f"weights:{file}", "-o", tmp_path / "table")
+    for turn, code in ((0.5, 0), (0.5, 0), (-0.5, 2)):
+        network = Network(
+            task="social_nav", observations=("humanoid_gps",), weights=(np.zeros((2, 2), np.float32),),
+            biases=(np.array([1.0, turn], np.float32),),
+        )  # fmt: skip
+        save_network(network, file)
+        result = run_json(capsys, *evaluate, code=code)
+    assert "other options" in result["error"]
 
 
 def test_what_is_undefined_does_not_count() -> None:

@@ -41,13 +41,14 @@ def social_nav_jobs(
     """
     from h3data.interop.scene_names import named_scenes
     from h3data.scene.scene_sets import find_scene_set
-    from sim_kinematic.policies import policy_by_name
+    from sim_kinematic.policies import policy_by_name, policy_name
     from sim_kinematic.spec import SocialNavSpec
 
     if not policies:
         raise InputError("--policies: expected at least one name, or all.")
     for name in policies:
         policy_by_name(name)
+    policies = tuple(dict.fromkeys(map(policy_name, policies)))
     changes = Changes(policy=policies[0], human=human, human_speed=human_speed, max_steps=max_steps)
     label, _, which = scenes.partition("#")
     found = find_scene_set(label)
@@ -59,7 +60,7 @@ def social_nav_jobs(
             named_scenes(scenes, homes=homes), episodes=10 if episodes is None else episodes, seed=seed,
             spec=SocialNavSpec(), changes=changes,
         )  # fmt: skip
-    return [PoliciesJob(job, tuple(policies)) for job in base]
+    return [PoliciesJob(job, policies) for job in base]
 
 
 def play_policies(job: PoliciesJob) -> dict[str, Any]:
