@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.interop.gltf_primitives import nearest_texels
-from h3data.interop.images import reduced
+from h3data.interop.images import reduced, reduced_size
 from h3data.scene.meshes import face_texture_indices
 from h3data.scene.records import Mesh, Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
@@ -139,3 +139,10 @@ def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
 def view_texture(texture: Texture, side: int) -> NDArray[np.uint8]:
     """sRGB texels [H, W, 3], at most ``side`` x ``side``."""
     return np.ascontiguousarray(reduced(texture.pixels, side)[..., :3])
+
+
+def texture_bytes(texture: Texture, side: int) -> int:
+    """Bytes of `view_texture`."""
+    height, width = texture.pixels.shape[:2]
+    columns, rows = reduced_size(width, height, side)
+    return 3 * columns * rows

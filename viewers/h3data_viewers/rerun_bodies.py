@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.geometry import pose_inverse, pose_to_matrix, quat_from_matrix, quat_sign_continuous, transform_points
 from h3data.recording.records import Recording
 from h3data.scene.records import Mesh, Texture
-from h3data_viewers.mesh_detail import ViewMesh, baked_colors, thin_mesh, view_mesh, view_texture
+from h3data_viewers.mesh_detail import ViewMesh, baked_colors, texture_bytes, thin_mesh, view_mesh, view_texture
 from h3data_viewers.rerun_sink import Sink
 
 _LOG = logging.getLogger(__name__)
@@ -176,7 +176,7 @@ def _looks(meshes: list[Mesh], share: float) -> list[_Look]:
             ready[key] = view_mesh(mesh, max_vertices=max(300, int(kept * len(mesh.vertices))))
     textures = [part.texture for m in meshes for part in ready[id(m)] if part.texture is not None]
     side = TEXTURE_SIDE_PX
-    while side > 1 and sum(3 * np.prod(np.minimum(t.pixels.shape[:2], side)) for t in textures) > share * TEXTURE_BYTES:
+    while side > 1 and sum(texture_bytes(t, side) for t in textures) > share * TEXTURE_BYTES:
         side //= 2
     texels = {t: view_texture(t, side) for t in dict.fromkeys(textures)}
     return [_Look(ready[id(m)], texels) for m in meshes]
