@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.reach import reacher
+from h3data.bodies.reach import Hand, reacher
 from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.giving_way import PATIENCE_STEPS, Seen, crowds, in_the_way, round_somebody, waits
@@ -21,10 +22,13 @@ from sim_kinematic.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.step import walk_humans
 from sim_kinematic.waypoint_human import sharp_corners
 
+HANDS: tuple[Hand, ...] = ("right", "left")
+"""In the order in which she tries them."""
+
 
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands, of which she uses the right one. She does not give way to robots (as Habitat's
+    """A person with two hands; the left one is for what the right one cannot. She does not give way to robots (as Habitat's
     planners), but lets other people pass."""
 
     person: Person
@@ -48,8 +52,9 @@ class PersonActor:
 
     @property
     def hand_pose(self) -> Array:
-        """pose7 of the right palm in the world."""
-        return self.person.palm("right")
+        """pose7 of the palm that holds something in the world, else of the right one."""
+        holding = tuple(self.person.held)
+        return self.person.palm(holding[0] if holding else "right")
 
     @property
     def arm(self) -> NDArray:
@@ -66,9 +71,8 @@ class PersonActor:
         if action.skill == "wait":
             return self._wait(action.steps)
         if action.skill.startswith("nav"):
-            return self._navigate(
-                self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
-            )
+            to_goal = action.skill == "nav_to_goal"
+            return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
         return self._handle(action.skill == "pick", k)
 
     def idle(self) -> None:
@@ -79,17 +83,28 @@ class PersonActor:
             yield
         return Ending("done")
 
-    def _navigate(self, point: NDArray) -> Skill:
-        """Walk to where the hand reaches a world point [3], and turn to it."""
-        stands = person_stands(self.free, self.person.body, point)
-        for _ in range(PATIENCE_STEPS):
-            if not len(stands) or not crowds(stands, self.others).all():
+    def _hands(self, k: int) -> tuple[Hand, ...]:
+        """The hand that holds an object, else both in the order in which she tries them."""
+        holding: list[Hand] = [hand for hand, held in self.person.held.items() if held.name == self.objects.names[k]]
+        return tuple(holding) or HANDS
+
+    def _navigate(self, point: NDArray, hands: tuple[Hand, ...]) -> Skill:
+        """Walk to where the first of these hands that can reaches a world point [3], and turn to it."""
+        gets_there = False
+        for hand in hands:
+            stands = person_stands(self.free, self.person.body, point, hand)
+            for _ in range(PATIENCE_STEPS):
+                if not len(stands) or not crowds(stands, self.others).all():
+                    break
+                yield
+            crowded = crowds(stands, self.others)
+            k, left = nearest_stand(
+                self.free, stands, self.xz, crowded, partial(self._has_room, point=point, hand=hand)
+            )
+            if np.isfinite(left):
                 break
-            yield
-        crowded = crowds(stands, self.others)
-        k, left = nearest_stand(self.free, stands, self.xz, crowded, lambda stand: self._has_room(stand, point))
-        if not np.isfinite(left):
-            gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
+            gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
+        else:
             return Ending("failed", "no_room" if gets_there else "no_way")
         for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
             self._follow()
@@ -125,13 +140,18 @@ class PersonActor:
             k += there and (k + 1 < len(path) or state.blend[0] == 0)
 
     def _handle(self, picks: bool, k: int) -> Skill:
-        """Pick or place with the right hand; objects change hands in the step in which the hand is there."""
+        """Pick or place; objects change hands in the step in which the hand is there."""
         name = self.objects.names[k]
         point = self.objects.poses[k, :3] if picks else self.objects.goals[k]
-        if not self._has_room(np.append(self.xz, self.heading), point):
+        stand = np.append(self.xz, self.heading)
+        hands = self._hands(k)
+        near: list[Hand] = [hand for hand in hands if self._reaches(stand, point, hand)]
+        able: list[Hand] = [hand for hand in near if self._has_room(stand, point, hand)]
+        if near and not able:
             return Ending("failed", "no_room")
+        hand = able[0] if able else hands[0]
         self.person.objects[name] = self.objects.poses[k].copy()
-        skill = self.person.pick(name) if picks else self.person.place(self.objects.goals[k])
+        skill = self.person.pick(name, hand) if picks else self.person.place(point, hand)
         result = SkillResult(success=False)
         while True:
             try:
@@ -140,24 +160,23 @@ class PersonActor:
                 result = end.value
                 break
             self._follow()
-            if picks and "right" not in self.person.held:  # it may go away under her hand
+            if picks and hand not in self.person.held:  # it may go away under her hand
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield
         return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
 
-    def _has_room(self, stand: NDArray, point: NDArray) -> bool:
-        """Whether her body keeps out of the home when she reaches for a point from a stand; yes where nobody looks, and where
-        her hand does not get there anyway."""
-        if self.room is None:
-            return True
+    def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
         seen = Person(self.person.body, ground_pose(stand[:2], float(stand[2]), self.free.floor_y)).seen(point)
-        if not reacher(self.person.body, "right").reachable(seen[None])[0]:
-            return True
-        return self.room.is_clear(stand, point)
+        return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
+
+    def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
+        """Whether her body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
+        where it does not get there anyway."""
+        return self.room is None or not self._reaches(stand, point, hand) or self.room.is_clear(stand, point, hand)
 
     def _follow(self) -> None:
         """Tell the others what the hand holds."""
-        held = self.person.held.get("right")
+        held = next(iter(self.person.held.values()), None)
         for k, name in enumerate(self.objects.names):
             if held is not None and held.name == name:
                 self.objects.held_by[k] = self.number

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,10 @@ LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
 HANDLING_S = 4.5
 """What a person is taken to need for one object, beside walking and turning."""
+STANDS_WITHIN_M = 1.0
+"""A person stands nearer than this to what she takes or puts down."""
+SNAP_M = 2.0
+"""The floor is at most this far from the middle of a surface."""
 SPARE = 0.98
 """Share of the longest duration in which that estimate must fit, whichever object comes first."""
 
@@ -183,8 +188,9 @@ def draw_episode(
         )
     draw = _Draw(scene, free, spec, robot, human, surfaces)
     budget = SPARE * spec.max_steps * STEP_S
-    leg = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps / (2 * spec.objects)
-    why = "none could be placed"
+    longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
+    leg = longest / (2 * spec.objects)
+    why = f"a person alone would take more than {budget:.0f} s"
     starts = None
     for attempt in range(ATTEMPTS):
         rng = generator(seed, "rearrange", step=attempt)
@@ -192,10 +198,13 @@ def draw_episode(
             starts = draw_starts(free, int(rng.integers(2**63)), rules, stands_free=clear)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
-        targets = draw.targets(rng, chosen, starts.human_xz, np.inf if attempt < REDRAW else leg)
+        within = np.inf if attempt < REDRAW else leg
+        targets = draw.targets(rng, chosen, starts.human_xz, within, longest)
         if targets is None:
             continue
-        seconds = max(draw.seconds_alone(starts, order) for order in (targets, targets[::-1]))
+        seconds = draw.seconds_alone(starts, targets)
+        if seconds <= budget:
+            seconds = draw.seconds_alone(starts, targets[::-1])
         if seconds <= budget:
             return starts, targets
         why = f"a person alone would take about {seconds:.0f} s"
@@ -229,11 +238,16 @@ class _Draw:
     robot: Robot
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
+    _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
+    """A person's, by point,"""
+    _clear: dict[tuple[tuple[float, ...], tuple[float, ...]], bool] = field(default_factory=dict)
+    """and whether she has room there, by point and stand."""
 
     def targets(
-        self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float
+        self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
     ) -> tuple[Target, ...] | None:
-        """A start and a goal for each of the chosen things, each within ``within_m`` of the place before, or None."""
+        """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
+        if there are no such places, or if the way past all of them is certainly longer than ``longest_m``."""
         names = {i.name for i in chosen}
         taken = [
             (i.pose[:3], _extent(self.scene, i)[0])
@@ -241,11 +255,19 @@ class _Draw:
             if i.motion == "kinematic" and i.name not in names
         ]
         found = []
+        least = 0.0
         for thing in chosen:
             start = self._place(rng, thing, taken, here, within_m)
-            goal = self._place(rng, thing, taken, start[0][[0, 2]], within_m, start) if start is not None else None
-            if start is None or goal is None:
+            if start is None:
                 return None
+            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            if least > longest_m:
+                return None
+            here = start[0][[0, 2]]
+            goal = self._place(rng, thing, taken, here, within_m, start)
+            if goal is None:
+                return None
+            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
             here = goal[0][[0, 2]]
             turned = np.concatenate([start[0], quat_from_heading(rng.uniform(-np.pi, np.pi))])
             found.append(Target(thing.name, turned, goal[0], start[1], goal[1]))
@@ -257,8 +279,9 @@ class _Draw:
     ) -> tuple[Array, str] | None:  # fmt: skip
         """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
         radius, low, high = _extent(self.scene, thing)
-        near = [k for k in rng.permutation(len(self.surfaces)) if self._way(k, here) <= within_m]
-        for k in near[:12]:
+        order = rng.permutation(len(self.surfaces))
+        near = order if np.isinf(within_m) else order[self._ways(here)[order] <= within_m]
+        for k in near[:12].tolist():
             instance, receptacle = self.surfaces[k]
             size = receptacle.half_size * np.abs(instance.scale[[0, 2]]) - radius
             local = rng.uniform(-1, 1, 2)
@@ -284,20 +307,35 @@ class _Draw:
             return point, f"{instance.name}|{receptacle.name}"
         return None
 
-    def _way(self, surface: int, here: Array) -> float:
-        """Distance on the floor [m] from ``here`` to the middle of a surface."""
-        instance, receptacle = self.surfaces[surface]
-        return float(np.hypot(*((instance_matrix(instance) @ np.append(receptacle.center, 1.0))[[0, 2]] - here)))
+    @cached_property
+    def _centers(self) -> Array:
+        """Middle of each surface on the floor plane [S, 2]."""
+        middles = [instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces]
+        return np.array(middles)[:, [0, 2]]
+
+    def _ways(self, here: Array) -> Array:
+        """Length of the way from ``here`` [2] to each surface [S] [m], about."""
+        return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
 
     def _person_stand(self, point: Array, here: Array | None = None) -> tuple[Array | None, float]:
         """A stand [3] from which the person's hand gets to a point [3] while her body keeps out of the home, the nearest to
         ``here`` [2], and the way to it [m]; None and infinity where there is none."""
-        stands = person_stands(self.free, self.human, point)
+        at = tuple(point.tolist())
+        stands = self._stands.get(at)
+        if stands is None:
+            stands = self._stands[at] = person_stands(self.free, self.human, point)
         if not len(stands):
             return None, np.inf
         room = reach_room(self.scene, self.human, self.free.floor_y)
         start = stands[0, :2] if here is None else here
-        k, length = nearest_stand(self.free, stands, start, is_clear=lambda stand: room.is_clear(stand, point))
+
+        def is_clear(stand: Array) -> bool:
+            asked = at, tuple(stand.tolist())
+            if asked not in self._clear:
+                self._clear[asked] = room.is_clear(stand, point)
+            return self._clear[asked]
+
+        k, length = nearest_stand(self.free, stands, start, is_clear=is_clear)
         return (stands[k], length) if k >= 0 else (None, length)
 
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,14 +51,20 @@ def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike
     """Stands ``(x, z, heading)`` [N, 3] from which a robot's hand, pitched by `HAND_PITCH_RAD`, reaches a world point [3]
     [m], and where its base can turn all the way round."""
     point = np.asarray(point, np.float64)
-    distances = np.array(ROBOT_DISTANCES_M)
-    targets = np.zeros((len(distances), 7))
-    targets[:, 0], targets[:, 1], targets[:, 3:] = distances, point[1] - free.floor_y, hand_turn(robot)
-    answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
-    reached = answer.reached[1:-1] & answer.reached[:-2] & answer.reached[2:]
-    stands = _on_island(free, _ring(point, distances[1:-1][reached], 0.0))
+    stands = _on_island(free, _ring(point, _robot_distances(robot, float(point[1] - free.floor_y)), 0.0))
     reach = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
     return stands[free.signed_distance(stands[:, :2]) >= reach]
+
+
+@lru_cache(maxsize=1024)
+def _robot_distances(robot: Robot, height: float) -> Array:
+    """From how far away [D] [m] a robot's hand reaches what is ``height`` [m] above the floor: things lie on few heights."""
+    distances = np.array(ROBOT_DISTANCES_M)
+    targets = np.zeros((len(distances), 7))
+    targets[:, 0], targets[:, 1], targets[:, 3:] = distances, height, hand_turn(robot)
+    answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
+    reached = answer.reached[1:-1] & answer.reached[:-2] & answer.reached[2:]
+    return distances[1:-1][reached]
 
 
 def hand_turn(robot: Robot) -> Array:
@@ -68,17 +75,17 @@ def hand_turn(robot: Robot) -> Array:
 
 
 def nearest_stand(
-    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | None = None,
+    free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
     is_clear: Callable[[Array], bool] | None = None,
 ) -> tuple[int, float]:  # fmt: skip
     """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to.
 
-    Those that are ``crowded`` [N] are taken only if all are, and only one that ``is_clear``.
+    Those that are ``crowded`` [N] are taken only if all are, the less crowded first, and only one that ``is_clear``.
     """
     if not len(stands):
         return -1, np.inf
     ways = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
-    order = np.argsort(ways if crowded is None else ways + np.where(crowded, CROWDED_M, 0.0), kind="stable")
+    order = np.argsort(ways if crowded is None else ways + CROWDED_M * crowded, kind="stable")
     for k in order[np.isfinite(ways[order])].tolist():
         if is_clear is None or is_clear(stands[k]):
             return k, float(ways[k])

@@ -23,7 +23,7 @@ from sim_kinematic.rearrange_episode import RearrangeWorld
 from sim_kinematic.skills import Action, Ending, Objects
 from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands
-from sim_kinematic.state import WorldState
+from sim_kinematic.state import NOBODY, WorldState
 
 DEEPEST_M = TOLERANCE_M + 0.01
 """In recorded episodes: a little more between the frames that are looked at."""
@@ -63,7 +63,7 @@ def test_in_recorded_episodes_her_body_keeps_out_of_the_home(home: Scene, world:
     assert recording.episode.info["ended"] == "success"
     supports = {place.partition("|")[0] for t in played.targets for place in (t.source, t.destination)}
     for part, thing in parts_inside(recording, home, deeper_than_m=DEEPEST_M):
-        assert part in REACHING_PARTS
+        assert part in REACHING_PARTS["right"]
         assert thing in supports
 
 
@@ -78,7 +78,7 @@ def test_in_many_homes_her_body_keeps_out(capsys: pytest.CaptureFixture[str]) ->
         played = job.world()
         recording = simulate_rearrange(played, policy="solo", partner="both", solo_steps=1)
         inside = parts_inside(recording, played.scene, deeper_than_m=DEEPEST_M)
-        assert {part for part, _ in inside} <= set(REACHING_PARTS)
+        assert {part for part, _ in inside} <= {*REACHING_PARTS["right"], *REACHING_PARTS["left"]}
 
 
 def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeWorld) -> None:
@@ -125,7 +125,7 @@ class NoRoom(ReachRoom):
 
     def __init__(self) -> None: ...
 
-    def is_clear(self, stand: Any, point: Any) -> bool:
+    def is_clear(self, stand: Any, point: Any, hand: Any = "right") -> bool:
         return False
 
 
@@ -149,3 +149,31 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeWorld) -> None
         actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, room)
         assert ending(actor.start(Action("pick", 0))).reason == reason
         assert ending(actor.start(Action("nav_to_goal", 0))).reason == reason
+
+
+def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeWorld) -> None:
+    """Where only her left side has room she walks to a stand of the left hand, takes it and puts it down with that hand."""
+
+    class OnlyLeft(ReachRoom):
+        def __init__(self) -> None: ...
+
+        def is_clear(self, stand: Any, point: Any, hand: Any = "right") -> bool:
+            return hand == "left"
+
+    state = WorldState.zeros(1, objects=2)
+    state.object_pose[0] = [t.start for t in world.targets]
+    objects = Objects(tuple(t.name for t in world.targets), np.array([t.goal for t in world.targets]), state)
+    start = ground_pose(world.starts.human_xz, world.starts.human_heading, world.free.floor_y)
+    person = Person(world.human, start, dict(zip(objects.names, objects.poses, strict=True)))
+    actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, OnlyLeft())
+    for name in ("nav_to_object", "pick"):
+        assert run(person, actor.start(Action(name, 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+    assert list(person.held) == ["left"]
+    assert objects.held(1) == 0
+    np.testing.assert_allclose(actor.hand_pose[:3], objects.poses[0, :3], atol=0.02)
+    assert actor._hands(0) == ("left",)
+    point = person.palm("left")[:3] - np.array([0.0, 0.1, 0.0])
+    objects.goals[0] = point
+    assert run(person, actor.start(Action("place", 0)))[1] == Ending("done")  # type: ignore[arg-type,comparison-overlap]
+    assert objects.held(1) == NOBODY
+    np.testing.assert_allclose(objects.poses[0, :3], point, atol=0.012)
