@@ -1,8 +1,11 @@
-"""The ``third_person`` camera: stays near the robot, keeps walls out of the way, and the person in view where it can."""
+"""The ``third_person`` camera: on a free line of sight from the agent it follows, with the other agent in view where it can.
+
+Depth images around the agent (`sight`) say how far the camera may be, whatever the recording is made of. The chain: lengths of
+free lines every `KEY_S` to all directions; the best path among them (Viterbi), smoothed; the free length along it at every
+step; its moving minimum, smoothed by a window no wider. So the line from camera to agent is free at every step.
+"""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,31 +14,39 @@ from h3data.errors import InputError
 from h3data.geometry import Array, heading_direction, heading_from_quat, normalized
 from h3data.render import look_at, pinhole
 from h3data.replay.replay import CameraTrack, Replay
+from h3data.replay.sight import Fan, Sight
 
-if TYPE_CHECKING:
-    from h3data.scene import FreeSpace
-
-BOOM_M = 2.4
-"""Distance from the robot along the floor, where there is room."""
-CLEARANCE_M = 0.12
-"""The camera keeps this far from walls."""
-EYE_M, EYE_RISE_M = 1.45, 0.75
-"""Height of the eye, and how much higher it is when the boom is short."""
-DIRECTIONS = 48
-KEY_STEPS = 6
-"""Directions are chosen every so many steps and smoothed in between."""
+BOOM_M = 2.6
+"""Distance from the agent, where there is room."""
+NEAREST_M = 1.0
+"""It comes no nearer; where even that is not free, what is in between is cut away (`CameraTrack.nears`)."""
+CLOSE_M = 1.6
+"""Where it is nearer than this, it rather turns."""
+PIVOT_M = {"robot": 0.55, "human": 1.25}
+"""Height above the floor of the point of the agent that the camera keeps in sight."""
+HEAD_M = 1.5
+DIRECTIONS, ELEVATIONS_DEG = 48, (8.0, 22.0, 42.0)
+ELEVATION_SCORE = (-0.3, 0.0, -0.2)
+BODY_M = 0.4
+"""Radius of an agent in another's line of sight."""
+KEY_S = 0.2
+"""Directions are chosen so often and smoothed in between."""
+SMOOTH_S = 0.5
+"""Half the window over which the distance is smoothed."""
 TURN_COST = 1.2
 """Price of turning by one radian between two keys, squared, against scores of about 1."""
+OFF_AXIS_RAD = 0.3
+"""The agent is at most so far from the middle of the picture."""
+JUMP_M, JUMP_MPS = 0.5, 8.0
+"""The camera cuts where the agent moves by more than both in one step; elsewhere it moves smoothly."""
 
 
 def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """A camera that circles the robot (or the only agent) at the best free place to watch it and the person.
+    """A camera that circles the robot (or the first agent, if there is none) at the best free place to watch it.
 
-    The best place is found for the whole recording at once (dynamic programming over directions): a long free boom, the
-    person visible, preferably from behind the robot, little turning.
+    The best place is found for the whole recording at once (dynamic programming over directions): a long free line, the
+    other agent visible, preferably from behind, little turning. The followed agent is in sight at every step.
     """
-    from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # a quarter of a second, which no other camera needs
-
     recording = replay.recording
     kinds = [agent.kind for agent in recording.agents]
     leader = kinds.index("robot") if "robot" in kinds else 0
@@ -47,37 +58,110 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
     if not len(base):
         return CameraTrack(camera=camera, poses=np.eye(4)[None])
     base = held(base)
-    robot, floor = base[:, [0, 2]], base[:, 1]
+    pivot = base[:, :3] + (0.0, PIVOT_M.get(kinds[leader], PIVOT_M["robot"]), 0.0)
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
-    person = (
-        robot + ahead
-        if other is None
-        else held(recording.agent_column(other, "base_pose")[:, [0, 2]].astype(np.float64))
-    )
-    walls = _walls(replay)
+    person = None if other is None else held(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]
+    watched = pivot + np.insert(ahead, 1, 0.0, axis=1) if person is None else person + np.array([0.0, HEAD_M, 0.0])
+    dt = max(recording.duration_s, 1e-3) / max(len(base) - 1, 1)
+    bodies = [recording.agent_column(i, "base_pose") for i in range(len(kinds)) if i != leader]
+    bodies = np.stack([b[:, [0, 2]] for b in bodies], axis=1) if bodies else np.zeros((len(base), 0, 2))
+    sight = Sight(replay, hidden_layers=camera.hidden_layers)
+    moved = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
+    cuts = np.flatnonzero(moved > max(JUMP_M, JUMP_MPS * dt)) + 1
+    parts = [
+        _follow(sight, steps, pivot[steps], watched[steps], bodies[steps], dt, person is not None)
+        for steps in np.split(np.arange(len(base)), cuts)
+    ]
+    poses, nears = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return CameraTrack(camera=camera, poses=poses, nears=nears if nears.any() else None)
 
-    keys = np.unique(np.append(np.arange(0, len(base), KEY_STEPS), len(base) - 1))
-    angles = np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)
-    directions = heading_direction(angles)
-    boom = _free_length(walls, robot[keys, None], directions[None])
-    eyes = robot[keys, None] + directions * boom[..., None]
-    behind = normalized(robot - person)[keys] @ directions.T
-    score = 1.5 * boom / BOOM_M + 0.5 * behind + 1.0 * _visible(walls, eyes, person[keys, None])
-    angle = np.interp(np.arange(len(base)), keys, np.unwrap(angles[_best_path(score)]))
-    angle = gaussian_filter1d(angle, 2 * KEY_STEPS, mode="nearest")
 
-    direction = heading_direction(angle)
-    length = _free_length(walls, robot, direction)
-    length = gaussian_filter1d(minimum_filter1d(length, 4 * KEY_STEPS, mode="nearest"), KEY_STEPS, mode="nearest")
-    eye_height = floor + EYE_M + EYE_RISE_M * (1 - length / BOOM_M)
-    eye = _lift(robot + direction * length[:, None], eye_height)
-    target = _lift(robot, floor + 0.55)
-    if other is not None:
-        gap = np.linalg.norm(person - robot, axis=-1, keepdims=True)
+def _follow(
+    sight: Sight, steps: NDArray[np.intp], pivot: Array, watched: Array, bodies: Array, dt: float, two: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Poses [T, 4, 4] and near planes [T] [m] over ``steps`` [T] without a cut; ``two`` if somebody else is ``watched``.
+
+    ``bodies`` [T, N, 2] is where all other agents are on the floor.
+    """
+    from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # a quarter of a second, which no other camera needs
+
+    count, stride = len(steps), max(round(KEY_S / dt), 1)
+    keys = np.unique(np.append(np.arange(0, count, stride), count - 1))
+    azimuth = np.tile(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS), len(ELEVATIONS_DEG))
+    elevation = np.repeat(np.radians(ELEVATIONS_DEG), DIRECTIONS)
+    directions = _direction(azimuth, elevation)
+    fan = Fan(sight, directions)
+    boom, score = np.empty((2, len(keys), len(directions)))
+    for row, key in enumerate(keys):
+        sight.at(int(steps[key]))
+        boom[row] = fan.free(sight.around(pivot[key]), BOOM_M)
+        away = normalized((pivot - watched)[key, [0, 2]]) if two else (pivot - watched)[key, [0, 2]]
+        hides = _passed(pivot[key], pivot[key] + directions * boom[row, :, None], bodies[key]) > 0
+        score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * hides
+        if two:
+            eyes = pivot[key] + directions * boom[row, :, None]
+            score[row] += sight.sees(sight.around(watched[key]), watched[key], eyes)
+    boom = minimum_filter1d(boom, 3, axis=0, mode="nearest")
+    score += 1.5 * boom / BOOM_M - 2.0 * np.maximum(1 - boom / CLOSE_M, 0.0) + np.repeat(ELEVATION_SCORE, DIRECTIONS)
+    path = _best_path(score, azimuth, elevation)
+    turned = np.interp(np.arange(count), keys, np.unwrap(azimuth[path]))
+    raised = np.interp(np.arange(count), keys, elevation[path])
+    turned, raised = (gaussian_filter1d(angle, 2 * stride, mode="nearest") for angle in (turned, raised))
+    direction = _direction(turned, raised)
+
+    free = np.empty(count)
+    for row, step in enumerate(steps):
+        sight.at(int(step))
+        free[row] = sight.free_ahead(pivot[row], direction[row], BOOM_M)
+    reach = max(round(SMOOTH_S / dt), 1)
+    window = np.hanning(2 * reach + 3)[1:-1]
+    length = np.pad(minimum_filter1d(free, 2 * reach + 1, mode="nearest"), reach, mode="edge")
+    length = np.maximum(np.convolve(length, window / window.sum(), mode="valid"), NEAREST_M)
+    eye = pivot + direction * length[:, None]
+
+    target = pivot
+    if two:
+        gap = np.linalg.norm((watched - pivot)[:, [0, 2]], axis=-1, keepdims=True)
         weight = 0.5 * np.clip((5.0 - gap) / 2.0, 0.0, 1.0)
-        target = target * (1 - weight) + _lift(person, floor + 1.0) * weight
-    target = gaussian_filter1d(target, KEY_STEPS, axis=0, mode="nearest")
-    return CameraTrack(camera=camera, poses=np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)]))
+        target = pivot * (1 - weight) + (watched - (0.0, 0.5, 0.0)) * weight
+    target = gaussian_filter1d(target, stride, axis=0, mode="nearest")
+    view = _towards(pivot - eye, target - eye)
+    poses = np.stack([look_at(e, e + v) for e, v in zip(eye, view, strict=True)])
+    hidden = np.maximum(length - free, 0.0)
+    for row in range(count):
+        passed = _passed(pivot[row], eye[row], bodies[row])
+        if 0 < passed < length[row]:
+            hidden[row] = max(hidden[row], length[row] - passed)
+    return poses, hidden * np.einsum("ti,ti->t", view, -direction)
+
+
+def _passed(start: Array, ends: Array, bodies: Array) -> NDArray[np.float64]:
+    """How far from ``start`` [3] the lines to ``ends`` [..., 3] meet the first of ``bodies`` [N, 2] [m]; 0 = none."""
+    there = bodies[np.isfinite(bodies).all(-1)] - start[[0, 2]]
+    way = np.atleast_2d(ends - start)
+    length, flat = np.linalg.norm(way, axis=1), np.linalg.norm(way[:, [0, 2]], axis=1)
+    along = way[:, [0, 2]] @ there.T / flat[:, None]
+    across = np.sqrt(np.maximum((there**2).sum(1) - along**2, 0.0))
+    meets = (across < BODY_M) & (along > 0) & (along < flat[:, None] + BODY_M)
+    first = np.where(meets, np.maximum(along - BODY_M, 0.4), np.inf).min(1, initial=np.inf) * length / flat
+    return np.where(np.isfinite(first), first, 0.0).reshape(np.shape(ends)[:-1])
+
+
+def _direction(azimuth: Array, elevation: Array) -> Array:
+    """Unit vectors [..., 3]; azimuth is a heading."""
+    flat = heading_direction(azimuth) * np.cos(elevation)[..., None]
+    return np.stack([flat[..., 0], np.sin(elevation), flat[..., 1]], axis=-1)
+
+
+def _towards(start: Array, end: Array) -> Array:
+    """The directions [T, 3] of ``start`` turned towards those of ``end`` by at most `OFF_AXIS_RAD`."""
+    start, end = normalized(start), normalized(end)
+    cosine = np.clip(np.einsum("ti,ti->t", start, end), -1.0, 1.0)[:, None]
+    side = end - cosine * start
+    length = np.linalg.norm(side, axis=1, keepdims=True)
+    side = np.divide(side, length, out=np.zeros_like(side), where=length > 1e-9)
+    angle = np.minimum(np.arccos(cosine), OFF_AXIS_RAD)
+    return start * np.cos(angle) + side * np.sin(angle)
 
 
 def held(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -89,43 +173,10 @@ def held(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return values[np.where(last < 0, np.argmax(finite), last)]
 
 
-def _walls(replay: Replay) -> FreeSpace | None:
-    """What stands at eye height; None for recordings that carry no scene."""
-    if replay.scene is None or not replay.scene.rooms:
-        return None
-    from h3data.scene import FreeSpace
-
-    return FreeSpace.from_scene(replay.scene, radius_m=CLEARANCE_M, height_m=EYE_M + EYE_RISE_M - 0.2, max_climb_m=1.3)
-
-
-def _free_length(walls: FreeSpace | None, start: Array, direction: Array) -> NDArray[np.float64]:
-    """How far one can go from ``start`` [..., 2] along ``direction`` [..., 2] at eye height, at most `BOOM_M` [m]."""
-    shape = np.broadcast_shapes(start.shape, direction.shape)[:-1]
-    if walls is None:
-        return np.full(shape, BOOM_M, np.float64)
-    reach = np.linspace(0.0, BOOM_M, 49)
-    points = start[..., None, :] + direction[..., None, :] * reach[:, None]
-    blocked = walls.signed_distance(points) < CLEARANCE_M
-    first = np.where(blocked.any(-1), blocked.argmax(-1), len(reach))
-    return reach[np.maximum(first - 1, 0)]
-
-
-def _visible(walls: FreeSpace | None, eyes: Array, person: Array) -> NDArray[np.float64]:
-    """1 where nothing at eye height stands between eyes [..., 2] and the person [..., 2], else 0."""
-    shape = np.broadcast_shapes(eyes.shape, person.shape)[:-1]
-    if walls is None:
-        return np.ones(shape)
-    share = np.linspace(0.0, 1.0, 41)[:, None]
-    points = eyes[..., None, :] * (1 - share) + person[..., None, :] * share
-    return np.asarray((walls.signed_distance(points) > 0.02).all(-1), np.float64)
-
-
-def _best_path(score: NDArray[np.float64]) -> NDArray[np.intp]:
+def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:
     """The direction at each key [K] of the path with the most score [K, D] less the cost of turning (Viterbi)."""
-    count = score.shape[1]
-    turn = np.arange(count) * (2 * np.pi / count)
-    step = (turn[:, None] - turn[None] + np.pi) % (2 * np.pi) - np.pi
-    cost = TURN_COST * (step * KEY_STEPS) ** 2 / KEY_STEPS
+    step = (azimuth[:, None] - azimuth[None] + np.pi) % (2 * np.pi) - np.pi
+    cost = 6 * TURN_COST * (step**2 + (elevation[:, None] - elevation[None]) ** 2)
     total, came = score[0], np.zeros(score.shape, np.intp)
     for k in range(1, len(score)):
         through = total[None, :] - cost
@@ -136,7 +187,3 @@ def _best_path(score: NDArray[np.float64]) -> NDArray[np.intp]:
     for k in range(len(score) - 1, 0, -1):
         path[k - 1] = came[k, path[k]]
     return path
-
-
-def _lift(xz: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([xz[:, 0], y, xz[:, 1]], axis=-1)

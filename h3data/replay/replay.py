@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -357,7 +357,10 @@ class CameraTrack:
     camera: Camera
     poses: Array
     """4x4 camera to world, shape [T, 4, 4]; [1, 4, 4] for one that stands still."""
+    nears: Array | None = None
+    """What is nearer than this is cut away [T] [m], as `Camera.near`; None: as ``camera`` has it."""
 
     def at(self, step: int) -> Camera:
         """The camera at one step."""
-        return self.camera.at(self.poses[min(step, len(self.poses) - 1)])
+        camera = self.camera.at(self.poses[min(step, len(self.poses) - 1)])
+        return camera if self.nears is None else replace(camera, near=float(self.nears[step]))

@@ -1,0 +1,155 @@
+"""The third_person camera: whom it follows is seen at every step, from a place that moves smoothly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from h3data.interop import AssetLibrary, read_gfx_replay, read_hitl_episode, read_hitl_log
+from h3data.recording import Agent, AssetRef, Body, Episode, Recording
+from h3data.replay import Replay, camera_track
+from h3data.replay.replay import CameraTrack
+from h3data.scene import HomeSpec, build_home
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+
+FASTER_MPS = 5.5
+"""The camera moves at most so much faster than the agent."""
+SEEN_PX = 60
+"""Of 160x120."""
+DT = 1 / 30
+HITL = "habitat-lab/reference/hitl"
+
+
+def seen_px(replay: Replay, stride: int) -> np.ndarray:
+    """Pixels of the followed agent, number 0, in small pictures."""
+    track = camera_track(replay, "third_person")
+    large = track.camera
+    camera = replace(large, width=160, height=120, fx=large.fx / 4, fy=large.fy / 4, cx=80.0, cy=60.0)
+    small = CameraTrack(camera=camera, poses=track.poses, nears=track.nears)
+    owner = np.append([d.agent for d in replay.drawables], -1)
+    frames = replay.frames([small], range(0, len(replay), stride), outputs=("instance",))
+    return np.array([(owner[picture["instance"]] == 0).sum() for _, (picture,) in frames])
+
+
+def speed_past_agent(replay: Replay) -> float:
+    """How fast the camera moves at most seen from the agent [m/s]."""
+    eye = camera_track(replay, "third_person").poses[:, :3, 3]
+    offset = eye - replay.recording.agent_column(0, "base_pose")[:, :3]
+    return float(np.linalg.norm(np.diff(offset, axis=0), axis=1).max() / DT)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
+    spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
+    replay = Replay(simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
+    assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.99
+    assert speed_past_agent(replay) < FASTER_MPS
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{HITL}/session_1user_policy/gen2/10.json.gz",
+        f"{HITL}/session_1user_policy/gen2/11.json.gz",
+        f"{HITL}/session_2users/gen1/session.0.pkl.gz",
+        f"{HITL}/session_2users/gen1/session.1.pkl.gz",
+        f"{HITL}/session_2users/gen2/10.json.gz",
+        f"{HITL}/session_2users/gen2/11.json.gz",
+        "hitl/my_session.gfx_replay.json",
+    ],
+)
+def test_the_agent_is_seen_in_recorded_sessions(real: Path, name: str) -> None:
+    """In homes without rooms, whose walls are known by their meshes alone."""
+    assets = AssetLibrary([real / "habitat-sim", real / "habitat-lab" / "reference" / "navmesh"])
+    path = real / name
+    if ".gfx_replay." in name:
+        recording = read_gfx_replay(path)
+    else:
+        recording = (read_hitl_log if name.endswith(".pkl.gz") else read_hitl_episode)(path, assets=assets)
+    replay = Replay(recording, assets=assets)
+    assert (seen_px(replay, 4) > SEEN_PX).mean() > 0.99
+
+
+def box(name: str, center: tuple[float, float, float], size: tuple[float, float, float]) -> Body:
+    pose = np.array([*center, 0, 0, 0, 1], np.float32)
+    return Body(name=name, asset="box", pose=pose, scale=np.array(size, np.float32))
+
+
+def robot_among(bodies: tuple[Body, ...], way: np.ndarray) -> Replay:
+    """A robot, drawn by its model, at rest on the floor points ``way`` [T, 2] among boxes."""
+    still = simulate_social_nav(
+        SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=len(way)))
+    )
+    columns = {name: still.columns[name] for name in ("time_ns", "agent_0.joint_pos")}
+    base = np.zeros((len(way), 7), np.float32)
+    base[:, [0, 2]], base[:, 6] = way, 1
+    return Replay(
+        Recording(
+            episode=Episode(uid="u", episode_id="boxes", task="none", scene="none"),
+            assets=(AssetRef(name="box", uri="primitive:box"),), bodies=bodies, agents=still.agents[:1],
+            columns={**columns, "agent_0.base_pose": base},
+        )
+    )  # fmt: skip
+
+
+def test_it_finds_the_one_open_side() -> None:
+    """Boxed in on three sides, the line of sight goes out by the fourth."""
+    walls = (
+        box("left", (0, 1.5, -0.8), (6, 3, 0.1)),
+        box("right", (0, 1.5, 0.8), (6, 3, 0.1)),
+        box("back", (-0.9, 1.5, 0), (0.1, 3, 6)),
+        box("roof", (0, 3, 0), (6, 0.1, 6)),
+    )
+    replay = robot_among(walls, np.zeros((20, 2)))
+    eye = camera_track(replay, "third_person").poses[:, :3, 3]
+    assert (eye[:, 0] > 1.5).all()
+    assert (np.abs(eye[:, 2]) < 0.75).all()
+    assert seen_px(replay, 5).min() > SEEN_PX
+
+
+def test_what_is_too_near_is_cut_away() -> None:
+    """Where nothing within reach is free, the box around the robot is cut open."""
+    walls = tuple(
+        box(name, center, size)
+        for name, center, size in (
+            ("x-", (-0.7, 1, 0), (0.1, 3, 6)), ("x+", (0.7, 1, 0), (0.1, 3, 6)),
+            ("z-", (0, 1, -0.7), (6, 3, 0.1)), ("z+", (0, 1, 0.7), (6, 3, 0.1)), ("roof", (0, 1.2, 0), (6, 0.1, 6)),
+        )
+    )  # fmt: skip
+    replay = robot_among(walls, np.zeros((20, 2)))
+    track = camera_track(replay, "third_person")
+    assert track.nears is not None
+    assert (track.nears > 0.1).all()
+    assert seen_px(replay, 5).min() > SEEN_PX
+    uncut = replace(track, nears=None)
+    owner = np.append([d.agent for d in replay.drawables], -1)
+    for _, (picture,) in replay.frames([uncut], [10], outputs=("instance",)):
+        assert not (owner[picture["instance"]] == 0).any()
+
+
+def test_it_cuts_where_the_agent_jumps_and_only_there() -> None:
+    way = np.zeros((40, 2))
+    way[20:] = (8.0, 3.0)
+    eye = camera_track(robot_among((), way), "third_person").poses[:, :3, 3]
+    step = np.linalg.norm(np.diff(eye, axis=0), axis=1)
+    assert step[19] > 5
+    assert np.delete(step, 19).max() < FASTER_MPS * DT
+
+
+def test_a_lone_person_is_followed_without_meshes() -> None:
+    base = np.zeros((10, 7), np.float32)
+    base[:, 6] = 1
+    base[3:5] = np.nan  # not there for two steps
+    recording = Recording(
+        episode=Episode(uid="u", episode_id="p", task="none", scene="none"), agents=(Agent(name="p", kind="human"),),
+        columns={"time_ns": np.arange(1, 11, dtype=np.int64) * 33_333_333, "agent_0.base_pose": base},
+    )  # fmt: skip
+    track = camera_track(Replay(recording), "third_person")
+    assert np.isfinite(track.poses).all()
+    pixels, depth = track.at(5).project([[0.0, 1.25, 0.0]])
+    np.testing.assert_allclose(pixels, [[320, 240]], atol=2)
+    assert 2 < depth[0] < 3
