@@ -13,7 +13,6 @@ import torch
 
 from h3data.render.gpu.cuda import source_text
 from h3data.render.gpu.renderer import GpuRenderer
-from h3data.render.gpu.views import Variant
 
 COMPILER = shutil.which("g++")
 KERNELS = {
@@ -31,8 +30,8 @@ KERNELS = {
 class EmulatedProgram:
     """Stands in for `h3data.render.gpu.cuda.Program`."""
 
-    def __init__(self, folder: Path, variant: Variant) -> None:
-        path = folder / f"kernels_{'_'.join(map(str, variant))}.so"
+    def __init__(self, folder: Path, defines: dict[str, int]) -> None:
+        path = folder / f"kernels_{'_'.join(map(str, defines.values()))}.so"
         if not path.exists():
             source = re.sub(r"extern __shared__ (\w+) (\w+)\[\];", r"\1* \2 = (\1*)dynamic_shared;", source_text())
             source = source.replace("__shared__", "static")
@@ -47,8 +46,8 @@ class EmulatedProgram:
             assert COMPILER
             subprocess.run(
                 [COMPILER, "-O2", "-g", "-std=c++17", "-w", "-fPIC", "-shared", "-U_FORTIFY_SOURCE", "-ffp-contract=off",
-                 f"-I{Path(__file__).parent}", f"-DTILE={variant.tile}", f"-DWARPS={variant.warps}",
-                 f"-DBLOCKS={variant.blocks}", str(folder / "kernels.cpp"), "-o", str(path)],
+                 f"-I{Path(__file__).parent}", *(f"-D{name}={value}" for name, value in defines.items()),
+                 str(folder / "kernels.cpp"), "-o", str(path)],
                 check=True,
             )  # fmt: skip
         self._library = ctypes.CDLL(str(path))
@@ -67,5 +66,5 @@ class EmulatedRenderer(GpuRenderer):
     def _find_device(self, device: Any) -> torch.device:
         return torch.device("cpu")
 
-    def _compile(self, variant: Variant) -> Any:
-        return EmulatedProgram(self.folder, variant)
+    def _compile(self, defines: dict[str, int]) -> Any:
+        return EmulatedProgram(self.folder, defines)

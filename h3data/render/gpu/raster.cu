@@ -119,7 +119,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
             covered = {0, fminf(covered.x0, r.x0), fminf(covered.y0, r.y0), fmaxf(covered.x1, r.x1),
                        fmaxf(covered.y1, r.y1)};
             int counts = bits(__shfl_sync(FULL, center.w, chosen)), vertex = bits(__shfl_sync(FULL, half.w, chosen));
-            CutOut holes = {counts < 0 ? f.cutouts : nullptr, (first + chosen) * CLUSTER_TRIANGLES, vertex};
+            CutOut holes = {HOLES && counts < 0 ? f.cutouts : nullptr, (first + chosen) * CLUSTER_TRIANGLES, vertex};
             draw_cluster(buffers, t, placement + 12 * place.slot, vertices + 3 * (size_t)vertex, counts & 0xffff,
                          s.triangles + (size_t)(first + chosen) * CLUSTER_TRIANGLES, (counts >> 16) & 0x7fff, scratch,
                          (u32)item << 11 | chosen << 6, lane, holes);

@@ -83,8 +83,8 @@ class GpuRenderer:
     def _find_device(self, device: str | torch.device | None) -> torch.device:
         return chosen_device(device)
 
-    def _compile(self, variant: Variant) -> Any:
-        return Program(self.device, {"TILE": variant.tile, "WARPS": variant.warps, "BLOCKS": variant.blocks})
+    def _compile(self, defines: dict[str, int]) -> Any:
+        return Program(self.device, defines)
 
     # --- what lies on the device --------------------------------------------------------------------------------------
     def _upload(self) -> None:
@@ -351,7 +351,11 @@ class GpuRenderer:
                     f"A scene has too many groups of triangles for this GPU: {needed} of {_SHARED_LIMIT} bytes of shared "
                     "memory. Hint: leave out what no camera sees, or split the scene."
                 )
-            self._programs[self.variant] = self._compile(self.variant)
+            tile, warps, blocks = self.variant.tile, self.variant.warps, self.variant.blocks
+            holes = int(len(self.packed.opacity) > 0)
+            self._programs[self.variant] = self._compile(
+                {"TILE": tile, "WARPS": warps, "BLOCKS": blocks, "HOLES": holes}
+            )
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:

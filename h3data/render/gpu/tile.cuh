@@ -1,5 +1,8 @@
 // A tile of the rasteriser: what boxes it may see, and its depth so far.
 
+#ifndef HOLES
+#define HOLES 1  // 0: no texture of these scenes cuts anything out, and the code for it is left away
+#endif
 #ifndef TILE
 #define TILE 64
 #define WARPS 8

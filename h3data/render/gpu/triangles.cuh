@@ -181,7 +181,7 @@ __device__ __forceinline__ void draw_cluster(
             u32 triangle = triangles[i];
             int4 b = set_up(scratch.corners, triangle, t, exact[r]);
             scratch.triangles[i] = make_uint2(triangle, b.x | b.y << 8 | b.z << 16 | b.w << 24);
-            if (holes.tables) exact[r] = b.z * b.w > 0;
+            if (HOLES && holes.tables) exact[r] = b.z * b.w > 0;
             if (!exact[r]) pairs[r] = b.z * b.w;
         }
     }
@@ -217,7 +217,7 @@ __device__ __forceinline__ void draw_cluster(
     }
     for (int r = 0; r < 2; r++)
         if (__any_sync(FULL, exact[r])) {
-            if (holes.tables)
+            if (HOLES && holes.tables)
                 draw_exactly(buffers, t.cx, t.cy, placement, vertices, scratch.triangles, exact[r], r * 32 + lane,
                              first_word, lane, holes);
             else
