@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,21 @@ def test_every_name_gives_a_camera_with_a_pose_for_every_step(replay):
             found.at(step).checked()
     explicit = camera_track(replay, "robot/robot_arm")
     np.testing.assert_array_equal(explicit.poses, camera_track(replay, "robot_arm").poses)
+
+
+@pytest.mark.parametrize("name", ["top_down", "top_down_orthographic", "orbit"])
+def test_overviews_see_into_rooms_without_ceilings(replay, name):
+    """Most of the picture's home is floor and what stands on it, none is ceiling; with ceilings shown they cover it."""
+    found, stage = camera_track(replay, name), replay.stage
+    ceilings = [k for k, thing in enumerate(replay.drawables) if thing.layer == "ceiling"]
+    camera = found.at(STEPS // 2)
+    shares = []
+    for seen in (camera, replace(camera, hidden_layers=())):
+        ids = stage.draw(stage.renderer(), STEPS // 2, [seen], outputs=("instance",))[0]["instance"]
+        shares.append(np.isin(ids, ceilings).sum() / (ids >= 0).sum())
+    assert ceilings
+    assert shares[0] == 0
+    assert shares[1] > 0.3
 
 
 @pytest.mark.parametrize(
