@@ -285,3 +285,25 @@ def test_everybody_sees_everybody(home: Scene, free: FreeSpace) -> None:
         drawn.cameras(agent=4)
     with pytest.raises(InputError, match="1 robots, then of 1 people"):
         drawn.pose(WorldState.zeros(2))
+
+
+# --- metrics ------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("agents", ["robot,lift_arm", "human,male_1", "robot,robot,human"])
+def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpace, agents: str) -> None:
+    recording = simulate_wander(home, agents, seed=1, steps=40, free=free)
+    measured = measure(recording, "field")
+    chosen = (0, 2) if "robot,human" in agents else (0, 1)
+    own, other = (recording.columns[f"agent_{k}.base_pose"][:, [0, 2]].astype(np.float64) for k in chosen)
+    assert measured.values["D_min"] == pytest.approx(np.hypot(*(own - other).T).min())
+    assert measured.values["PL"] == pytest.approx(np.hypot(*np.diff(own, axis=0).T).sum())
+    told = [recording.agents[k].name for k in chosen]
+    same_kind = chosen == (0, 1)
+    assert all(name in measured.notes.get("D_min", "") for name in told) is same_kind
+    if same_kind:
+        with pytest.raises(InputError, match="field measures any two agents"):
+            measure(recording)
+
+
+def test_one_agent_is_near_nobody(home: Scene, free: FreeSpace) -> None:
+    with pytest.raises(InputError, match="need two agents"):
+        measure(simulate_wander(home, "robot", steps=3, free=free), "field")

@@ -35,7 +35,7 @@ from h3data.metrics.metric import (
     Notes,
     Series,
     episode_metrics,
-    find_agents,
+    find_pair,
     note_missing,
 )
 from h3data.recording.records import Recording
@@ -55,7 +55,7 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
     """The recording with a column ``metrics.robot_clearance``: distance from the robot's centre to the nearest obstacle
     [m], 0 inside one, NaN where the robot has no pose.
     """
-    robot, _ = find_agents(recording)
+    robot, _ = find_pair(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     known = ~np.isnan(at).any(axis=1)
     clearance = np.full(len(at), np.nan)
@@ -64,10 +64,15 @@ def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
 
 
 def measure_field(recording: Recording) -> EpisodeMetrics:
-    """All metrics of the profile for one recording, between its first robot and its first human."""
+    """All metrics of the profile for one recording: of its first robot near its first human, or of the first of two agents
+    of one kind near the second; then a note says who they are."""
     notes = Notes()
-    robot, human = find_agents(recording)
+    robot, human = find_pair(recording)
     note_missing(FIELD_METRICS, recording, notes)
+    first, second = recording.agents[robot], recording.agents[human]
+    if first.kind == second.kind:
+        names = [metric.name for metric in FIELD_METRICS]
+        notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {second.name} ({second.kind})")
     values = dict.fromkeys((m.name for m in FIELD_METRICS), NAN)
     encounter = -1
     if len(recording):
@@ -82,7 +87,7 @@ def measure_field(recording: Recording) -> EpisodeMetrics:
 
 def field_series(recording: Recording) -> Series:
     """Per-row quantities and flags [T] of the profile. Motions of row k are those since row k - 1: NaN in row 0."""
-    robot, human = find_agents(recording)
+    robot, human = find_pair(recording)
     pose = recording.agent_column(robot, "base_pose").astype(np.float64)
     at = pose[:, [0, 2]]
     towards = recording.agent_column(human, "base_pose")[:, [0, 2]].astype(np.float64) - at
@@ -157,7 +162,7 @@ def _proxemics(series: Series) -> dict[str, float]:
 
 
 def _motion(series: Series, recording: Recording) -> dict[str, float]:
-    robot, _ = find_agents(recording)
+    robot, _ = find_pair(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
     known = np.flatnonzero(~np.isnan(at).any(axis=1))
     if not len(known):

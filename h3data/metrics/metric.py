@@ -176,8 +176,20 @@ def find_agents(recording: Recording) -> tuple[int, int]:
     there = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "no agents at all"
     raise InputError(
         f"These metrics need a robot and a human; recording {recording.episode.episode_id!r} has {missing} "
-        f"(found: {there})."
+        f"(found: {there})." + (" Hint: the profile field measures any two agents." if len(agents) > 1 else "")
     )
+
+
+def find_pair(recording: Recording) -> tuple[int, int]:
+    """Indices of two agents of any kinds: the first robot and the first human, else the first two. The first of them is
+    measured, near the second; an `InputError` says that there are not two."""
+    agents = recording.agents
+    if {"robot", "human"} <= {a.kind for a in agents}:
+        return find_agents(recording)
+    if len(agents) < 2:
+        there = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "nobody"
+        raise InputError(f"These metrics need two agents; recording {recording.episode.episode_id!r} has {there}.")
+    return 0, 1
 
 
 def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
