@@ -95,6 +95,18 @@ def test_short_names_of_a_pose(folders, capsys) -> None:
     np.testing.assert_allclose(made, poses, atol=1e-6)
 
 
+def test_whole_numbers_without_sign_are_what_the_recordings_say(tmp_path: Path, capsys) -> None:
+    largest = np.array([0, 1, 2**63 - 1, 2**63, 2**64 - 1], np.uint64)
+    plain = simple_recording(steps=5, bodies=1, seed=0)
+    pairs = np.stack([largest, largest[::-1]], 1)
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(replace(plain, columns={**plain.columns, "state_hash": largest, "sim.pair": pairs}))
+    rows = ask(capsys, 'select state_hash, "sim.pair", typeof(state_hash) from steps order by index', tmp_path / "ds")
+    assert [row[0] for row in rows] == largest.tolist()
+    assert [row[1] for row in rows] == pairs.tolist()
+    assert {row[2] for row in rows} == {"UBIGINT"}
+
+
 def test_episodes_hold_the_metrics(folders, capsys) -> None:
     from h3data.metrics import measure
 

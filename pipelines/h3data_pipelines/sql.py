@@ -174,7 +174,12 @@ def _step_columns(dataset: Dataset) -> list[str]:
     for field in schema:
         name = _name(field.name)
         listed = pa.types.is_fixed_size_list(field.type)
-        columns.append(f"{name}::{_SQL_TYPES[str(field.type.value_type)]}[] AS {name}" if listed else name)
+        item = field.type.value_type if listed else field.type
+        if item == pa.uint64():  # newer files hold its bits as int64
+            value = f"[{_unsigned('v')} for v in {name}]" if listed else _unsigned(name)
+        else:
+            value = f"{name}::{_SQL_TYPES[str(item)]}[]" if listed else name
+        columns.append(f"{value} AS {name}")
     short = {"seconds": "time_ns / 1e9"}
     for name in schema.names:
         if found := re.fullmatch(r"agent_(\d+)\.base_pose", name):
@@ -190,8 +195,12 @@ def _step_columns(dataset: Dataset) -> list[str]:
 _SQL_TYPES = {
     "bool": "BOOLEAN", "float": "FLOAT", "halffloat": "FLOAT", "double": "DOUBLE", "int8": "TINYINT", "int16": "SMALLINT",
     "int32": "INTEGER", "int64": "BIGINT", "uint8": "UTINYINT", "uint16": "USMALLINT", "uint32": "UINTEGER",
-    "uint64": "UBIGINT",
 }  # fmt: skip
+
+
+def _unsigned(value: str) -> str:
+    """The 64 bits of a whole number as UBIGINT."""
+    return f"({value}::HUGEINT & {2**64 - 1})::UBIGINT"
 
 
 def _episodes(name: str, dataset: Dataset, profile: str | None) -> pa.Table:
