@@ -231,6 +231,14 @@ def test_the_last_holder_gets_the_credit():
     assert "no object was carried" in untouched.notes["RC"]
 
 
+def test_without_a_robot_there_is_no_share_of_its():
+    alone = dataclasses.replace(tidy([[0, 0], [1, 1]], [7, -1], [9, -1]), agents=(HUMAN, HUMAN))
+    result = measure(alone)
+    assert math.isnan(result.values["RC"])
+    assert result.notes["RC"] == "there is no robot"
+    assert result.values["SR"] == 1
+
+
 def test_success_after_the_limit_is_none():
     late = [[0, 0]] * 10 + [[1, 1]]
     values = measure(tidy(late)).values

@@ -79,7 +79,7 @@ REARRANGEMENT: tuple[Metric, ...] = (
         direction="neither",
         source="Habitat 3.0, section 4.2 'Metrics'",
         columns=(AT_GOAL, "agent_<i>.grasp_body", "info:goal_objects"),
-        undefined="No object is at its goal in the last row, or nobody ever held those that are.",
+        undefined="There is no robot, no object is at its goal in the last row, or nobody ever held those that are.",
         series=("at_goal_count",),
         reading=(
             "Placed: at its goal in the last row and not from the start. The credit goes to the agent that held the object "
@@ -177,6 +177,9 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
             f"Episode {recording.episode.episode_id!r}: {AT_GOAL} has {at_goal.shape[1]} objects, info goal_objects "
             f"names {len(objects)}."
         )
+    if all(agent.kind != "robot" for agent in recording.agents):
+        notes.add(("RC",), "there is no robot")
+        return NAN
     credits = [
         credit for k, body in enumerate(objects) if (credit := _carrier(recording, at_goal[:, k], body)) is not None
     ]
