@@ -75,6 +75,13 @@ def test_results_of_other_weights_in_the_same_file_are_refused(
     assert "other options" in result["error"]
 
 
+def test_a_folder_of_others_is_not_written_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "table.txt").write_text("mine")
+    error = run_json(capsys, "evaluate", "social_nav", *RULES, "--episodes", "1", "-o", tmp_path, code=2)["error"]
+    assert "not empty" in error
+    assert [file.name for file in tmp_path.iterdir()] == ["table.txt"]
+
+
 def test_what_is_undefined_does_not_count() -> None:
     rows: list[dict[str, Any]] = [
         {"policy": "p", "values": dict.fromkeys(METRICS, value) | {"FD": fd}} for value, fd in ((1.0, None), (0.0, 1.5))

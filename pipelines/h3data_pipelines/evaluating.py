@@ -76,7 +76,8 @@ class Evaluate:
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1, got {value}.")
         jobs, play, tabulate = self._task()
-        folder = claim_folder(self.out, force=True) / "episodes"
+        folder = self.out / "episodes"
+        claim_folder(self.out, force=self.force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
         folder.mkdir(exist_ok=True)
         if self.force:
             for file in folder.glob("[0-9]*.json"):
