@@ -83,11 +83,12 @@ def test_output_that_cannot_be_written() -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert "Traceback" not in done.stderr
     assert done.returncode == 2
-    closed, write = os.pipe()
-    os.close(closed)
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
-    os.close(write)
-    assert (done.returncode, "Error" in done.stderr) == (0, False)
+    for arguments in (command, [*command, "--help"]):
+        closed, write = os.pipe()
+        os.close(closed)
+        done = subprocess.run(arguments, stdout=write, stderr=subprocess.PIPE, text=True)
+        os.close(write)
+        assert (done.returncode, "Error" in done.stderr) == (0, False)
 
 
 def test_file_names_that_are_not_text(tmp_path: Path) -> None:

@@ -90,7 +90,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
     logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
     args = list(sys.argv[1:] if arguments is None else arguments)
-    command = _parse(args or ["--help"])
+    try:
+        command = _parse(args or ["--help"])
+    except BrokenPipeError:
+        _close_stdout()
+        return 0
     try:
         outcome = command.run()
         _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
@@ -120,8 +124,13 @@ def _print(text: str) -> None:
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough (| head); what Python flushes at its end goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        _close_stdout()
+
+
+def _close_stdout() -> None:
+    """After the reader has seen enough (| head): what Python flushes at its end goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry() -> None:
