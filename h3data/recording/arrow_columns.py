@@ -61,3 +61,14 @@ def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
     if stored.dtype != dtype:
         raise ValueError(f"expected {dtype}, got {stored.dtype}")
     return stored
+
+
+def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The table with the columns of ``schema`` that it has in their declared types; an error if one has others, or nulls."""
+    for index, name in enumerate(table.column_names):
+        if name in schema.names:
+            column = table[name].cast(schema.field(name).type)
+            if column.null_count:
+                raise ValueError(f"column {name} has nulls")
+            table = table.set_column(index, name, column)
+    return table

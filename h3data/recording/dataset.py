@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.arrow_columns import to_numpy
-from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS, conform, record_schema
+from h3data.recording.arrow_columns import conform, to_numpy
+from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS, record_schema
 from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording

@@ -173,17 +173,6 @@ def record_schema(struct: str) -> pa.Schema:
     return pa.schema(fields + [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()])
 
 
-def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The table with the columns of ``schema`` that it has in their declared types; an error if one has others, or nulls."""
-    for index, name in enumerate(table.column_names):
-        if name in schema.names:
-            column = table[name].cast(schema.field(name).type)
-            if column.null_count:
-                raise ValueError(f"column {name} has nulls")
-            table = table.set_column(index, name, column)
-    return table
-
-
 def data_schema(schema: DatasetSchema) -> pa.Schema:
     """Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
     fields = [pa.field(name, pa.from_numpy_dtype(np.dtype(dtype))) for name, dtype in STANDARD.items()]

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
+from h3data.recording.arrow_columns import conform
 from h3data.recording.records import SCHEMA_VERSION
 from h3data.recording.schema import (
     CONVENTIONS,
@@ -223,6 +224,9 @@ def unpack_moments(packed: bytes) -> dict[str, Moments]:
     return {name: Moments.from_lists(v) for name, v in lists.items()}
 
 
+_COUNTED = pa.schema([("length", pa.int64()), ("task", pa.string()), ("task_index", pa.int64())])
+
+
 @dataclass
 class Totals:
     """What info.json, tasks.parquet and stats.json say."""
@@ -238,14 +242,14 @@ class Totals:
         totals = cls()
         for path in shard_files(root, "meta/episodes"):
             try:
-                table = pq.read_table(readable(path), columns=["length", "task", "task_index"])
+                table = conform(pq.read_table(readable(path), columns=_COUNTED.names), _COUNTED)
                 moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
+                totals.episodes += len(table)
+                totals.frames += sum(table["length"].to_pylist())
+                totals.tasks |= dict(zip(table["task"].to_pylist(), table["task_index"].to_pylist(), strict=True))
+                merge_into(totals.moments, moments)
             except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
                 raise FormatError(f"The episode table is damaged ({error}): {path}") from error
-            totals.episodes += len(table)
-            totals.frames += sum(table["length"].to_pylist())
-            totals.tasks |= dict(zip(table["task"].to_pylist(), table["task_index"].to_pylist(), strict=True))
-            merge_into(totals.moments, moments)
         return totals
 
 
