@@ -7,6 +7,7 @@ bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
+from functools import lru_cache
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
@@ -191,9 +192,7 @@ class RearrangeSession:
             run = seed if draw == 0 else episode_seed(seed, draw)
             scene, free = self._place(int(generator(run, "scene", step=index).integers(len(self._sources))))
             try:
-                return RearrangeWorld.create(
-                    scene, seed=episode_seed(run, index), spec=self.spec, free=free, robot=robot, human=human
-                )
+                return _world(scene, free, episode_seed(run, index), self.spec, robot, human)
             except SceneError as error:
                 fault = error
         assert fault is not None
@@ -208,3 +207,9 @@ class RearrangeSession:
             else:
                 self._places[index] = open_scene(source), open_free_space(source, *size)
         return self._places[index]
+
+
+@lru_cache(maxsize=16)
+def _world(scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, robot: str, human: str) -> RearrangeWorld:
+    """An episode, drawn once while it is played again and again."""
+    return RearrangeWorld.create(scene, seed=seed, spec=spec, free=free, robot=robot, human=human)
