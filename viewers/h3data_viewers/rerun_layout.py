@@ -98,5 +98,5 @@ def bird_view(focus: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArra
     """Eye and target [3] of a view from above and the side (+Z) that shows the box ``focus`` [2, 3]."""
     lo, hi = focus
     target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
-    reach = max(hi[0] - lo[0], hi[2] - lo[2], 3.0)
+    reach = max(hi[0] - lo[0], 1.25 * (hi[2] - lo[2]), 3.0)  # depth needs more room: the window is wide
     return target + reach * np.array([0.0, 1.0, 0.42]), target

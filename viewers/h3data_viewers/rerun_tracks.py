@@ -40,10 +40,11 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 
 # --- plots ------------------------------------------------------------------------------------------------------------
-def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None) -> tuple[str, ...]:
+def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, bounds: bool = True) -> tuple[str, ...]:
     """Log every per-step scalar below ``metrics/``; returns the paths of the distances, which belong in one plot.
 
-    ``shade`` 0, 1, ... colours and names the curves by the recording, for plots that several share; only 0 has the bounds.
+    ``shade`` 0, 1, ... colours and names the curves by the recording, for plots that several share. ``bounds``: log
+    the distances between which following counts, too.
     """
     import rerun as rr
 
@@ -65,7 +66,7 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None) -
             style = rr.SeriesLines(names=[f"{sink.label} {name}"], colors=np.array([color], np.uint32), widths=[2.0])
             sink.static(f"metrics/{name}", style)
         sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
-    if pair is not None and len(recording) and not shade:
+    if pair is not None and len(recording) and bounds:
         ends = np.unique([0, len(recording) - 1])
         for name, bound in (("follow_from_1m", 1.0), ("follow_to_2m", 2.0)):
             style = rr.SeriesLines(names=[name], colors=np.array([0x43A047A0], np.uint32), widths=[1.0])

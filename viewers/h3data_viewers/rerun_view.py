@@ -123,14 +123,15 @@ def _write_file(sides: Sequence[Shown], path: Path, *, pictures: Pictures, skin_
     identity = " ".join(side.recording.episode.uid for side in sides)
     stream = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
     labels = LABELS if len(sides) > 1 else ("",)
+    longest = max(sides, key=lambda side: len(side.recording))
     with part_file(path) as part:
         try:
             stream.save(part)
             _log_properties(stream, sides)
-            written = [
-                _write_side(side, Sink(stream, side.recording.columns["time_ns"], label), cameras, pictures, skin_every)
-                for side, label, cameras in zip(sides, labels, feeds, strict=True)
-            ]
+            written = []
+            for side, label, group in zip(sides, labels, feeds, strict=True):
+                sink = Sink(stream, side.recording.columns["time_ns"], label)
+                written.append(_write_side(side, sink, group, pictures, skin_every, bounds=side is longest))
             stream.send_blueprint(layout(written, timeline=_timeline(sides)))
         finally:
             stream.disconnect()
@@ -139,7 +140,9 @@ def _write_file(sides: Sequence[Shown], path: Path, *, pictures: Pictures, skin_
     return path
 
 
-def _write_side(shown: Shown, sink: Sink, cameras: Sequence[CameraFeed], pictures: Pictures, skin_every: int) -> Side:
+def _write_side(
+    shown: Shown, sink: Sink, cameras: Sequence[CameraFeed], pictures: Pictures, skin_every: int, *, bounds: bool
+) -> Side:
     import rerun as rr
 
     recording, replay, together = shown.recording, shown.replay, bool(sink.label)
@@ -161,7 +164,7 @@ def _write_side(shown: Shown, sink: Sink, cameras: Sequence[CameraFeed], picture
         focus=_focus(recording, drawables),
         hidden=sorted(sink.path(entity) for entity in ceilings),
         cameras=[entity for feed, entity in logged if feed.seen],
-        plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if together else None),
+        plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if together else None, bounds=bounds),
         lanes=log_lanes(sink, recording, ends=together),
         log=sink.path("log") if log_events(sink, recording, ends=together) else "",
     )
