@@ -19,7 +19,7 @@ from h3data_viewers.rerun_sink import Sink
 _LOG = logging.getLogger(__name__)
 
 MESH_BYTES = 12_000_000
-"""Above this, all rigid meshes are thinned alike: the file stays below 30 MB."""
+"""Above this, all rigid meshes are thinned alike."""
 TEXTURE_BYTES = 8_000_000
 """Above this, textures are halved until they fit: the viewer's format holds texels as they are, for each mesh anew."""
 TEXTURE_SIDE_PX = 512
