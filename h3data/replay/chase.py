@@ -96,7 +96,7 @@ def _follow(
         sight.at(int(steps[key]))
         boom[row] = fan.free(sight.around(pivot[key]), BOOM_M)
         away = normalized((pivot - watched)[key, [0, 2]]) if two else (pivot - watched)[key, [0, 2]]
-        hides = _passed(pivot[key], pivot[key] + directions * boom[row, :, None], bodies[key]) > 0
+        hides = _passed(pivot[key], directions, boom[row], bodies[key]) > 0
         score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * hides
         if two:
             eyes = pivot[key] + directions * boom[row, :, None]
@@ -129,22 +129,24 @@ def _follow(
     poses = np.stack([look_at(e, e + v) for e, v in zip(eye, view, strict=True)])
     hidden = np.maximum(length - free, 0.0)
     for row in range(count):
-        passed = _passed(pivot[row], eye[row], bodies[row])
+        passed = float(_passed(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
         if 0 < passed < length[row]:
             hidden[row] = max(hidden[row], length[row] - passed)
     return poses, hidden * np.einsum("ti,ti->t", view, -direction)
 
 
-def _passed(start: Array, ends: Array, bodies: Array) -> NDArray[np.float64]:
-    """How far from ``start`` [3] the lines to ``ends`` [..., 3] meet the first of ``bodies`` [N, 2] [m]; 0 = none."""
+def _passed(start: Array, directions: Array, length: Array, bodies: Array) -> NDArray[np.float64]:
+    """How far from ``start`` [3] lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
+
+    The lines have unit ``directions`` [D, 3], none of them upright, and ``length`` [D] [m].
+    """
     there = bodies[np.isfinite(bodies).all(-1)] - start[[0, 2]]
-    way = np.atleast_2d(ends - start)
-    length, flat = np.linalg.norm(way, axis=1), np.linalg.norm(way[:, [0, 2]], axis=1)
-    along = way[:, [0, 2]] @ there.T / flat[:, None]
+    flat = np.linalg.norm(directions[:, [0, 2]], axis=1, keepdims=True)
+    along = directions[:, [0, 2]] @ there.T / flat
     across = np.sqrt(np.maximum((there**2).sum(1) - along**2, 0.0))
-    meets = (across < BODY_M) & (along > 0) & (along < flat[:, None] + BODY_M)
-    first = np.where(meets, np.maximum(along - BODY_M, 0.4), np.inf).min(1, initial=np.inf) * length / flat
-    return np.where(np.isfinite(first), first, 0.0).reshape(np.shape(ends)[:-1])
+    meets = (across < BODY_M) & (along > 0) & (along < length[:, None] * flat + BODY_M)
+    first = np.where(meets, np.maximum(along - BODY_M, 0.4) / flat, np.inf).min(1, initial=np.inf)
+    return np.where(np.isfinite(first), first, 0.0)
 
 
 def _direction(azimuth: Array, elevation: Array) -> Array:
