@@ -12,6 +12,7 @@ from pathlib import Path
 
 from h3data.errors import SceneError
 from h3data.interop.meshes import MESH_SUFFIXES, is_file, load_mesh
+from h3data.interop.object_handles import CONFIG_ENDING, HANDLE, file_of_template, template_mesh
 from h3data.interop.placeholders import placeholder_mesh
 from h3data.interop.primitives import box_mesh, is_primitive, primitive_mesh
 from h3data.interop.skinned_meshes import SkinnedMesh, load_skinned_mesh
@@ -124,6 +125,8 @@ class AssetLibrary:
         if kind == "scene":
             asset = None if self.scene is None else self.scene.assets.get(name)
             return self._note_missing(ref.uri) if asset is None else asset.mesh
+        if ref.uri.startswith(HANDLE):
+            return self._template(ref.uri, name)
         path = self.resolve(ref.uri)
         if path is None:
             return self._note_missing(ref.uri)
@@ -131,6 +134,17 @@ class AssetLibrary:
             return load_mesh(path, up=ref.up, front=ref.front, units_m=ref.units_m)
         except SceneError as fault:
             return self._note_unreadable(ref.uri, str(fault))
+
+    def _template(self, uri: str, name: str) -> Mesh | None:
+        """The mesh of an object that a log names by its handle."""
+        configs, meshes = (
+            [path for _, path in self._files().get(name.lower() + ending, ())] for ending in (CONFIG_ENDING, ".glb")
+        )
+        try:
+            file = file_of_template(name, configs, meshes)
+            return self._note_missing(uri) if file is None else template_mesh(name, file, self.roots)
+        except SceneError as fault:
+            return self._note_unreadable(uri, str(fault))
 
     def _generated(self, uri: str, name: str) -> Mesh | None:
         try:
@@ -174,13 +188,13 @@ class AssetLibrary:
         return chosen
 
     def _files(self) -> Mapping[str, list[tuple[tuple[str, ...], Path]]]:
-        """Mesh files below the roots by lower-case name, walked once."""
+        """Meshes and object configs below the roots by lower-case name, walked once."""
         if self._index is None:
             self._index = {}
             for root in self.roots:
                 for folder, _, names in os.walk(root):
                     for name in names:
-                        if name.lower().endswith(MESH_SUFFIXES):
+                        if name.lower().endswith((*MESH_SUFFIXES, CONFIG_ENDING)):
                             file = Path(folder, name)
                             parts = tuple(p.lower() for p in (root.name, *file.relative_to(root).parts))
                             self._index.setdefault(name.lower(), []).append((parts, file))

@@ -24,6 +24,7 @@ from h3data.geometry import Array
 from h3data.interop.assets import EMPTY_URI
 from h3data.interop.glb_write import glb_bytes
 from h3data.interop.gltf_skin import skinned_glb_bytes
+from h3data.interop.object_handles import HANDLE
 from h3data.interop.posed_parts import PosedCamera, PosedPart, spans
 from h3data.interop.primitives import is_primitive
 from h3data.recording.records import AssetRef, Recording
@@ -245,7 +246,7 @@ class _Assets:
 
     def file_of(self, part: PosedPart, ref: AssetRef | None, recording: Recording) -> tuple[str, _Item | None]:
         """The path under which an instance is created and the load entry of its file, if it has one."""
-        if ref is None or ref.uri.startswith("scene:"):
+        if ref is None or ref.uri.startswith(("scene:", HANDLE)):
             if not len(part.mesh.faces):
                 return _NO_FILE, None
             path = self._own(part, recording)

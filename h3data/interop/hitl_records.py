@@ -18,6 +18,7 @@ from h3data.geometry import quat_sign_continuous
 from h3data.interop.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.interop.hitl_places import Place
 from h3data.interop.limits import check_size
+from h3data.interop.object_handles import HANDLE, template_of
 from h3data.interop.sniff import KIND_WORDS, decode_json, json_kind, not_json
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
 
@@ -101,13 +102,15 @@ def object_bodies(
 ) -> tuple[list[AssetRef], list[Body], dict[str, NDArray[Any]]]:
     """Assets, bodies and the column ``object_pose`` of the objects that a task moves.
 
-    A handle ``can_:0000`` is an instance of the template ``can``, whose mesh file is looked for by that name.
+    A handle ``can_:0000`` is an instance of the template ``can``, which is looked for by that name; names without a
+    number are those of a log that has ids only.
     """
     assets: dict[str, AssetRef] = {}
     bodies = []
     for k, (name, track) in enumerate(zip(names, tracks, strict=True)):
-        stem = name.split("_:")[0].rsplit("/", 1)[-1] or "object"
-        assets.setdefault(stem, AssetRef(name=stem, uri=f"rearranged_objects/{stem}.glb"))
+        stem = template_of(name)
+        uri = f"{HANDLE}{stem}" if "_:" in name else f"rearranged_objects/{stem}.glb"
+        assets.setdefault(stem, AssetRef(name=stem, uri=uri))
         known = np.isfinite(track).all(1)
         first = track[int(np.argmax(known))] if known.any() else np.array([0, 0, 0, 0, 0, 0, 1.0])
         track[known, 3:] = quat_sign_continuous(track[known, 3:])

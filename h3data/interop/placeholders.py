@@ -31,7 +31,10 @@ _KINDS: tuple[tuple[re.Pattern[str], PlaceholderKind], ...] = (
     (re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$"), "human"),
     (re.compile(r"(^|/)robots?/|hab_spot_arm|hab_fetch|hab_stretch"), "robot_link"),
     (re.compile(r"(^|/)(stages?|scenes)/[^/]*$|(^|/)stages?/"), "stage"),
-    (re.compile(r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley|rearranged_objects)/"), "small_object"),
+    (
+        re.compile(r"(^|/)(ycb|objects_ovmm|google_object_dataset|amazon_berkeley|rearranged_objects)/|^handle:"),
+        "small_object",
+    ),
 )
 
 # Centre and half extents [m] in the link's frame (x forward, y left, z up). Lengths are the distances between joints

@@ -15,7 +15,7 @@ from h3data.errors import FormatError, InputError
 
 FileKind = Literal[
     "gfx_replay", "hitl_session", "hitl_episode", "hitl_log", "rearrange_episodes", "scene_dataset_config",
-    "scene_instance", "stage_config", "object_config", "ao_config", "lighting_config", "semantic_config",
+    "scene_instance", "stage_config", "object_config", "ao_config", "lighting_config", "semantic_config", "physics_config",
     "scene_filter", "json", "mcap", "parquet", "rrd", "glb", "navmesh", "pickle", "zip", "unknown",
 ]  # fmt: skip
 
@@ -32,6 +32,7 @@ KIND_WORDS: dict[str, str] = {
     "ao_config": "an articulated object configuration",
     "lighting_config": "a lighting configuration",
     "semantic_config": "a semantic configuration",
+    "physics_config": "a physics configuration",
     "scene_filter": "a receptacle filter",
     "json": "JSON of an unknown kind",
 }
@@ -132,6 +133,7 @@ def json_kind(content: Any, *, name: str = "") -> FileKind:
         ("active" in keys and "manually_filtered" in keys, "scene_filter"),
         (_is_dataset(content), "scene_dataset_config"),
         ("urdf_filepath" in keys or ".ao_config." in name, "ao_config"),
+        (".physics_config." in name or "physics_simulator" in keys, "physics_config"),
         (".stage_config." in name or bool(keys & {"gravity", "nav_asset", "semantic_asset"}), "stage_config"),
         (".object_config." in name or "render_asset" in keys, "object_config"),
     )
