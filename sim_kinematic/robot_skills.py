@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,12 @@ DETOURS = 3
 """at most so often on one way,"""
 VIA_M = 0.25
 """which it has taken when it is this near to the point beside her."""
+TIGHT = replace(AVOIDANCE, detour_m=0.75, passage_m=0.63)
+"""Past somebody who stands in a narrow place."""
+ASIDE_FROM_M, ASIDE_CLEAR_M = 2.0, 0.45
+"""Who waits goes this far away from a person, to a place with so much free floor round it,"""
+ASIDE_RINGS_M = (0.75, 1.5, 2.5, 3.5)
+"""so far from where it is."""
 ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
 APPROACH_M = 0.1
 """The robot's hand comes to an object from so far above it and lifts it as high."""
@@ -126,7 +132,7 @@ class RobotActor:
         if action.skill == CONTROL:
             return self._control(action.command)
         if action.skill == "wait":
-            return self._move(0.0, 0.0, action.steps)
+            return self._wait(action.steps)
         if action.skill.startswith("nav"):
             return self._navigate(
                 self.objects.poses[k, :3] if action.skill == "nav_to_object" else self.objects.goals[k]
@@ -141,6 +147,37 @@ class RobotActor:
             self._step(forward, turn)
             yield
         return Ending("done")
+
+    def _wait(self, steps: int) -> Skill:
+        """Stand, out of the way of a person who is near."""
+        goal = self._aside()
+        for _ in range(steps):
+            if goal is None or float(np.hypot(*(goal - self.xz))) < VIA_M:
+                self._step(0.0, 0.0)
+            else:
+                towards = self._waypoint(goal)
+                error = self._error_to(towards)
+                self._step(self._no_faster_than(towards, error), self._turn(error), towards)
+            yield
+        return Ending("done")
+
+    def _aside(self) -> NDArray | None:
+        """The nearest place [2] in which a person who is near has room to pass; None: nobody is, or there is none."""
+        people = [
+            other for other in self.others if not other.is_robot and np.hypot(*(other.xz - self.xz)) < ASIDE_FROM_M
+        ]
+        if not people:
+            return None
+        angles = np.arange(16) * (np.pi / 8)
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        places = np.concatenate([self.xz + radius * ring for radius in ASIDE_RINGS_M])
+        places = places[self.free.signed_distance(places) >= ASIDE_CLEAR_M]
+        if not len(places):
+            return None
+        ways = self.free.geodesic(np.broadcast_to(self.xz, places.shape), places, max_snap_m=1.0)
+        hers = self.free.geodesic(np.broadcast_to(people[0].xz, places.shape), places, max_snap_m=1.0)
+        fits = np.isfinite(ways) & (hers >= ASIDE_FROM_M) & (ways < hers)
+        return places[fits][np.argmin(ways[fits])] if fits.any() else None
 
     def _control(self, command: tuple[float, ...]) -> Skill:
         """One step by base velocity, arm joints and grip; it gives way to nobody."""
@@ -165,7 +202,7 @@ class RobotActor:
         via: NDArray | None = None  # where to pass somebody who stands in the way
         while since <= STUCK_STEPS:
             if since in LOOKS_ROUND and detours < DETOURS and self.others and not self.others[0].velocity.any():
-                via = way_round(self.free, self.xz, goal, self.others[0].xz)
+                via = self._way_round(goal, self.others[0].xz)
                 best, detours = (best, detours) if via is None else (np.inf, detours + 1)
             if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
                 via, best = None, np.inf
@@ -179,17 +216,39 @@ class RobotActor:
             else:
                 towards = self._waypoint(goal if via is None else via)
                 error = self._error_to(towards)
-                forward = min(left / (self.base.max_speed_mps * STEP_S), 1.0) * max(0.0, np.cos(error)) ** 2
-                self._step(forward, self._turn(error), towards)
+                self._step(min(self._no_faster_than(towards, error), left / self._stride_m), self._turn(error), towards)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
 
-    def _crowded(self, stands: Array) -> NDArray[np.bool_]:
-        """At which stands it would be too near to somebody, [N]."""
-        specs = [(other, ROBOTS if other.is_robot else AVOIDANCE) for other in self.others]
-        crowded = [is_crowded(self.base, stands, other.xz, spec) for other, spec in specs]
-        return np.any(crowded, axis=0) if crowded else np.zeros(len(stands), np.bool_)
+    def _crowded(self, stands: Array) -> NDArray[np.integer]:
+        """At which stands it would be too near to somebody, [N]: 1 within its margin, 2 where they would touch."""
+        crowded = np.zeros(len(stands), np.int64)
+        for other in self.others:
+            spec = ROBOTS if other.is_robot else AVOIDANCE
+            for margin in (spec.margin_m, spec.still_margin_m):
+                near = is_crowded(self.base, stands, other.xz, replace(spec, margin_m=margin))
+                crowded = np.maximum(crowded, near * (1 if margin == spec.margin_m else 2))
+        return crowded
+
+    def _way_round(self, goal: NDArray, other_xz: NDArray) -> NDArray | None:
+        """A point [2] past somebody who stands in the way, with less room where there is little."""
+        for spec in (AVOIDANCE, TIGHT):
+            via = way_round(self.free, self.xz, goal, other_xz, spec)
+            if via is not None:
+                return via
+        return None
+
+    @property
+    def _stride_m(self) -> float:
+        """The longest way of one step."""
+        return self.base.max_speed_mps * STEP_S
+
+    def _no_faster_than(self, towards: NDArray, error: float) -> float:
+        """The command to drive ahead, 0..1, with a heading error [rad]: slow enough to turn to a near point, not round it."""
+        ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
+        turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(*(towards - self.xz)))
+        return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
 
     def _turn(self, error: float) -> float:
         """The command that removes a heading error [rad] in one step, if the limit allows."""
@@ -262,12 +321,16 @@ class RobotActor:
         dx, dz = xz - self.xz
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
+    def _seen(self) -> list[Seen]:
+        """The others; who holds something has not settled, however long she has been standing."""
+        return [o._replace(settled=o.settled and self.objects.held(o.number) < 0) for o in self.others]
+
     def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
         """One step of base and arm; what is held follows."""
         self.command = forward, turn
         if self.avoids and heed:
             aim = self.xz if towards is None else towards
-            for other in reversed(self.others):  # the nearest has the last word
+            for other in reversed(self._seen()):  # the nearest has the last word
                 self.command = keep_clear(
                     self.free, self.base, self.xz.copy(), self.heading, self.command, aim, other.xz, other.velocity,
                     settled=other.settled, spec=ROBOTS if other.is_robot else AVOIDANCE,
