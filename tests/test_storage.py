@@ -58,6 +58,7 @@ EPISODES = [simple_recording(steps=steps, seed=seed) for seed, steps in enumerat
 
 def test_uris_and_paths() -> None:
     assert place("s3://bucket/a/b/") == place(Path("s3://bucket/a/b")) == RemotePath("s3", "bucket/a/b")
+    assert place("S3://bucket/a") == place(Path("S3://bucket/a")) == RemotePath("s3", "bucket/a")
     assert str(place(Path("s3://bucket/a?region=eu"))) == "s3://bucket/a?region=eu"
     assert place("file:///tmp/x") == place(Path("file:///tmp/x")) == Path("/tmp/x")
     for path in ("a/b", "/a:b/c", "C:/x", "run:1/ds", "weird:/x"):

@@ -158,7 +158,7 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
         return path
     text = os.fspath(path)
     found = _URI.fullmatch(text)
-    if found is None or not (found["double"] or found["scheme"] in SCHEMES):
+    if found is None or not (found["double"] or found["scheme"].lower() in SCHEMES):
         return Path(path)
     scheme, rest = found["scheme"].lower(), found["rest"]
     if scheme not in SCHEMES:
