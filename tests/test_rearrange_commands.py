@@ -72,6 +72,10 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
         (("--partner", "nobody"), "plan_pop_3"),
         (("--scenes", "nowhere"), "h3-homes/test"),
         (("--episodes", "0"), "at least 1"),
+        (("--agents", "human,nobody"), "quad_arm"),
+        (("--agents", "human,human", "--policy", "complement"), "is for a robot, but there is none"),
+        (("--agents", "robot,robot", "--partner", "both"), "is for a human, but there is none"),
+        (("--agents", "robot", "--policy", "solo"), "Expected a person in --agents"),
         (("--episodes-file", "x.json.gz"), "drawn from --scenes"),
     ],
 )
@@ -81,6 +85,18 @@ def test_bad_options_are_refused(
     args = ["generate", "rearrange", "--json", "-o", tmp_path / "x", *options]
     assert told in run_json(capsys, *args, code=2)["error"]
     assert not (tmp_path / "x").exists()
+
+
+def test_two_people_are_resumed_only_as_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ("generate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--json", "-o", tmp_path / "ds")
+    made = run_json(capsys, *args, "--agents", "human,male_1")
+    assert (made["episodes"], made["failed"]) == (1, [])
+    recording = h3data.open(tmp_path / "ds").recording(0)
+    assert [agent.model for agent in recording.agents] == ["humanoid/female_0", "humanoid/male_1"]
+    assert recording.episode.info["partner"] == "both,both"
+    assert made["metrics"]["episodes"][0]["notes"]["RC"] == "there is no robot"
+    other = run_json(capsys, *args, "--agents", "human,human,human", "--resume", code=2)
+    assert "agents was human,male_1, is human,human,human" in other["error"]
 
 
 def test_social_nav_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

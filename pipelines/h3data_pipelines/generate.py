@@ -176,8 +176,15 @@ class Generate:
 
     def _rearrange_jobs(self) -> Sequence[AnyJob]:
         from h3data_pipelines.rearrange_jobs import rearrange_jobs, rules
+        from sim_kinematic.cast import cast_of
+        from sim_kinematic.rearrange_log import SOLO
 
         self._check_numbers()
+        if self.agents is not None:
+            kinds = [member.kind for member in cast_of(self.agents)]
+            for option, given, kind in (("--policy", self.policy, "robot"), ("--partner", self.partner, "human")):
+                if given not in (None, SOLO) and kind not in kinds:
+                    raise InputError(f"{option} {given} is for a {kind}, but there is none in --agents {self.agents}.")
         if self.episodes_file is not None:
             raise InputError(
                 "--episodes-file is for social_nav: episodes of rearrange are drawn from --scenes and --seed."
