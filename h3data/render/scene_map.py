@@ -14,7 +14,7 @@ from h3data.geometry import transform_points
 from h3data.render.camera import Camera, look_at, pinhole
 from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene
-from h3data.scene.records import Room, Scene, instance_matrix
+from h3data.scene.records import Instance, Room, Scene, instance_matrix
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -55,19 +55,21 @@ def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderSce
             if not keep.all():
                 textures = None if mesh.face_textures is None else mesh.face_textures[keep]
                 meshes.append(replace(mesh, faces=np.ascontiguousarray(mesh.faces[keep]), face_textures=textures))
-                instances.append(_placed(len(meshes) - 1, matrix, instance.layer, instance.name))
+                instances.append(_placed(len(meshes) - 1, matrix, instance))
                 continue
         if instance.asset not in shared:
             shared[instance.asset] = len(meshes)
             meshes.append(mesh)
-        instances.append(_placed(shared[instance.asset], matrix, instance.layer, instance.name))
+        instances.append(_placed(shared[instance.asset], matrix, instance))
     if not instances:
         raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to draw.")
     return RenderScene(meshes, instances)
 
 
-def _placed(mesh: int, matrix: NDArray[np.float64], layer: str, name: str) -> RenderInstance:
-    return RenderInstance(mesh=mesh, matrix=matrix, layer=layer, name=name)
+def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> RenderInstance:
+    return RenderInstance(
+        mesh=mesh, matrix=matrix, semantic_id=instance.semantic_id, layer=instance.layer, name=instance.name
+    )
 
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
