@@ -72,6 +72,7 @@ def test_the_agent_is_seen_in_recorded_sessions(real: Path, name: str) -> None:
         recording = (read_hitl_log if name.endswith(".pkl.gz") else read_hitl_episode)(path, assets=assets)
     replay = Replay(recording, assets=assets)
     assert (seen_px(replay, 4) > SEEN_PX).mean() > 0.99
+    assert speed_past_agent(replay) < FASTER_MPS
 
 
 def box(name: str, center: tuple[float, float, float], size: tuple[float, float, float]) -> Body:

@@ -39,7 +39,8 @@ class CameraLog:
         camera = _intrinsics(track)
         things = [version("h3data"), self._recording, str(self._steps), target.output, target.form, json.dumps(camera)]
         poses = np.ascontiguousarray(track.poses, np.float64).tobytes()
-        return hashlib.blake2b("\n".join(things).encode() + poses, digest_size=16).hexdigest()
+        nears = b"" if track.nears is None else np.ascontiguousarray(track.nears, np.float64).tobytes()
+        return hashlib.blake2b("\n".join(things).encode() + poses + nears, digest_size=16).hexdigest()
 
     def has(self, track: CameraTrack, target: Target) -> bool:
         """Whether the output is there, complete and made of the same things."""
@@ -74,6 +75,7 @@ class CameraLog:
             "steps": steps,
             "time_s": [round(float(t) * 1e-9, 9) for t in times],
             "camera_to_world": [np.round(track.at(step).pose, 7).tolist() for step in steps],
+            **({} if track.nears is None else {"near": [round(track.at(step).near, 7) for step in steps]}),
         }
         self._write()
 
