@@ -151,7 +151,7 @@ class SocialNavTorchEnv:
             self._action.copy_(given, non_blocking=True)
             self._advance()
             play = self.play
-            ends = play.reward.float(), play.terminated.clone(), play.truncated.clone()
+            ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
         return self._result(self._shown), *ends, self.info()
 
     def info(self) -> Tensors:

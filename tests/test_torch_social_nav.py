@@ -261,6 +261,20 @@ def test_the_environment_keeps_gymnasiums_manners(bank: EpisodeBank) -> None:
     assert batched["egomotion"].shape == (5, 3)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_results_are_not_overwritten_by_later_steps(bank: EpisodeBank, dtype: torch.dtype) -> None:
+    env = SocialNavTorchEnv(3, device="cpu", dtype=dtype, spec=RULES, episodes=bank)
+    rng = np.random.default_rng(0)
+    given = list(env.reset(seed=1))
+    kept = [{name: tensor.clone() for name, tensor in part.items()} for part in given]
+    for _ in range(5):
+        observed, *ends, info = env.step(torch.tensor(rng.uniform(-1, 1, (3, 2))))
+        given += [observed, dict(enumerate(ends)), info]
+        kept += [{name: tensor.clone() for name, tensor in part.items()} for part in given[-3:]]
+    for mine, theirs in zip(given, kept, strict=True):
+        assert all(torch.equal(mine[name], theirs[name]) for name in theirs)
+
+
 def test_a_seed_says_which_episodes_are_played(bank: EpisodeBank) -> None:
     env = SocialNavTorchEnv(9, device="cpu", spec=RULES, episodes=bank)
     _, one = env.reset(seed=11)
