@@ -1,11 +1,13 @@
-"""A robot's base that keeps clear of a person: short trials of what it could do next, in the manner of the dynamic window
-(Fox, Burgard and Thrun 1997), against where she will be if she goes on as she does.
+"""A robot's base that keeps clear of people and other robots: short trials of what it could do next, in the manner of the
+dynamic window (Fox, Burgard and Thrun 1997), against where they will be if they go on as they do.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,40 +88,58 @@ def try_command(
     return gap, x, z, heading
 
 
+class Avoided(NamedTuple):
+    """Somebody whom a robot keeps clear of."""
+
+    xz: NDArray
+    velocity: NDArray
+    """[2] [m/s]."""
+    settled: bool = False
+    """Who has settled somewhere needs less room: one must get past."""
+    spec: AvoidanceSpec = AVOIDANCE
+
+
 def keep_clear(
     free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, wanted: tuple[float, float], towards: NDArray,
-    person_xz: NDArray, person_velocity: NDArray, *, settled: bool = False, spec: AvoidanceSpec = AVOIDANCE,
+    others: Sequence[Avoided],
 ) -> tuple[float, float]:  # fmt: skip
-    """The command (forward, turn: -1..1 of the limits) to give instead of ``wanted`` so that a person is not run into.
+    """The command (forward, turn: -1..1 of the limits) to give instead of ``wanted`` so that nobody is run into.
 
-    ``wanted`` itself where it leaves her enough room, else the best of 25: room first, then way to ``towards`` [2]. Who has
-    ``settled`` somewhere needs less: one must get past.
+    ``wanted`` itself where it leaves all of them enough room, else the best of 25: room first, for the one who has least,
+    then way to ``towards`` [2].
     """
-    if np.hypot(*(person_xz - xz)) > spec.range_m:
+    others = [other for other in others if np.hypot(*(other.xz - xz)) <= other.spec.range_m]
+    if not others:
         return wanted
 
     def trial(
-        command: tuple[float, float], way: float = math.inf, arc: float = math.inf
+        other: Avoided, command: tuple[float, float], way: float = math.inf, arc: float = math.inf
     ) -> tuple[float, float, float, float]:
+        spec = other.spec
         return try_command(
             free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, command[0] * base.max_speed_mps,
-            command[1] * base.max_turn_rad_s, way, arc, person_xz, person_velocity, np.array(base.disc_offsets_m),
+            command[1] * base.max_turn_rad_s, way, arc, other.xz, other.velocity, np.array(base.disc_offsets_m),
             base.disc_radius_m, np.array(spec.discs_m), base.disc_radius_m + spec.person_radius_m,
             spec.horizon_steps, spec.stride, STEP_S,
         )  # fmt: skip
 
-    margin = min(spec.still_margin_m, trial((0.0, 0.0))[0]) if settled else spec.margin_m
+    margins = [
+        min(o.spec.still_margin_m, trial(o, (0.0, 0.0))[0]) if o.settled else o.spec.margin_m for o in others
+    ]  # fmt: skip
     dx, dz = (towards - xz).tolist()
     way = math.hypot(dx, dz)
     arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if way > 0.1 else math.inf
-    if trial(wanted, way, arc)[0] >= margin:
+    if all(trial(other, wanted, way, arc)[0] >= margin for other, margin in zip(others, margins, strict=True)):
         return wanted
+    spec = others[0].spec
     best, least = wanted, math.inf
     for forward, turn in ((0.0, 0.0), *_CANDIDATES.tolist()):
-        gap, x, z, new_heading = trial((forward, turn))
+        tried = [trial(other, (forward, turn)) for other in others]
+        lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
+        _, x, z, new_heading = tried[0]
         left = math.hypot(x - towards[0], z - towards[1])
         off = abs(wrap_angle(math.atan2(z - towards[1], towards[0] - x) - new_heading)) if left > 0.1 else 0.0
-        cost = spec.weight * max(margin - gap, 0.0) + left + spec.facing_m * off
+        cost = spec.weight * max(lacks, 0.0) + left + spec.facing_m * off
         cost += 0.02 * abs(turn)  # of equals the calmest
         if cost < least:
             best, least = (forward, turn), cost

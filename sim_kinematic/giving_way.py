@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance import AVOIDANCE, way_round
+from sim_kinematic.avoidance import AVOIDANCE, Avoided, way_round
 from sim_kinematic.waypoint_human import sharp_corners
 
 ROBOTS = replace(AVOIDANCE, person_radius_m=0.6)
@@ -34,6 +34,11 @@ class Seen(NamedTuple):
     settled: bool
     """It has been standing for long (`AvoidanceSpec.still_steps`)."""
     is_robot: bool
+
+
+def avoided(others: Sequence[Seen]) -> list[Avoided]:
+    """The others as a robot's base keeps clear of them."""
+    return [Avoided(o.xz, o.velocity, o.settled, ROBOTS if o.is_robot else AVOIDANCE) for o in others]
 
 
 def in_the_way(xz: NDArray, towards: NDArray, others: Sequence[Seen]) -> Seen | None:

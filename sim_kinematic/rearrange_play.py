@@ -220,11 +220,12 @@ class RearrangePlay:
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number if others else -1
 
     def _show_others(self, me: RobotActor | PersonActor) -> None:
-        """An agent sees who else is there and how they move: a robot everybody, people each other."""
+        """An agent sees who else is there and how they move: a robot everybody, people each other, and robots too where
+        there are more than two agents. A person with one robot goes on as Habitat's."""
         seen = []
         for other, track in zip(self.actors, self.tracks, strict=True):
             is_robot = isinstance(other, RobotActor)
-            if other is me or (is_robot and isinstance(me, PersonActor)):
+            if other is me or (is_robot and isinstance(me, PersonActor) and len(self.actors) == 2):
                 continue
             # people act first, then robots, each in the order of their numbers
             moved = (not is_robot and isinstance(me, RobotActor)) or other.number < me.number

@@ -13,7 +13,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance import AVOIDANCE, is_crowded, keep_clear, way_round
-from sim_kinematic.giving_way import ROBOTS, Seen
+from sim_kinematic.giving_way import ROBOTS, Seen, avoided
 from sim_kinematic.manipulation import arm_columns, grip_objects, move_arms, robot_hands
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import STEP_S, ArmSpec, BaseSpec
@@ -330,11 +330,9 @@ class RobotActor:
         self.command = forward, turn
         if self.avoids and heed:
             aim = self.xz if towards is None else towards
-            for other in reversed(self._seen()):  # the nearest has the last word
-                self.command = keep_clear(
-                    self.free, self.base, self.xz.copy(), self.heading, self.command, aim, other.xz, other.velocity,
-                    settled=other.settled, spec=ROBOTS if other.is_robot else AVOIDANCE,
-                )  # fmt: skip
+            self.command = keep_clear(
+                self.free, self.base, self.xz.copy(), self.heading, self.command, aim, avoided(self._seen())
+            )
         drive_robots(self.state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         way = self.arm_goal[self._arm] - self.joints[self._arm]

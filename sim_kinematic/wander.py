@@ -18,8 +18,8 @@ from h3data.geometry import ground_pose, wrap_angle
 from h3data.recording import STEP_NS, Agent, AssetRef, Body, Episode, Event, Recording, state_hash
 from h3data.scene import CATEGORIES, FreeSpace, Scene
 from sim_kinematic.agent_worlds import AgentWorlds
-from sim_kinematic.avoidance import AVOIDANCE, keep_clear
-from sim_kinematic.giving_way import ROBOTS, STANDS_MPS, Seen, in_the_way, waits
+from sim_kinematic.avoidance import keep_clear
+from sim_kinematic.giving_way import ROOM_M, STANDS_MPS, Seen, avoided, in_the_way, waits
 from sim_kinematic.posing import walking_phase
 from sim_kinematic.randomness import episode_seed
 from sim_kinematic.social_nav_log import scene_attachment
@@ -68,8 +68,11 @@ class Wanderers:
     def _walk(self, k: int, own: HumanState, others: Sequence[Seen]) -> NDArray[np.float64]:
         target = self._walkers[k].target(own.xz[0])
         blocker = in_the_way(own.xz[0], target, others)
-        stands = blocker is not None and float(np.hypot(*blocker.velocity)) <= STANDS_MPS
-        return own.xz[0].copy() if blocker is not None and (stands or waits(k, blocker)) else target
+        if blocker is None:
+            return target
+        stands = float(np.hypot(*blocker.velocity)) <= STANDS_MPS
+        is_close = float(np.hypot(*(blocker.xz - own.xz[0]))) < ROOM_M
+        return own.xz[0].copy() if stands or is_close or waits(k, blocker) else target
 
     def _drive(self, k: int, own: RobotState, others: Sequence[Seen]) -> NDArray[np.float64]:
         walker, base = self._walkers[k], self._worlds.spec.robot
@@ -81,11 +84,9 @@ class Wanderers:
         error = float(wrap_angle(np.arctan2(-dz, dx) - own.heading[0]))
         turn = float(np.clip(error / (base.max_turn_rad_s * STEP_S), -1, 1))
         command = max(0.0, float(np.cos(error))) ** 4, turn
-        for other in reversed(others):
-            command = keep_clear(
-                self._worlds.free, base, own.xz[0].copy(), float(own.heading[0]), command, target, other.xz, other.velocity,
-                spec=ROBOTS if other.is_robot else AVOIDANCE,
-            )  # fmt: skip
+        command = keep_clear(
+            self._worlds.free, base, own.xz[0].copy(), float(own.heading[0]), command, target, avoided(others)
+        )
         return np.array(command, np.float32).astype(np.float64)
 
 

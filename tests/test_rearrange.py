@@ -16,7 +16,7 @@ from h3data.geometry import ground_pose, pose_inverse, pose_multiply, pose_to_ma
 from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
-from sim_kinematic.avoidance import AVOIDANCE, keep_clear, way_round
+from sim_kinematic.avoidance import AVOIDANCE, Avoided, keep_clear, way_round
 from sim_kinematic.collision import FclScene, MovingShapes, collide
 from sim_kinematic.planners import (
     PARTNERS,
@@ -287,9 +287,10 @@ def test_the_base_gives_way(free: FreeSpace) -> None:
     ahead = at + np.array([1.2, 0.0])
     far = at + np.array([AVOIDANCE.range_m + 1, 0.0])
     go = (1.0, 0.0)
-    assert keep_clear(free, base, at, 0.0, go, ahead, far, np.zeros(2)) == go
-    assert keep_clear(free, base, at, 0.0, go, ahead, ahead, np.array([-2.5, 0.0])) != go
-    command = keep_clear(free, base, at, 0.0, (0.0, 0.0), at, ahead, np.array([-2.5, 0.0]))
+    assert keep_clear(free, base, at, 0.0, go, ahead, [Avoided(far, np.zeros(2))]) == go
+    coming = Avoided(ahead, np.array([-2.5, 0.0]))
+    assert keep_clear(free, base, at, 0.0, go, ahead, [Avoided(far, np.zeros(2)), coming]) != go
+    command = keep_clear(free, base, at, 0.0, (0.0, 0.0), at, [coming])
     assert command != (0.0, 0.0)  # who stands in her way steps aside
 
 
