@@ -164,6 +164,12 @@ def test_mapped_files_give_the_same_windows(
         patch.setattr(Dataset, "read_group", None)  # nothing is read from Parquet any more
         windows = WindowDataset(dataset, COLUMNS, history=3, horizon=2, border="pad", disk_cache=True)
         assert same(list(pickle.loads(pickle.dumps(windows))), plain)
+    files[0].unlink()
+    (tmp_path / "arrow" / "gone.arrow").symlink_to(tmp_path / "nowhere")  # as one that another worker evicts meanwhile
+    with monkeypatch.context() as patch:
+        patch.setattr("h3data.recording.arrow_cache.log.info", pytest.fail)  # says that nothing is cached
+        assert same(all_windows(dataset, disk_cache=True), plain)
+    (tmp_path / "arrow" / "gone.arrow").unlink()
     files[0].write_bytes(b"ARROW1 and then something else")
     assert same(all_windows(dataset, disk_cache=True), plain)
     assert "broken" in caplog.text

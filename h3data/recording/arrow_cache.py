@@ -13,6 +13,7 @@ import json
 import logging
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,7 +51,8 @@ def open_cached(dataset: Dataset, shard: int, columns: Sequence[str]) -> pa.ipc.
                 for episode in episodes:
                     writer.write(tables.to_arrow(dataset, columns=columns, episodes=[episode]).combine_chunks())
             reader = _opened(path, schema, len(episodes))
-            _evict(folder, keep=path)
+            with suppress(FileNotFoundError):  # other workers evict too
+                _evict(folder, keep=path)
         return reader
     except OSError as fault:
         log.info("The columns are not cached: %s", fault)
