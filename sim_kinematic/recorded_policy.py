@@ -69,8 +69,10 @@ class RecordedPolicy:
             self._next += 1
             follows = self.spans[self._next : self._next + 1]
             at_once = span.outcome == "done" and bool(follows) and follows[0].start_step == span.start_step
-            ends = span.outcome == "done"
-            steps = 0 if at_once else span.end_step - span.start_step + 1 if ends else len(self.now) + 1
+            lasted = span.end_step - span.start_step + 1
+            # of those that were cut short, each waits for another time: an equal action would go on with the last one
+            endless = len(self.now) + self._next
+            steps = 0 if at_once else lasted if span.outcome == "done" else endless
             action = Action(span.name, self.objects.index(span.target) if span.target else -1, steps)
         else:
             skill, target = self.now[min(step, len(self.now) - 1)].tolist()
