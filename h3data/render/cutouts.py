@@ -47,10 +47,15 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
     high = np.floor(np.clip(uv.max(1), -1e6, 1e6) * size - 0.5).astype(np.int64) + 1
     x0, y0 = (low % size).T
     x1, y1 = (low % size + np.minimum(high - low + 1, size)).T
-    height, width = clear.shape
-    count = np.zeros((2 * height + 1, 2 * width + 1), np.int32)
-    count[1:, 1:] = np.tile(clear, (2, 2)).cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32)
-    return count[y1, x1] - count[y0, x1] - count[y1, x0] + count[y0, x0] > 0
+    count = np.zeros((clear.shape[0] + 1, clear.shape[1] + 1), np.int32)
+    clear.cumsum(0, dtype=np.int32).cumsum(1, out=count[1:, 1:])
+
+    def before(y: NDArray[np.int64], x: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Clear texels in rows below y and columns below x of the repeated texture."""
+        (rows, y), (columns, x) = np.divmod(y, clear.shape[0]), np.divmod(x, clear.shape[1])
+        return rows * (columns * np.int64(count[-1, -1]) + count[-1, x]) + columns * count[y, -1] + count[y, x]
+
+    return before(y1, x1) - before(y0, x1) - before(y1, x0) + before(y0, x0) > 0
 
 
 def no_cutouts() -> Cutouts:
