@@ -29,12 +29,14 @@ class _Settings(NamedTuple):
 
 # The same frames must make the same file on every run and machine. x264: without mbtree, whose result differs from run to
 # run (seen on depth videos), and with a fixed number of threads, which shows in the file. SVT-AV1 does not depend on them.
+# Its preset ultrafast takes a fifth of veryfast's time; at crf 23 pictures are as good as there at 20 (41.6 against 41.0 dB
+# luma PSNR of a walk through a home), files 1.6 times as large.
 _SETTINGS = {
-    "h264": _Settings("libx264", "yuv420p", "mp4", {"preset": "veryfast", "x264-params": "mbtree=0:threads=4"}),
+    "h264": _Settings("libx264", "yuv420p", "mp4", {"preset": "ultrafast", "x264-params": "mbtree=0:threads=4"}),
     "av1": _Settings("libsvtav1", "yuv420p", "mp4", {"preset": "10"}),
     "ffv1": _Settings("ffv1", "gray16le", "matroska", {"level": "3", "slices": "4", "slicecrc": "1", "g": "1"}),
 }
-_CRF = {"h264": 20, "av1": 32}
+_CRF = {"h264": 23, "av1": 32}
 _BT601, _LIMITED_RANGE = 6, 1
 """FFmpeg's numbers of the colour space of `_to_yuv`."""
 
@@ -59,7 +61,7 @@ class VideoWriter:
         crf: int | None = None,
         preset: str | None = None,
     ) -> None:
-        """``crf`` is the quality (0 best; default 20 for H.264, 32 for AV1), ``preset`` the encoder's effort, both as x264
+        """``crf`` is the quality (0 best; default 23 for H.264, 32 for AV1), ``preset`` the encoder's effort, both as x264
         and SVT-AV1 name them."""
         if width < 1 or height < 1 or not fps > 0:
             raise InputError(f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.")

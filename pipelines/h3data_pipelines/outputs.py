@@ -97,8 +97,7 @@ def _open_video(target: Target, camera: Camera, fps: float, picture: ToPicture) 
     from h3data.render import VideoWriter
 
     assert target.form != "png"
-    preset = "ultrafast" if target.form == "h264" else None  # a quarter of the time, no worse pictures, larger files
-    with VideoWriter(target.path, camera.width, camera.height, fps, codec=target.form, preset=preset) as writer:
+    with VideoWriter(target.path, camera.width, camera.height, fps, codec=target.form) as writer:
         yield _VideoSink(writer, picture)
 
 
