@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from h3data.recording import Agent, AssetRef, Body, Episode, Event, Recording, SkillSpan
+from h3data.recording import Agent, AssetRef, Body, Episode, Event, InputEvent, Recording, SkillSpan
 from h3data.recording.schema import DTYPES
 
 TEXT = st.text(max_size=6)
@@ -116,6 +116,10 @@ def recordings(draw: st.DrawFn, *, max_steps: int = 40) -> Recording:
         events=tuple(
             Event(step=draw(STEPS), agent=-1, kind=draw(TEXT), target=draw(TEXT), detail=draw(TEXT))
             for _ in range(draw(st.integers(0, 3)))
+        ),
+        inputs=tuple(
+            InputEvent(time_ns=draw(st.integers(-(2**63), 2**63 - 1)), kind=draw(TEXT), user=i, payload=draw(TEXT))
+            for i in range(draw(st.integers(0, 3)))
         ),
         attachments=draw(st.dictionaries(TEXT, st.binary(max_size=20), max_size=2)),
     )

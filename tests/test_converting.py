@@ -18,6 +18,7 @@ from h3data.recording import (
     DatasetWriter,
     Episode,
     Event,
+    InputEvent,
     Recording,
     SkillSpan,
     read_mcap,
@@ -46,6 +47,10 @@ def episode(name: str, steps: int = 5, *, joints: int = 3, extra: str = "", dt_n
         agents=(Agent(name="robot", kind="robot", joint_names=tuple(map(str, range(joints)))),), columns=columns,
         events=(Event(step=0, agent=0, kind="x"),) if steps else (),
         skills=(SkillSpan(agent=0, name="y", start_step=0, end_step=steps - 1),) if steps else (),
+        inputs=(
+            InputEvent(time_ns=-1, kind="key_down", payload='{"key": "w"}'),
+            InputEvent(time_ns=2**40 + 1, kind="text", user=1, payload='"caf\u00e9 ☕"'),
+        ) if name == "a" else (),
         attachments={"scene.glb": name.encode()},
     )  # fmt: skip
 

@@ -18,13 +18,15 @@ from h3data.recording import (
     SCHEMA_VERSION,
     Dataset,
     DatasetWriter,
+    InputEvent,
     open_steps,
     read_mcap,
     recordings_equal,
     write_mcap,
 )
+from h3data.recording.tables import record_table
 
-VERSIONS = ("1.0", "1.1")
+VERSIONS = ("1.0", "1.1", "1.2")
 
 
 @pytest.fixture(params=VERSIONS)
@@ -67,7 +69,23 @@ def test_an_old_dataset_is_continued_as_what_it_is(old):
     assert recordings_equal(recording(), dataset.recording(0)) == []
     assert recordings_equal(other, dataset.recording(1)) == []
     kinds = {str(pq.read_schema(p).field("state_hash").type) for p in (old / "dataset/data").rglob("*.parquet")}
-    assert kinds == {"uint64"}, "one kind in all files, or LeRobot and DuckDB could not read them together"
+    version = dataset.schema.version
+    assert kinds == {"int64" if version == "1.2" else "uint64"}, (
+        "one kind in all files, or LeRobot and DuckDB could not read them together"
+    )
+
+
+def test_old_files_hold_no_raw_input_and_can_be_given_some(old):
+    """The sidecar of inputs came with 1.3: shards before it have none, those added later do."""
+    assert read_mcap(old / "log.mcap").inputs == Dataset(old / "dataset")[0].inputs == ()
+    assert len(record_table(Dataset(old / "dataset"), "inputs")) == 0
+    key = InputEvent(time_ns=5, kind="key_down", payload='{"key": "w"}')
+    typed = replace(recording(), episode=replace(recording().episode, uid="second"), inputs=(key,))
+    with DatasetWriter(old / "dataset", resume=True) as writer:
+        writer.add(typed)
+    dataset = Dataset(old / "dataset")
+    assert [episode.inputs for episode in dataset.recordings(range(2))] == [(), (key,)]
+    assert record_table(dataset, "inputs")["episode_index"].to_pylist() == [1]
 
 
 def test_a_newer_major_version_is_refused(old):

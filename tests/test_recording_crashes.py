@@ -322,7 +322,7 @@ def check_dataset(root: Path) -> bool:
     return True
 
 
-FILES = ["data", "meta/episodes", "h3/bodies", "h3/assets", "h3/agents", "h3/skills", "h3/events"]
+FILES = ["data", "meta/episodes", "h3/bodies", "h3/assets", "h3/agents", "h3/skills", "h3/events", "h3/inputs"]
 
 
 @pytest.mark.parametrize("stride", [151, pytest.param(1, marks=pytest.mark.slow)])

@@ -27,6 +27,7 @@ from h3data.recording import (
     SCHEMA_VERSION,
     Dataset,
     DatasetWriter,
+    InputEvent,
     Recording,
     dataset_shard,
     open_recording,
@@ -510,6 +511,7 @@ def test_differences_are_found():
         ),
         "episode.seed": replace(rec, episode=replace(rec.episode, seed=4)),
         "events: 1 and 0": replace(rec, events=()),
+        "inputs: 0 and 1": replace(rec, inputs=(InputEvent(time_ns=0, kind="text"),)),
         "agents[0].model": replace(rec, agents=(replace(rec.agents[0], model="x"), rec.agents[1])),
         "attachment scene.glb": replace(rec, attachments={"scene.glb": b""}),
         "metrics.dist_agents: float32 [60] and float64 [60]": replace(

@@ -169,7 +169,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 FILES = [
     "meta/info.json", "h3/schema.json", "data/chunk-000/file-000.parquet",
-    *(f"{kind}/chunk-000/file-000.parquet" for kind in ("meta/episodes", "h3/bodies", "h3/agents", "h3/skills", "h3/events")),
+    "meta/episodes/chunk-000/file-000.parquet",
+    *(f"h3/{kind}/chunk-000/file-000.parquet" for kind in ("bodies", "agents", "skills", "events", "inputs")),
 ]  # fmt: skip
 
 

@@ -21,7 +21,9 @@ from recording_strategies import recordings, simple_recording
 
 from h3data.errors import FormatError, InputError
 from h3data.recording import (
+    DatasetWriter,
     Event,
+    InputEvent,
     Recording,
     RecordingHeader,
     RecordingWriter,
@@ -69,6 +71,8 @@ def test_blocks_of_any_size_make_the_same_recording(tmp_path, rec, sizes, flush_
                 writer.skill(span)
             for event in rec.events:
                 writer.event(event)
+            for given_input in rec.inputs:
+                writer.input(given_input)
         assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
 
 
@@ -247,6 +251,63 @@ def test_a_live_log_ends_as_the_file_that_is_written_at_once(tmp_path):
     assert live.read_bytes() == at_once
     assert len(record_live(tmp_path / "loose.mcap", rec, compact=False).read_bytes()) > len(at_once)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["at_once.mcap", "live.mcap", "loose.mcap"]
+
+
+KEYS = tuple(
+    InputEvent(time_ns=k * 10_000_000 - 7, kind=("key_down", "key_up")[k % 2], payload='{"key": "w"}')
+    for k in range(90)
+)
+
+
+def record_typing(writer: RecordingWriter, rec: Recording) -> None:
+    """Row by row, each after the keys that led to it."""
+    keys = list(rec.inputs)
+    for k, time_ns in enumerate(rec.columns["time_ns"]):
+        while keys and keys[0].time_ns <= time_ns:
+            writer.input(keys.pop(0))
+        writer.append({n: a[k : k + 1] for n, a in rec.columns.items()})
+    for key in keys:
+        writer.input(key)
+
+
+def test_raw_input_keeps_its_own_times_between_the_rows(tmp_path):
+    rec = replace(simple_recording(steps=20), skills=(), events=(), inputs=KEYS)
+    at_once = write_mcap(rec, tmp_path / "at_once.mcap")
+    for compact in (True, False):
+        with RecordingWriter(
+            tmp_path / "live.mcap", rec, overwrite=True, flush_rows=3, t0_unix_ns=1_000, compact=compact
+        ) as writer:
+            record_typing(writer, rec)
+        assert recordings_equal(rec, read_mcap(tmp_path / "live.mcap")) == []
+        reader = make_reader(io.BytesIO((tmp_path / "live.mcap").read_bytes()))
+        came = [(m.log_time, s) for s, _, m in reader.iter_messages(topics=["/h3/input"])]
+        assert [t for t, _ in came] == [1_000 + key.time_ns for key in KEYS]
+        assert {s.name for _, s in came if s} == {"h3.Input"}
+    assert recordings_equal(rec, read_mcap(at_once)) == []
+    silent = make_reader(io.BytesIO(write_mcap(replace(rec, inputs=()), tmp_path / "silent.mcap").read_bytes()))
+    summary = silent.get_summary()
+    assert summary is not None
+    assert "/h3/input" not in {c.topic for c in summary.channels.values()}
+
+
+def test_raw_input_of_an_unfinished_log_is_saved(tmp_path):
+    rec = replace(simple_recording(steps=20), skills=(), events=(), inputs=KEYS)
+    writer = RecordingWriter(tmp_path / "a.mcap", rec, flush_rows=1)
+    record_typing(writer, rec)
+    writer.abort()
+    recover_mcap(tmp_path / "a.mcap.part", tmp_path / "b.mcap")
+    assert read_mcap(tmp_path / "b.mcap").inputs == KEYS
+
+
+@pytest.mark.parametrize("wrong", [{"time_ns": 2**63}, {"time_ns": 1, "payload": "\ud800"}])
+def test_input_that_cannot_be_stored_is_refused(tmp_path, wrong):
+    rec = replace(simple_recording(), inputs=(InputEvent(kind="text", **wrong),))
+    with pytest.raises(InputError):
+        write_mcap(rec, tmp_path / "a.mcap")
+    with DatasetWriter(tmp_path / "ds") as writer:
+        with pytest.raises(InputError, match="inputs"):
+            writer.add(rec)
+        assert writer.add(replace(rec, inputs=())) == 0
 
 
 def test_start_time_and_info_given_late_survive_the_rewriting(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from h3data.errors import FormatError, H3DataError, InputError
 from h3data.recording import (
     DatasetWriter,
     Event,
+    InputEvent,
     Recording,
     RecordingWriter,
     SkillSpan,
@@ -43,6 +45,8 @@ def small_chunks(rec: Recording, path: Path, rows: int) -> Path:
                 writer.event(event)
         for span in rec.skills:
             writer.skill(span)
+        for given_input in rec.inputs:
+            writer.input(given_input)
     return path
 
 
@@ -112,6 +116,21 @@ def test_a_window_is_a_recording_of_its_own(tmp_path):
         whole = steps.recording(0, 60)
         assert recordings_equal(rec, replace(whole, episode=rec.episode)) == []
         steps.close()
+
+
+def test_windows_side_by_side_share_out_the_input(tmp_path):
+    """What came between two rows belongs to the later one; what came before and after the episode to its ends."""
+    plain = simple_recording(steps=60)
+    times = plain.columns["time_ns"]
+    came = [-5, int(times[0]), int(times[20]), int(times[20]) + 1, int(times[33]), int(times[59]), int(times[59]) + 9]
+    rec = replace(plain, inputs=tuple(InputEvent(time_ns=t, kind=str(k)) for k, t in enumerate(came)))
+    cuts = [0, 1, 20, 21, 21, 22, 34, 59, 60, 60]
+    for steps in stores(rec, tmp_path):
+        with steps:
+            parts = [steps.recording(a, b).inputs for a, b in itertools.pairwise(cuts)]
+            assert tuple(itertools.chain(*parts)) == rec.inputs == steps.recording(0, 60).inputs
+            assert [i.kind for i in steps.recording(20, 21).inputs] == ["2"]
+            assert [i.kind for i in steps.recording(21, 34).inputs] == ["3", "4"]
 
 
 def test_a_step_can_be_drawn_without_the_others(tmp_path):

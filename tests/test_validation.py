@@ -16,7 +16,7 @@ from recording_strategies import random_bits, recordings
 
 from h3data.errors import H3DataError
 from h3data.interop import read_gfx_replay
-from h3data.recording import DatasetWriter, Event, Recording, SkillSpan, state_hash, write_mcap
+from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillSpan, state_hash, write_mcap
 from h3data.replay.validation import Finding, validate_recording
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
@@ -114,6 +114,7 @@ def test_records_that_point_nowhere_are_found(episode: Recording) -> None:
     body = episode.bodies[0]
     for broken in (
         replace(episode, events=(Event(step=120, agent=0, kind="x"),)),
+        replace(episode, inputs=(InputEvent(time_ns=0, kind="key_down", payload="w"),)),
         replace(episode, skills=(SkillSpan(agent=0, name="x", start_step=9, end_step=3),)),
         replace(episode, bodies=(replace(body, agent=5), *episode.bodies[1:])),
         replace(episode, bodies=(replace(body, pose=np.full(7, np.nan, np.float32)), *episode.bodies[1:])),

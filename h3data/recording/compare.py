@@ -17,7 +17,7 @@ from h3data.recording.schema import episode_to_dict, layout_of, struct_to_dict, 
 def recordings_equal(a: Recording, b: Recording) -> list[str]:
     """The differences, one line each; empty means equal, bit for bit (any NaN equals any NaN, order is ignored)."""
     differences = _dict_differences("episode", _episode(a), _episode(b))
-    for kind in ("assets", "bodies", "agents", "skills", "events"):
+    for kind in ("assets", "bodies", "agents", "skills", "events", "inputs"):
         ours, theirs = getattr(a, kind), getattr(b, kind)
         if len(ours) != len(theirs):
             differences.append(f"{kind}: {len(ours)} and {len(theirs)}")

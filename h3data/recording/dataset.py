@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.arrow_columns import conform, to_numpy
-from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS, record_schema
+from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECAR_SINCE, SIDECARS, record_schema
 from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording
@@ -28,6 +28,7 @@ from h3data.recording.schema import (
     layout_from_json,
     required_columns,
     struct_from_dict,
+    version_numbers,
 )
 from h3data.recording.storage import RemotePath, place, readable
 
@@ -106,8 +107,8 @@ class Dataset:
     ) -> Recording:
         """Episode ``index``, exactly as it was added; with ``columns`` only these and the indispensable ones.
 
-        With ``records`` (of ``bodies``, ``assets``, ``agents``, ``skills``, ``events``) only these, and no attachments:
-        metrics need no more than ``agents``. Reads one row group.
+        With ``records`` (of ``bodies``, ``assets``, ``agents``, ``skills``, ``events``, ``inputs``) only these, and no
+        attachments: metrics need no more than ``agents``. Reads one row group.
         """
         self._row(index)
         return next(self.recordings(range(index, index + 1), columns=columns, records=records))
@@ -229,8 +230,10 @@ class Dataset:
         return table.replace_schema_metadata(None)
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard."""
+        """The records of a kind in one shard; none where a dataset began before there were any of that kind."""
         path = shard_path(self.root, f"h3/{kind}", shard)
+        if version_numbers(self.schema.version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
+            return record_schema(SIDECARS[kind]).empty_table()
         return pq.read_table(readable(path), page_checksum_verification=True)
 
     def _check_info(self) -> int:

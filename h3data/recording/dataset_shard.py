@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from h3data.errors import InputError
 from h3data.recording.arrow_columns import padded, to_arrow
 from h3data.recording.lerobot_meta import (
     FILES_PER_CHUNK,
@@ -26,7 +27,16 @@ from h3data.recording.records import Recording
 from h3data.recording.schema import STRUCTS, Column, layout_hash
 
 ZSTD_LEVEL, PAGE_BYTES = 6, 8 << 20
-SIDECARS = {"bodies": "Body", "assets": "Asset", "agents": "Agent", "skills": "Skill", "events": "Event"}
+SIDECARS = {
+    "bodies": "Body",
+    "assets": "Asset",
+    "agents": "Agent",
+    "skills": "Skill",
+    "events": "Event",
+    "inputs": "Input",
+}
+SIDECAR_SINCE = {"inputs": (1, 3)}
+"""Schema version from which on every shard has this sidecar."""
 _ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
 EPISODE_SCHEMA = pa.schema(
     [
@@ -63,7 +73,7 @@ class Shard:
         self.root, self.number, self.schema = root, number, schema
         self.episodes = self.frames = self.row_groups = 0
         self.rows: list[dict[str, Any]] = []
-        self.sidecars: dict[str, list[dict[str, Any]]] = {kind: [] for kind in SIDECARS}
+        self.sidecars: dict[str, list[pa.Table]] = {kind: [] for kind in SIDECARS}
         self.moments: dict[str, Moments] = {}
         self.parts: list[tuple[Path, Path]] = []
         self.spoiled = False
@@ -101,6 +111,7 @@ class Shard:
             if c.width:  # the same bits
                 arrays[c.name] = arrays[c.name].view(self.schema.stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
+        records = {kind: _record_table(kind, of, index) for kind, of in sidecars.items()}
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
@@ -112,8 +123,8 @@ class Shard:
             self._writer.write_table(table, row_group_size=steps)
             merge_into(self.moments, moments)
         self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
-        for kind, records in sidecars.items():
-            self.sidecars[kind] += [{"episode_index": index, **record} for record in records]
+        for kind, of in records.items():
+            self.sidecars[kind].append(of)
         self.row_groups += steps > 0
         self.episodes += 1
         self.frames += steps
@@ -123,7 +134,8 @@ class Shard:
         self._writer.close()
         _sync(self._stream)
         for kind, struct in SIDECARS.items():
-            self._write(f"h3/{kind}", pa.Table.from_pylist(self.sidecars[kind], schema=record_schema(struct)))
+            tables = [record_schema(struct).empty_table(), *self.sidecars[kind]]
+            self._write(f"h3/{kind}", pa.concat_tables(tables).combine_chunks())
         metadata = {"h3data.schema_version": self.schema.version, "h3data.moments": pack_moments(self.moments)}
         self._write("meta/episodes", pa.Table.from_pylist(self.rows, schema=EPISODE_SCHEMA.with_metadata(metadata)))
         for part, final in self.parts:  # the episode table is the last: its name is the commit
@@ -171,6 +183,15 @@ def record_schema(struct: str) -> pa.Schema:
     """Arrow schema of the records of a kind, one of `STRUCTS`."""
     fields = [("episode_index", pa.int64())]
     return pa.schema(fields + [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()])
+
+
+def _record_table(kind: str, records: list[dict[str, Any]], index: int) -> pa.Table:
+    """The records of episode ``index``; an `InputError` if a value cannot be stored."""
+    rows = [{"episode_index": index, **record} for record in records]
+    try:
+        return pa.Table.from_pylist(rows, schema=record_schema(SIDECARS[kind]))
+    except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
+        raise InputError(f"The {kind} of episode {index}: a value cannot be stored ({error}).") from None
 
 
 def data_schema(schema: DatasetSchema) -> pa.Schema:

@@ -31,7 +31,7 @@ from h3data.recording.mcap_header import (
     start_time,
 )
 from h3data.recording.mcap_read import read_mcap
-from h3data.recording.records import SCHEMA_VERSION, Event, Recording, RecordingHeader, SkillSpan
+from h3data.recording.records import SCHEMA_VERSION, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
     Layout,
     Topic,
@@ -112,8 +112,8 @@ class RecordingWriter:
     ) -> None:
         """Create ``<path>.part`` and write all that is known before the first step.
 
-        ``header.columns`` fixes the columns if it is not empty, else the first `append` does; rows, skills and events of
-        a `Recording` given as header are not written. Log times are
+        ``header.columns`` fixes the columns if it is not empty, else the first `append` does; rows, skills, events and
+        inputs of a `Recording` given as header are not written. Log times are
         ``t0_unix_ns`` (by default ``episode.info["t0_unix_ns"]``, or 0: then equal episodes make equal files) plus
         ``time_ns``.
         """
@@ -132,6 +132,7 @@ class RecordingWriter:
         self._topics: dict[Topic, tuple[int, WireLayout]] = {}
         self._times: list[NDArray[np.int64]] = []
         self._spans = 0
+        self._input_channel: int | None = None
         self._pending: list[dict[str, NDArray[Any]]] = []
         self._written = 0
         self._last_time: int | None = None
@@ -187,6 +188,16 @@ class RecordingWriter:
         t = self._log_time(self._time_of(event.step))
         with self._writing():
             self._mcap.add_message(self._event_channel, t, data, t)
+
+    def input(self, event: InputEvent) -> None:
+        """Write what a person's input device said, when it came."""
+        self._require_open()
+        data = encode_record("h3.Input", struct_to_dict(event))
+        t = self._log_time(event.time_ns)
+        with self._writing():
+            if self._input_channel is None:  # most recordings have none
+                self._input_channel = self._struct_channel("Input")
+            self._mcap.add_message(self._input_channel, t, data, t)
 
     def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
         """Write a high-level action and return its number.
@@ -310,12 +321,12 @@ class RecordingWriter:
             ) from error
 
     def _open_channels(self) -> None:
-        descriptor = struct_descriptor()
-        channels = []
-        for name in ("Scene", "Event", "Skill"):
-            schema = self._mcap.register_schema(f"h3.{name}", "protobuf", descriptor)
-            channels.append(self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema))
+        channels = [self._struct_channel(name) for name in ("Scene", "Event", "Skill")]
         self._scene_channel, self._event_channel, self._skill_channel = channels
+
+    def _struct_channel(self, name: str) -> int:
+        schema = self._mcap.register_schema(f"h3.{name}", "protobuf", struct_descriptor())
+        return self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> None:
         """Decide the columns from arrays without rows, check them against the header, announce them in the file."""
@@ -418,6 +429,8 @@ def _write_all(writer: RecordingWriter, recording: Recording) -> None:
         writer.skill(span)
     for event in recording.events:
         writer.event(event)
+    for given in recording.inputs:
+        writer.input(given)
 
 
 def _compact(path: Path, *, t0_unix_ns: int, chunk_bytes: int) -> None:

@@ -188,6 +188,7 @@ def assemble(
         columns=columns,
         skills=_skills(log),
         events=tuple(struct_from_dict("Event", _plain(m)) for m in _messages(log, "/h3/event")),
+        inputs=tuple(struct_from_dict("Input", _plain(m)) for m in _messages(log, "/h3/input")),
         attachments=log.attachments,
     )
 

@@ -27,7 +27,7 @@ _MESSAGE = struct.Struct("<BQH")
 _MESSAGE_HEAD = _RECORD.size + 22
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
 _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _METADATA_INDEX = 6, 7, 8, 10, 13
-_ONCE = ("/h3/scene", "/h3/skill", "/h3/event")
+_ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _CHUNKS_KEPT = 2
 _T = TypeVar("_T")
 

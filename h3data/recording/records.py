@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
 STEP_NS = 33_333_333
@@ -121,6 +121,22 @@ class SkillSpan:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InputEvent:
+    """What a person's input device said, as it came: a key, the mouse, an XR controller, a line of text."""
+
+    time_ns: int
+    """When it came, in ns since the episode began, as the column ``time_ns``; usually between two rows, negative before
+    the episode. What came in (time of row k-1, time of row k] could act on row k."""
+    kind: str
+    """``key_down``, ``key_up``, ``mouse_move``, ``mouse_down``, ``mouse_up``, ``mouse_wheel``, ``xr``, ``text``, or any
+    other word."""
+    user: int = 0
+    """Which person; the agent that they drive is told by ``episode.info`` or the task."""
+    payload: str = ""
+    """The rest as JSON text, e.g. ``{"key": "w"}``, kept to the letter; empty = nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Episode:
     """What was recorded, under which rules, by whom."""
 
@@ -151,6 +167,8 @@ class Recording:
     columns: Mapping[str, NDArray[Any]]
     skills: tuple[SkillSpan, ...] = ()
     events: tuple[Event, ...] = ()
+    inputs: tuple[InputEvent, ...] = ()
+    """Raw input of the people who took part, in the order in which it came."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     """Files that travel with the recording, e.g. ``scene.glb``."""
 
@@ -184,12 +202,13 @@ class Recording:
 
     def __repr__(self) -> str:
         e = self.episode
+        inputs = f"   inputs {len(self.inputs)}" if self.inputs else ""
         agents = ", ".join(f"{a.name} ({a.kind}{', ' + a.model if a.model else ''})" for a in self.agents)
         lines = [
             f"Recording {e.episode_id!r}: task {e.task}, scene {e.scene!r}, {len(self)} steps, {self.duration_s:.1f} s",
             f"  agents   {agents or 'none'}",
             f"  bodies   {len(self.bodies)} ({len(self.moving_bodies)} moving), {len(self.assets)} assets",
-            f"  skills   {len(self.skills)}   events {len(self.events)}   attachments {list(self.attachments)}",
+            f"  skills   {len(self.skills)}   events {len(self.events)}{inputs}   attachments {list(self.attachments)}",
         ]
         lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)

@@ -25,6 +25,7 @@ from h3data.recording.records import (
     Body,
     Episode,
     Event,
+    InputEvent,
     Recording,
     RecordingHeader,
     SkillSpan,
@@ -206,10 +207,18 @@ STRUCTS: dict[str, dict[str, str]] = {
         "outcome": "string",
         "reason": "string",
     },
+    "Input": {"time_ns": "int64", "kind": "string", "user": "int64", "payload": "string"},
 }
 """Fields in protobuf order (number = position + 1: append only, never reorder); ``*`` marks a list."""
 
-RECORD_TYPES: dict[str, type] = {"Asset": AssetRef, "Body": Body, "Agent": Agent, "Event": Event, "Skill": SkillSpan}
+RECORD_TYPES: dict[str, type] = {
+    "Asset": AssetRef,
+    "Body": Body,
+    "Agent": Agent,
+    "Event": Event,
+    "Skill": SkillSpan,
+    "Input": InputEvent,
+}
 _STRUCT_NAMES = {cls: name for name, cls in RECORD_TYPES.items()}
 
 _SCALARS: dict[str, Callable[[Any], Any]] = {"string": str, "int64": int, "double": float}
@@ -217,7 +226,7 @@ _TYPES: dict[str, type | tuple[type, ...]] = {"string": str, "int64": int, "doub
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
-    """Plain strings, numbers and lists of an asset, body, agent, event or skill span. Poses and scales are float32."""
+    """Plain strings, numbers and lists of an asset, body, agent, event, skill span or input. Poses and scales are float32."""
     values: dict[str, Any] = {}
     for name, kind in STRUCTS[_STRUCT_NAMES[type(record)]].items():
         value = getattr(record, name)

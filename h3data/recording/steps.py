@@ -6,6 +6,7 @@ row group of the episode, only the columns that are asked for.
 
 from __future__ import annotations
 
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording.records import Event, Recording, SkillSpan
+from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 from h3data.recording.schema import Layout
 from h3data.recording.storage import RemotePath, place
 
@@ -60,7 +61,8 @@ class Steps(ABC):
         """The steps ``start`` to ``stop - 1`` as a recording of their own, e.g. to draw them with `h3data.replay.Replay`.
 
         Steps of events and skills count from ``start``; spans are cut to these steps, one that goes on afterwards is
-        ``running``. ``info["window"]`` says what it was cut from; ``time_ns`` and ``state_hash`` stay as they were.
+        ``running``. Inputs are those that came after the step before and until the last one, so that windows side by
+        side share them out. ``info["window"]`` says what it was cut from; ``time_ns`` and ``state_hash`` stay as they were.
         """
         self._require_steps(start, stop)
         whole = self._recording(start, stop)
@@ -70,6 +72,7 @@ class Steps(ABC):
             episode=replace(whole.episode, info={**whole.episode.info, "window": window}),
             events=_events_within(whole.events, start, stop),
             skills=_skills_within(whole.skills, start, stop),
+            inputs=self._inputs_within(whole.inputs, start, stop),
         )
 
     @abstractmethod
@@ -87,6 +90,19 @@ class Steps(ABC):
     def _require_steps(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= len(self):
             raise InputError(f"Steps {start} to {stop - 1}: the recording has {len(self)}, 0 to {len(self) - 1}.")
+
+    def _inputs_within(self, inputs: Sequence[InputEvent], start: int, stop: int) -> tuple[InputEvent, ...]:
+        """What came in (time of the row before, time of the last row]; at the ends of the episode also all beyond."""
+        if not inputs or (start, stop) == (0, len(self)):
+            return tuple(inputs)
+        if start == stop:
+            return ()
+        before = self._time_ns(start - 1) if start else -math.inf
+        last = self._time_ns(stop - 1) if stop < len(self) else math.inf
+        return tuple(i for i in inputs if before < i.time_ns <= last)
+
+    def _time_ns(self, step: int) -> int:
+        return int(self._rows(step, step + 1, ["time_ns"])["time_ns"][0])
 
     @abstractmethod
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]: ...

@@ -121,7 +121,7 @@ def step_source(dataset: Dataset) -> pads.Dataset:
 
 
 def record_table(dataset: Dataset, kind: str) -> pa.Table:
-    """All records of a kind (``bodies``, ``assets``, ``agents``, ``skills``, ``events``) with their ``episode_index``."""
+    """All records with their ``episode_index``: ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``."""
     schema = record_schema(SIDECARS[kind])
     tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
     return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")

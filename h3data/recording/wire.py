@@ -239,7 +239,7 @@ def step_descriptor(message: str, fields: WireLayout) -> bytes:
 
 
 def struct_descriptor() -> bytes:
-    """Serialised FileDescriptorSet of ``h3.Scene``, ``h3.Event``, ``h3.Skill`` and their parts."""
+    """Serialised FileDescriptorSet of ``h3.Scene``, ``h3.Event``, ``h3.Skill``, ``h3.Input`` and their parts."""
     messages = {
         struct: [(name, k + 1, kind.rstrip("*"), kind.endswith("*")) for k, (name, kind) in enumerate(fields.items())]
         for struct, fields in STRUCTS.items()

@@ -7,6 +7,7 @@ know of: a teleport, a foot that slides, an asset that is not at hand.
 from __future__ import annotations
 
 import itertools
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -128,12 +129,23 @@ def _schema(rec: Recording) -> Iterator[Finding]:
     for event in rec.events:
         if not (0 <= event.step <= last and -1 <= event.agent < len(rec.agents)):
             yield wrong(f"event {event.kind}", f"step {event.step} of agent {event.agent} is not in this recording")
+    for given in rec.inputs:
+        if given.payload and not _is_json(given.payload):
+            yield wrong(f"input {given.kind}", f"its payload must be JSON, is {given.payload[:40]!r}")
     for span in rec.skills:
         if not (0 <= span.start_step <= span.end_step <= last and 0 <= span.agent < len(rec.agents)):
             yield wrong(
                 f"skill {span.name}",
                 f"steps {span.start_step} to {span.end_step} of agent {span.agent} are not in this recording",
             )
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
 
 
 def _is(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> bool:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _ROWS = 40
 """At most so many are shown as text: the first, and the last of the first 10,000."""
-_RECORDS = ("events", "skills", "agents", "bodies")
+_RECORDS = ("events", "skills", "agents", "bodies", "inputs")
 _EPISODE_COLUMNS = (
     "dataset", "episode_index", "episode_id", "uid", "task", "scene", "seed", "policy", "partner", "length", "seconds",
     "created_by", "info",
@@ -46,7 +46,7 @@ class Sql:
         steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.
                    Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
         episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...
-        events     episode_index, step, agent, kind, target, detail. Likewise skills, agents, bodies.
+        events     episode_index, step, agent, kind, target, detail. Likewise skills, agents, bodies, inputs.
     all        each has a column dataset (its path as you wrote it), so several datasets can be compared.
 
     Examples:
