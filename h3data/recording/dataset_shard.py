@@ -111,7 +111,7 @@ class Shard:
             if c.width:  # the same bits
                 arrays[c.name] = arrays[c.name].view(self.schema.stored_dtype(c))
         table = pa.Table.from_arrays([to_arrow(arrays[name]) for name in self._arrow.names], schema=self._arrow)
-        records = {kind: _record_table(kind, of, index) for kind, of in sidecars.items()}
+        records = {kind: _record_table(kind, of, index) for kind, of in sidecars.items() if of}
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
