@@ -96,6 +96,15 @@ def test_part_of_an_episode_is_read_as_asked(dataset):
     assert set(everything.columns) == set(opened.recording(3).columns)
 
 
+def test_one_episode_is_named_by_its_number(dataset, tmp_path):
+    log = write_mcap(episode(100), tmp_path / "log.mcap")
+    table = measure_files([f"{dataset}#3", log])
+    assert [e.to_dict() for e in table.episodes] == [measure(episode(k)).to_dict() for k in (3, 100)]
+    for source, message in ((f"{dataset}#70", "0 to 69"), (f"{log}#0", "Only a dataset"), ("none#0", "no such file")):
+        with pytest.raises(InputError, match=message):
+            measure_files([source])
+
+
 def test_logs_folders_and_datasets_mix(dataset, tmp_path):
     for number in (100, 101):
         write_mcap(episode(number), tmp_path / f"{number}.mcap")

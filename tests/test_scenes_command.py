@@ -364,7 +364,7 @@ def test_export_habitat_can_be_used_at_once(tmp_path: Path, capsys: pytest.Captu
     [
         (("show", "small", "-o", "x.png"), "give a seed"),
         (("show", "huge:3", "-o", "x.png"), "Unknown scenes"),
-        (("show", "nowhere.glb", "-o", "x.png"), "Unknown scenes"),
+        (("show", "nowhere.glb", "-o", "x.png"), "no such scene"),
         (("show", "small:3", "-o", "x.gif"), "ends in .png"),
         (("show", "small:3", "-o", "x.png", "--room", "kitchen"), "--view eye"),
         (("show", "small:3", "-o", "x.png", "--view", "eye", "--room", "cellar"), "Its rooms: living"),

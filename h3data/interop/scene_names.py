@@ -76,6 +76,8 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
         return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
     label, _, which = text.partition("#")
     found = find_scene_set(label)
+    if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
+        raise InputError(f"There is no such scene or set of scenes: {text}. Hint: `h3data scenes list` shows the sets.")
     if found is None:
         splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
         raise InputError(

@@ -30,7 +30,8 @@ _HEAD = 1 << 16
 
 
 def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
-    """A `Recording` for an MCAP log, a `Dataset` for a dataset folder; a `FormatError` says what anything else is.
+    """A `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder; a
+    `FormatError` says what anything else is.
 
     The path may be a URI: ``s3://bucket/ds`` (`h3data.recording.storage`).
     """
@@ -39,6 +40,9 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         found, folder = path.exists(), path.is_dir()
     except OSError as error:
         raise InputError(f"The path cannot be read ({error.strerror or error}): {path}") from error
+    root, _, number = str(path).rpartition("#")
+    if not found and root and number.isdecimal():
+        return _episode(open_recording(place(root)), int(number), root)
     if not found:
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""
@@ -60,6 +64,14 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         raise FormatError(f"This is {kind}. Hint: `h3data import {path} -o DIR` makes an MCAP log of it: {path}")
     parquet = " Hint: open the dataset folder that it belongs to." if kind == "a Parquet file" else ""
     raise FormatError(f"Expected an MCAP log or a dataset folder, this looks like {kind}.{parquet} File: {path}")
+
+
+def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
+    if isinstance(opened, Recording):
+        raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}")
+    if number >= len(opened):
+        raise InputError(f"There is no episode {number}: the dataset has {len(opened)}, 0 to {len(opened) - 1}: {root}")
+    return opened.recording(number)
 
 
 def looks_like(path: AnyPath) -> str:

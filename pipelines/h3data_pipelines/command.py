@@ -16,7 +16,7 @@ import tyro
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.recording import Recording
-from h3data.recording.storage import AnyPath, RemotePath, local, place, remove_tree
+from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
@@ -86,16 +86,6 @@ def open_episode(path: AnyPath) -> Recording:
     """The recording in an .mcap file, or episode 3 of a dataset named as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
 
-    root, _, number = str(path).rpartition("#")
-    if root and number.isdecimal() and not path.exists():
-        dataset = open_recording(place(root))
-        if not isinstance(dataset, Dataset):
-            raise InputError(f"Only a dataset has numbered episodes, this is a recording: {root}")
-        if int(number) >= len(dataset):
-            raise InputError(
-                f"There is no episode {number}: the dataset has {len(dataset)}, 0 to {len(dataset) - 1}: {root}"
-            )
-        return dataset.recording(int(number))
     opened = open_recording(path)
     if isinstance(opened, Dataset):
         raise InputError(

@@ -144,11 +144,13 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors(connection: duckdb.DuckDBPyConnection) -> Iterator[None]:
-    """DuckDB's errors as an `InputError` that also lists the views and their columns."""
+    """DuckDB's errors as an `InputError`; where the query may name what is not there, with the views and their columns."""
     import duckdb
 
     try:
         yield
+    except duckdb.ParserException as error:
+        raise InputError(str(error)) from None
     except duckdb.Error as error:
         raise InputError(f"{error}\n\n{views(connection)}") from None
 
