@@ -16,7 +16,6 @@ from h3data.recording import (
     STEP_NS,
     Agent,
     AssetRef,
-    Body,
     Episode,
     Event,
     Recording,
@@ -28,7 +27,7 @@ from h3data.scene import CATEGORIES
 from sim_kinematic.cast import kinds_of
 from sim_kinematic.planners import POPULATIONS, ZSC
 from sim_kinematic.skills import SKILLS
-from sim_kinematic.social_nav_log import BLOCK, Sink, scene_attachment
+from sim_kinematic.social_nav_log import BLOCK, Sink, scene_attachment, scene_bodies
 
 if TYPE_CHECKING:
     from sim_kinematic.rearrange_episode import RearrangeWorld
@@ -107,13 +106,11 @@ def describe(
     file, digest = scene_attachment(scene)
     moving = {target.name: k for k, target in enumerate(world.targets)}
     bodies = tuple(
-        Body(
-            name=i.name, asset=i.asset,
-            pose=(world.targets[moving[i.name]].start if i.name in moving else i.pose).astype(np.float32),
-            scale=i.scale.astype(np.float32), semantic_id=i.semantic_id, moving=moving.get(i.name, -1), layer=i.layer,
-        )
-        for i in scene.instances
-    )  # fmt: skip
+        replace(b, pose=world.targets[moving[b.name]].start.astype(np.float32), moving=moving[b.name])
+        if b.name in moving
+        else b
+        for b in scene_bodies(scene)
+    )
     agents = tuple(
         Agent(
             name=member.name, kind="robot", model=f"robot/{member.model}", semantic_id=200,

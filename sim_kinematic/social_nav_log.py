@@ -154,13 +154,6 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
     """What is known before the first step: who and what is there, under which rules."""
     scene, spec, starts = world.scene, world.spec, world.starts
     file, digest = scene_attachment(scene)
-    bodies = tuple(
-        Body(
-            name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
-            semantic_id=i.semantic_id, layer=i.layer,
-        )
-        for i in scene.instances
-    )  # fmt: skip
     agents = (
         Agent(
             name="robot", kind="robot", model=f"robot/{world.robot_name}", semantic_id=200,
@@ -194,7 +187,7 @@ def describe(world: SocialNavWorld, *, episode_id: str, policy: str) -> Recordin
     return RecordingHeader(
         episode=episode,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
-        bodies=bodies,
+        bodies=scene_bodies(scene),
         agents=agents,
         attachments={"scene.glb": file},
     )
@@ -206,6 +199,17 @@ def scene_attachment(scene: Scene) -> tuple[bytes, str]:
     buffer = io.BytesIO()
     save_scene(scene, buffer)
     return buffer.getvalue(), scene_digest(scene)
+
+
+def scene_bodies(scene: Scene) -> tuple[Body, ...]:
+    """Everything in a home as bodies that never move."""
+    return tuple(
+        Body(
+            name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
+            semantic_id=i.semantic_id, layer=i.layer,
+        )
+        for i in scene.instances
+    )  # fmt: skip
 
 
 def skill_spans(columns: dict[str, NDArray[Any]], agents: tuple[Agent, ...]) -> tuple[SkillSpan, ...]:

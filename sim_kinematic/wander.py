@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, wrap_angle
-from h3data.recording import STEP_NS, Agent, AssetRef, Body, Episode, Event, Recording, state_hash
+from h3data.recording import STEP_NS, Agent, AssetRef, Episode, Event, Recording, state_hash
 from h3data.scene import CATEGORIES, FreeSpace, Scene
 from sim_kinematic.agent_worlds import AgentWorlds
 from sim_kinematic.avoidance import keep_clear
 from sim_kinematic.giving_way import ROOM_M, STANDS_MPS, Seen, avoided, in_the_way, waits
 from sim_kinematic.posing import walking_phase
 from sim_kinematic.randomness import episode_seed
-from sim_kinematic.social_nav_log import scene_attachment
+from sim_kinematic.social_nav_log import scene_attachment, scene_bodies
 from sim_kinematic.spec import STEP_S, SocialNavSpec
 from sim_kinematic.state import HumanState, RobotState
 from sim_kinematic.waypoint_human import WaypointHuman
@@ -120,15 +120,9 @@ def simulate_wander(
             "scene_source": dict(scene.source), "scene_sha256": digest, "categories": list(CATEGORIES),
         },
     )  # fmt: skip
-    bodies = tuple(
-        Body(
-            name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
-            semantic_id=i.semantic_id, layer=i.layer,
-        )
-        for i in scene.instances
-    )  # fmt: skip
     return Recording(
-        episode=episode, assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets), bodies=bodies,
+        episode=episode, assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
+        bodies=scene_bodies(scene),
         agents=tuple(_agent(worlds, k) for k in range(len(worlds.cast))), columns=columns, events=tuple(events),
         attachments={"scene.glb": file},
     )  # fmt: skip

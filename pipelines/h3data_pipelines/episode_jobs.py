@@ -7,7 +7,7 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -133,7 +133,20 @@ def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Chan
     from sim_kinematic.spec import SocialNavSpec
 
     rules = SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
-    jobs = []
+    return [
+        Job(
+            index=i, seed=drawn, scene=scene, source=source, policy=changes.policy, human=changes.body(drawn),
+            spec=changes.applied(rules), drawn_with=rules, origin=origin,
+        )
+        for i, drawn, scene, source, origin in set_episodes(scenes, episodes=episodes, seed=seed)
+    ]  # fmt: skip
+
+
+def set_episodes(
+    scenes: SceneSet, *, episodes: int | None, seed: int
+) -> Iterator[tuple[int, int, str, SceneSource, dict[str, Any]]]:
+    """Of the first ``episodes`` episodes of a set, whatever the task: number, seed, name of the scene, where it comes from, and
+    which episode of which set it is."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
         origin = {
@@ -141,12 +154,7 @@ def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Chan
             "sha256": scenes.sha256,
         }  # fmt: skip
         drawn = scenes.episode_seed(entry.id, index, seed=seed)
-        job = Job(
-            index=i, seed=drawn, scene=f"{scenes.label}#{entry.id}", source=entry.source, policy=changes.policy,
-            human=changes.body(drawn), spec=changes.applied(rules), drawn_with=rules, origin=origin,
-        )  # fmt: skip
-        jobs.append(job)
-    return jobs
+        yield i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin
 
 
 def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job]:

@@ -16,7 +16,7 @@ import numpy as np
 from h3data.errors import InputError
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.scene.scene_sets import SceneSource
-from h3data_pipelines.episode_jobs import Changes, chosen_count
+from h3data_pipelines.episode_jobs import Changes, set_episodes
 from sim_kinematic.rearrange_episode import RearrangeSpec
 
 if TYPE_CHECKING:
@@ -189,13 +189,4 @@ def rearrange_jobs(
         return [job(i, episode_seed(seed, i), place.name, place.source, None) for i, place in enumerate(places)]
     if "#" in scenes:
         found = replace(found, scenes=(found.entry(which),))
-    jobs = []
-    for i in range(chosen_count(episodes, found.episodes, found.label)):
-        entry, index = found.place(i)
-        origin = {
-            "set": found.name, "split": found.split, "scene": entry.id, "episode": index, "seed": seed,
-            "sha256": found.sha256,
-        }  # fmt: skip
-        drawn = found.episode_seed(entry.id, index, seed=seed)
-        jobs.append(job(i, drawn, f"{found.label}#{entry.id}", entry.source, origin))
-    return jobs
+    return [job(*episode) for episode in set_episodes(found, episodes=episodes, seed=seed)]
