@@ -127,15 +127,17 @@ def run(emit: Emit) -> None:
     if _missing():
         print(f"# sim.torch.cuda.env: {', '.join(_missing())} not installed")
         return
-    for worlds in (1024, 16384):
-        env, actions = _environment(worlds, "cuda")
-        seconds = _wall_s(lambda e=env, a=actions: e.step(a))
-        emit(f"sim.torch.cuda.env_w{worlds}_steps_per_s", worlds / seconds, "steps/s")
+    for worlds in (1024, 16384, 65536):
+        for compile, name in ((False, "graph"), (True, "compiled")):
+            env, actions = _environment(worlds, "cuda", compile=compile)
+            seconds = _wall_s(lambda e=env, a=actions: e.step(a))
+            emit(f"sim.torch.cuda.env_w{worlds}_{name}_steps_per_s", worlds / seconds, "steps/s")
     for worlds in (16, 1024):
-        emit(f"sim.gpu.human_robot.w{worlds}_depth_fps", _depth_fps(worlds), "frames/s")
+        for compile, name in ((False, "graph"), (True, "compiled")):
+            emit(f"sim.gpu.human_robot.w{worlds}_{name}_depth_fps", _depth_fps(worlds, compile=compile), "frames/s")
 
 
-def _depth_fps(worlds: int) -> float:
+def _depth_fps(worlds: int, *, compile: bool) -> float:
     """Steps of all worlds per second, with two depth images each."""
     import torch
 
@@ -143,7 +145,7 @@ def _depth_fps(worlds: int) -> float:
     from sim_kinematic.spec import SocialNavSpec
     from sim_kinematic.torch_cameras import TensorCameras
     from sim_kinematic.torch_episodes import EpisodeBank
-    from sim_kinematic.torch_graph import captured
+    from sim_kinematic.torch_graph import captured, fused
     from sim_kinematic.torch_social_nav import Play, SocialNavTensors
 
     rules = SocialNavSpec(end_on_collision=False, max_steps=3000)
@@ -152,16 +154,22 @@ def _depth_fps(worlds: int) -> float:
     cameras = TensorCameras(
         bank.scenes[0], load_robot("quad_arm"), load_humanoid("female_0"), rules.human, worlds=worlds,
         floor_y=bank.floors[0].floor_y, views=("robot", "human"), size=(256, 256), hfov_deg=90.0,
+        compile=compile,
     )  # fmt: skip
     play = Play.before_the_first(torch.arange(worlds, device="cuda") % len(bank), sim.dtype)
     actions = torch.rand(64, worlds, 2, device="cuda") * 2 - 1
     row = torch.zeros(1, dtype=torch.int64, device="cuda")
 
-    def step() -> None:
+    def move() -> None:
         row.add_(1).remainder_(len(actions))
         after = sim.step(play, actions.index_select(0, row)[0])
         for mine, new in zip(play.tensors(), after.tensors(), strict=True):
             mine.copy_(new)
+
+    moves = fused(move) if compile else move
+
+    def step() -> None:
+        moves()
         cameras.observe(play.robot, play.human)
 
     with torch.no_grad():
@@ -174,13 +182,14 @@ def _depth_fps(worlds: int) -> float:
 def _on_cuda(emit: Emit, worlds: int) -> None:
     import torch
 
-    from sim_kinematic.torch_graph import captured
+    from sim_kinematic.torch_graph import captured, fused
 
     with torch.no_grad():
         stepper = Stepper(BoxFloor.draw(), worlds, "cuda", torch.float32)
         emit(f"sim.torch.cuda.w{worlds}_eager_steps_per_s", worlds / _wall_s(stepper.step, steps=20), "steps/s")
-        replay = captured(stepper.step, stepper.tensors())
-        emit(f"sim.torch.cuda.w{worlds}_steps_per_s", worlds / _wall_s(replay), "steps/s")
+        for step, name in ((stepper.step, "graph"), (fused(stepper.step), "compiled")):
+            seconds = _wall_s(captured(step, stepper.tensors()))
+            emit(f"sim.torch.cuda.w{worlds}_{name}_steps_per_s", worlds / seconds, "steps/s")
 
 
 def cpu_s(work: Callable[[], object]) -> float:
@@ -204,12 +213,12 @@ def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
     return median(times[1:])
 
 
-def _environment(worlds: int, device: str) -> tuple[Any, torch.Tensor]:
+def _environment(worlds: int, device: str, *, compile: bool = False) -> tuple[Any, torch.Tensor]:
     import torch
 
     from sim_kinematic.torch_env import SocialNavTorchEnv
 
-    env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64)
+    env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64, compile=compile)
     env.reset(seed=0)
     return env, torch.as_tensor(np.random.default_rng(0).uniform(-1, 1, (worlds, 2)), device=device)
 

@@ -22,6 +22,7 @@ from sim_kinematic.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID
 from sim_kinematic.sensors import HUMAN_ID
 from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.torch_cycle import WalkingCycle
+from sim_kinematic.torch_graph import fused
 from sim_kinematic.torch_state import HumanTensors, RobotTensors
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class TensorCameras:
     def __init__(
         self, scene: Scene, robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int, floor_y: float = 0.0,
         views: Sequence[View] = ("robot",), camera: str = "robot_arm", size: tuple[int, int] | None = None,
-        hfov_deg: float | None = None, device: torch.device | str = "cuda",
+        hfov_deg: float | None = None, device: torch.device | str = "cuda", compile: bool = False,
         renderer: Callable[..., GpuRenderer] | None = None,
     ) -> None:  # fmt: skip
         """
@@ -53,6 +54,7 @@ class TensorCameras:
             size: Width and height [pixels] of all pictures; None is that of the robot's camera.
             hfov_deg: Field of view of the robot's camera instead of its own.
             device: The GPU.
+            compile: Whether the frames of links and joints come from one kernel (`sim_kinematic.torch_graph.fused`).
             renderer: What makes the renderer, if not `GpuRenderer`.
 
         Raises:
@@ -99,14 +101,13 @@ class TensorCameras:
         joints = self._cycle.joint_matrices()
         eyes = joints[:, human.joint_names.index("head")] @ HEAD_POSE
         self._person = on_device(np.concatenate([joints, eyes[:, None]], 1))
+        self._frames = fused(self._frames_of) if compile else self._frames_of
 
     def observe(
         self, robot: RobotTensors, human: HumanTensors, outputs: Sequence[Output] = ("depth",)
     ) -> dict[str, Tensor]:
         """Pictures of all views of all worlds, by output, each [views, W, H, W', ...] on the device; depth in metres."""
-        parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
-        posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
-        joints = _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
+        parts, joints = self._frames(robot, human)
         self.renderer.update_poses(parts[:, :-1])
         self.renderer.update_joints(joints[:, :-1])
         eyes = {"robot": parts[:, -1], "human": joints[:, -1]}
@@ -115,6 +116,12 @@ class TensorCameras:
             poses=torch.cat([eyes[view] for view in self.views]),
         )  # fmt: skip
         return {name: t.unflatten(0, (len(self.views), self.worlds)) for name, t in pictures.items()}
+
+    def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
+        """World matrices of the robot's links and its camera [W, N + 1, 3, 4], of her joints and her eyes [W, 56, 3, 4]."""
+        parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
+        posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
+        return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
 
 
 def _placed(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float) -> Tensor:

@@ -19,7 +19,7 @@ from h3data.errors import InputError
 from h3data.scene import Scene
 from sim_kinematic.sensors import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
 from sim_kinematic.spec import SocialNavSpec
-from sim_kinematic.torch_graph import captured
+from sim_kinematic.torch_graph import captured, fused
 from sim_kinematic.torch_random import keys, random
 from sim_kinematic.torch_social_nav import Play, SocialNavTensors
 
@@ -64,6 +64,7 @@ class SocialNavTorchEnv:
         robot: str = "quad_arm",
         human: str = "female_0",
         graph: bool | None = None,
+        compile: bool = False,
     ) -> None:
         """
         Args:
@@ -81,6 +82,7 @@ class SocialNavTorchEnv:
             robot: Name of a built-in robot.
             human: Name of a built-in body.
             graph: Whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: Whether its operations are fused (`sim_kinematic.torch_graph.fused`).
 
         Raises:
             InputError: an argument is none that a device knows, or there is no such device.
@@ -106,7 +108,7 @@ class SocialNavTorchEnv:
         )
         self._names = tuple(dict.fromkeys(observations))
         pictured = bool(set(PICTURED) & set(observations))
-        self._cameras = self._make_cameras(depth_size, **bodies) if pictured else None
+        self._cameras = self._make_cameras(depth_size, compile=compile, **bodies) if pictured else None
         self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
         nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
         self.play = Play.before_the_first(nothing, self.sim.dtype)
@@ -115,6 +117,7 @@ class SocialNavTorchEnv:
         self._begun = False
         self._graph = self.device.type == "cuda" if graph is None else graph
         self._advance = self._eager
+        self._move = fused(self._moved) if compile else self._moved
 
     # --- the interface ------------------------------------------------------------------------------------------------
     def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Tensors, Tensors]:
@@ -172,15 +175,19 @@ class SocialNavTorchEnv:
     # --- parts --------------------------------------------------------------------------------------------------------
     def _eager(self) -> None:
         """One step of all worlds, in place."""
+        shown = self._move()
+        if self._cameras is not None:
+            shown |= self._pictures(self._cameras)
+        self._shown = {name: shown[name] for name in self._names}
+
+    def _moved(self) -> Tensors:
+        """A step but for its pictures."""
         after = self.sim.step(self.play, self._action)
         for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
             tensor.copy_(value)
-        pictures = {} if self._cameras is None else self._pictures(self._cameras)
-        self._shown = {
-            name: pictures[name] if name in pictures else self.sim.observation(name, self.play) for name in self._names
-        }
+        return {name: self.sim.observation(name, self.play) for name in self._names if name not in PICTURED}
 
-    def _make_cameras(self, size: tuple[int, int] | None, *, robot: str, human: str) -> TensorCameras:
+    def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
         from sim_kinematic.torch_cameras import TensorCameras
 
         if len(self.bank.scenes) != 1:
@@ -189,7 +196,7 @@ class SocialNavTorchEnv:
             )
         return TensorCameras(
             self.bank.scenes[0], load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
-            floor_y=self.bank.floors[0].floor_y, size=size, device=self.device,
+            floor_y=self.bank.floors[0].floor_y, size=size, device=self.device, compile=compile,
         )  # fmt: skip
 
     def _pictures(self, cameras: TensorCameras) -> Tensors:

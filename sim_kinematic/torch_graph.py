@@ -1,11 +1,24 @@
-"""Steps as CUDA graphs."""
+"""Steps as few kernels, and as CUDA graphs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def fused(function: Callable[P, R]) -> Callable[P, R]:
+    """``function`` of tensors, which has no branches, as a few kernels instead of one for each operation (`torch.compile`).
+
+    The first call compiles, which takes some 20 s, or a few where the files of the last time are still there. Products and
+    sums may be contracted: the last bits differ from those of ``function``.
+    """
+    return torch.compile(function, fullgraph=True, dynamic=False)
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:
