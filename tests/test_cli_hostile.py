@@ -24,7 +24,7 @@ from h3data.recording import (
     Recording,
     RecordingHeader,
     RecordingWriter,
-    mcap_log,
+    mcap_part,
     recordings_equal,
     write_mcap,
 )
@@ -71,7 +71,7 @@ def test_a_full_disk_is_one_line(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
 
-    monkeypatch.setattr(mcap_log, "open_part", full)
+    monkeypatch.setattr(mcap_part, "open_part", full)
     (tmp_path / "a.json").write_text(replay())
     assert "No space left" in run_json(capsys, "import", tmp_path / "a.json", "-o", tmp_path, code=2)["error"]
 

@@ -12,10 +12,10 @@ import mimetypes
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,10 +30,11 @@ from h3data.recording.mcap_header import (
     scene_dict,
     start_time,
 )
+from h3data.recording.mcap_part import PartFile, part_path, publish
 from h3data.recording.mcap_read import read_mcap
+from h3data.recording.mcap_rows import PendingRows, native_rows
 from h3data.recording.records import SCHEMA_VERSION, Event, InputEvent, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
-    Layout,
     Topic,
     default_layout,
     layout_hash,
@@ -57,33 +58,6 @@ FLUSH_ROWS = 30
 FLUSH_S = 1.0
 _SLICE_ROWS = 8192
 _LAST_LOG_TIME = 2**63 - 1
-
-
-def part_path(path: Path) -> Path:
-    """Name of a file while it is being written."""
-    return path.with_name(path.name + ".part")
-
-
-def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
-    """The file under its temporary name; tests replace this by disks that fill up."""
-    return open(part, "wb" if overwrite else "xb")
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"The folder cannot be made ({error.strerror or error}): {folder}") from None
-
-
-def publish(part: Path, final: Path) -> None:
-    """Give a finished, synced file its final name, durably."""
-    os.replace(part, final)
-    folder = os.open(final.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 class RecordingWriter:
@@ -120,34 +94,23 @@ class RecordingWriter:
         from mcap.writer import CompressionType, Writer
 
         self.path = local(path)
-        self.part = part_path(self.path)
         self.header = header
-        self.steps = 0
         self.closed = False
         self._t0 = start_time(header, t0_unix_ns)
         self._chunk_bytes, self._flush_rows, self._flush_s = chunk_bytes, flush_rows, flush_s
         self._compact, self._blocks = compact, 0
-        self._layout: Layout | None = None
-        self._kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
+        self._rows: PendingRows | None = None
         self._topics: dict[Topic, tuple[int, WireLayout]] = {}
-        self._times: list[NDArray[np.int64]] = []
         self._spans = 0
         self._input_channel: int | None = None
-        self._pending: list[dict[str, NDArray[Any]]] = []
-        self._written = 0
-        self._last_time: int | None = None
         self._flushed_at = time.monotonic()
         metadata = header_metadata(header)
         scene = encode_record("h3.Scene", scene_dict(header))
-        with self._writing():
-            self._refuse_existing(overwrite=overwrite)
-        _make_folder(self.path.parent)
-        with self._writing():
-            self._stream = open_part(self.part, overwrite=overwrite)
+        self._file = PartFile(self.path, overwrite=overwrite)
         try:
-            with self._writing():
+            with self._file.writing():
                 self._mcap = Writer(
-                    self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
+                    self._file.stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
                 )
                 self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
                 for name, values in metadata.items():
@@ -159,26 +122,33 @@ class RecordingWriter:
                 self._mcap.add_message(self._scene_channel, self._log_time(0), scene, self._log_time(0))
                 self._mcap.flush()  # a chunk of its own: whoever wants one step need not unfold a thousand for the scene
             if header.columns:
-                self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
+                self._rows = self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
         except BaseException:
             self._shut()
-            self.part.unlink(missing_ok=True)  # nothing worth recovering yet
+            self._file.discard()  # nothing worth recovering yet
             raise
+
+    @property
+    def part(self) -> Path:
+        """Name of the file while it is written."""
+        return self._file.path
+
+    @property
+    def steps(self) -> int:
+        """Rows appended so far."""
+        return 0 if self._rows is None else self._rows.steps
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
         """Write one or more steps: every column, time first, shape [n, ...]; n is the same for all."""
         self._require_open()
-        arrays = {name: _native(np.asarray(values)) for name, values in rows.items()}
-        if self._layout is None:
-            self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
-        count = self._check_rows(arrays)
-        if not count:
-            return
-        self._pending.append({name: a.copy() for name, a in arrays.items()})  # callers reuse their buffers
-        self._last_time = int(arrays["time_ns"][-1])
-        self.steps += count
-        due = self.steps - self._written >= self._flush_rows
-        if due or time.monotonic() - self._flushed_at >= self._flush_s:
+        arrays = native_rows(rows)
+        if self._rows is None:
+            self._rows = self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
+        before = self._rows.steps
+        self._rows.add(arrays)
+        due = self._rows.steps - self._rows.taken >= self._flush_rows
+        late = time.monotonic() - self._flushed_at >= self._flush_s
+        if self._rows.steps > before and (due or late):
             self.flush()
 
     def event(self, event: Event) -> None:
@@ -186,7 +156,7 @@ class RecordingWriter:
         self._require_open()
         data = encode_record("h3.Event", struct_to_dict(event))
         t = self._log_time(self._time_of(event.step))
-        with self._writing():
+        with self._file.writing():
             self._mcap.add_message(self._event_channel, t, data, t)
 
     def input(self, event: InputEvent) -> None:
@@ -194,7 +164,7 @@ class RecordingWriter:
         self._require_open()
         data = encode_record("h3.Input", struct_to_dict(event))
         t = self._log_time(event.time_ns)
-        with self._writing():
+        with self._file.writing():
             if self._input_channel is None:  # most recordings have none
                 self._input_channel = self._struct_channel("Input")
             self._mcap.add_message(self._input_channel, t, data, t)
@@ -211,7 +181,7 @@ class RecordingWriter:
         number = self._spans if replaces is None else replaces
         data = encode_record("h3.Skill", {**struct_to_dict(span), "span": number})
         t = self._log_time(self._time_of(span.start_step if span.outcome == "running" else span.end_step))
-        with self._writing():
+        with self._file.writing():
             self._mcap.add_message(self._skill_channel, t, data, t)
         self._spans = max(self._spans, number + 1)
         return number
@@ -219,7 +189,7 @@ class RecordingWriter:
     def flush(self) -> None:
         """Hand everything appended so far to the operating system, so that it survives the end of this process."""
         self._require_open()
-        with self._writing():
+        with self._file.writing():
             self._write_pending()
             self._mcap.flush()
         self._flushed_at = time.monotonic()
@@ -235,10 +205,10 @@ class RecordingWriter:
         """
         if self.closed:
             return self.path
-        if self._layout is None:
-            self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
+        if self._rows is None:
+            self._rows = self._fix_layout({c.name: c.empty() for c in default_layout(self.header)})
         try:
-            with self._writing():
+            with self._file.writing():
                 self._write_pending()
                 self._mcap.flush()
                 if info:  # readers take the last record of a name
@@ -246,10 +216,7 @@ class RecordingWriter:
                     self._mcap.add_metadata("h3.episode", episode_metadata(episode))
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
                 self._mcap.finish()
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-                self._stream.close()
-                publish(self.part, self.path)
+                self._file.complete()
         finally:
             self._shut()
         if self._compact and self._blocks > 1:
@@ -266,11 +233,11 @@ class RecordingWriter:
             ):  # the disk may be full: what was flushed can still be recovered
                 self._write_pending()
                 self._mcap.finish()
-                self._stream.flush()
+                self._file.stream.flush()
         finally:
             self._shut()
             if not keep:
-                self.part.unlink(missing_ok=True)
+                self._file.discard()
 
     def __enter__(self) -> Self:
         return self
@@ -290,35 +257,11 @@ class RecordingWriter:
     # --- inside ---
     def _shut(self) -> None:
         self.closed = True
-        with contextlib.suppress(OSError):  # closing flushes; a full disk has been reported already
-            self._stream.close()
+        self._file.shut()
 
     def _require_open(self) -> None:
         if self.closed:
             raise InputError(f"This recording is closed; nothing can be added to it: {self.path}")
-
-    def _refuse_existing(self, *, overwrite: bool) -> None:
-        if overwrite:
-            return
-        if self.path.exists():
-            raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {self.path}")
-        if self.part.exists():
-            raise InputError(
-                "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
-                f"overwrite=True (--force): {self.part}"
-            )
-
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except FileExistsError:
-            raise InputError(f"Somebody else is writing this file: {self.part}") from None
-        except OSError as error:
-            raise InputError(
-                f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
-                f"(`h3data recover`): {self.part}"
-            ) from error
 
     def _open_channels(self) -> None:
         channels = [self._struct_channel(name) for name in ("Scene", "Event", "Skill")]
@@ -328,12 +271,12 @@ class RecordingWriter:
         schema = self._mcap.register_schema(f"h3.{name}", "protobuf", struct_descriptor())
         return self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema)
 
-    def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> None:
+    def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
         """Decide the columns from arrays without rows, check them against the header, announce them in the file."""
         layout = layout_of(empty)
         h = self.header
         Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
-        with self._writing():
+        with self._file.writing():
             self._mcap.add_metadata("h3.layout", {"columns": layout_to_json(layout), "hash": layout_hash(layout)})
             for topic, fields in wire_layouts(layout).items():
                 message = TOPIC_MESSAGES[topic]
@@ -341,65 +284,30 @@ class RecordingWriter:
                 schema = self._mcap.register_schema(f"h3.{message}", "protobuf", descriptor)
                 channel = self._mcap.register_channel(f"/h3/{topic}", "protobuf", schema, fields_to_metadata(fields))
                 self._topics[topic] = (channel, fields)
-        self._layout = layout
-        self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
+        return PendingRows(layout)
 
     def _write_pending(self) -> None:
         """Encode the rows appended since the last flush as one block, message by message into the open chunk."""
-        pending, self._pending = self._pending, []
-        if not pending:
+        rows = {} if self._rows is None else self._rows.take()
+        if self._rows is None or not rows:
             return
-        rows = pending[0] if len(pending) == 1 else {n: np.concatenate([p[n] for p in pending]) for n in pending[0]}
+        first = self._rows.taken - len(rows["time_ns"])
         messages = []
         for channel, fields in self._topics.values():
-            block = encode_block(fields, rows, first_step=self._written)
+            block = encode_block(fields, rows, first_step=first)
             messages.append((channel, block.tobytes(), block.shape[1]))
         self._blocks += 1
-        self._times.append(rows["time_ns"])
-        add, step = self._mcap.add_message, self._written
+        add = self._mcap.add_message
         for k, time_ns in enumerate(rows["time_ns"].tolist()):
             t = self._log_time(time_ns)
             for channel, data, size in messages:
-                add(channel, t, data[k * size : (k + 1) * size], t, (step + k) & 0xFFFFFFFF)
-        self._written = step + len(rows["time_ns"])
-
-    def _check_rows(self, arrays: Mapping[str, NDArray[Any]]) -> int:
-        """Number of rows, if they are all of the same number and of the kind decided on."""
-        times = arrays.get("time_ns")
-        count = len(times) if times is not None and times.ndim else 0
-        faults = []
-        for name, array in arrays.items():
-            kind = self._kinds.get(name)
-            if kind is None:
-                faults.append(f"{name} is not one of the columns")
-            elif array.dtype != kind[0] or array.shape != (count, *kind[1]):
-                faults.append(f"{name} must be {kind[0]} {[count, *kind[1]]}, is {array.dtype} {list(array.shape)}")
-        if len(arrays) - len(faults) < len(self._kinds):
-            faults += [f"{name} is missing" for name in self._kinds if name not in arrays]
-        if faults:
-            raise InputError(f"Rows do not fit this recording: {'; '.join(faults[:8])}.")
-        first_is_late = self._last_time is None or count == 0 or int(arrays["time_ns"][0]) > self._last_time
-        if not first_is_late or (count > 1 and np.any(np.diff(arrays["time_ns"]) <= 0)):
-            raise InputError("time_ns must increase strictly from row to row, also from one append to the next.")
-        return count
+                add(channel, t, data[k * size : (k + 1) * size], t, (first + k) & 0xFFFFFFFF)
 
     def _time_of(self, step: int) -> int:
-        """``time_ns`` of a row that was appended; the nearest one for other steps."""
-        step = min(step, self.steps - 1)
-        if step >= self._written:
-            return self._last_time or 0  # at most one flush interval off
-        if not self._times:
-            return 0
-        if len(self._times) > 1:
-            self._times = [np.concatenate(self._times)]
-        return int(self._times[0][max(step, 0)])
+        return 0 if self._rows is None else self._rows.time_of(step)
 
     def _log_time(self, time_ns: int) -> int:
         return min(max(self._t0 + time_ns, 0), _LAST_LOG_TIME)
-
-
-def _native(values: NDArray[Any]) -> NDArray[Any]:
-    return values if values.dtype.isnative else values.astype(values.dtype.newbyteorder("="))
 
 
 def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> AnyPath:

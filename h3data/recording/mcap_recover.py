@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.mcap_log import publish, write_mcap
+from h3data.recording.mcap_log import write_mcap
+from h3data.recording.mcap_part import publish
 from h3data.recording.mcap_read import assemble, check_kind, load
 from h3data.recording.mcap_scan import decoding_errors, scan_records
 from h3data.recording.storage import RemotePath, local, place

@@ -1,0 +1,95 @@
+"""A file that is called ``<name>.part`` while it is written and gets its name when it is complete and on the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from h3data.errors import InputError
+
+
+def part_path(path: Path) -> Path:
+    """Name of a file while it is being written."""
+    return path.with_name(path.name + ".part")
+
+
+def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
+    """The file under its temporary name; tests replace this by disks that fill up."""
+    return open(part, "wb" if overwrite else "xb")
+
+
+def publish(part: Path, final: Path) -> None:
+    """Give a finished, synced file its final name, durably."""
+    os.replace(part, final)
+    folder = os.open(final.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+class PartFile:
+    """The file of a log from its first byte to its final name."""
+
+    def __init__(self, final: Path, *, overwrite: bool) -> None:
+        """Create ``<final>.part``.
+
+        Raises:
+            InputError: one of the two exists and ``overwrite`` is not given, or the file cannot be made.
+        """
+        self.final, self.path = final, part_path(final)
+        with self.writing():
+            self._refuse_existing(overwrite=overwrite)
+        _make_folder(final.parent)
+        with self.writing():
+            self.stream = open_part(self.path, overwrite=overwrite)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Failures of the disk within the block, told as an `InputError` that says what is left."""
+        try:
+            yield
+        except FileExistsError:
+            raise InputError(f"Somebody else is writing this file: {self.path}") from None
+        except OSError as error:
+            raise InputError(
+                f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
+                f"(`h3data recover`): {self.path}"
+            ) from error
+
+    def complete(self) -> None:
+        """Bring everything to the disk and give the file its name."""
+        self.stream.flush()
+        os.fsync(self.stream.fileno())
+        self.stream.close()
+        publish(self.path, self.final)
+
+    def shut(self) -> None:
+        """Write no more; what is there stays under the name that it has."""
+        with contextlib.suppress(OSError):  # closing flushes; a full disk has been reported already
+            self.stream.close()
+
+    def discard(self) -> None:
+        """Remove the unfinished file."""
+        self.path.unlink(missing_ok=True)
+
+    def _refuse_existing(self, *, overwrite: bool) -> None:
+        if overwrite:
+            return
+        if self.final.exists():
+            raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {self.final}")
+        if self.path.exists():
+            raise InputError(
+                "An unfinished recording of this name exists. Save it with `h3data recover`, delete it, or pass "
+                f"overwrite=True (--force): {self.path}"
+            )
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder cannot be made ({error.strerror or error}): {folder}") from None
