@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
 from sim_kinematic.network import Network, load_network
-from sim_kinematic.policies import Command, View, next_waypoint
-from sim_kinematic.sensors import egomotion, gps_compass, localization
+from sim_kinematic.policies import Command, View
+from sim_kinematic.sensors import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 from sim_kinematic.spec import BaseSpec
 
 PREFIX = "weights:"
-FAR_M = 1000.0
-"""A way that does not exist counts as this long."""
 _STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
 
 Floats = NDArray[np.floating]
@@ -80,11 +78,15 @@ def _egomotion(view: View, spec: BaseSpec) -> Floats:
     return egomotion(*view.robot_before, view.robot_xz, view.robot_heading)
 
 
-def _way_point(view: View, spec: BaseSpec) -> Floats:
-    if not np.isfinite(view.geodesic_m):
-        return np.array([FAR_M, 0.0])
-    return np.append(
-        min(view.geodesic_m, FAR_M), gps_compass(view.robot_xz, view.robot_heading, next_waypoint(view, spec))[1]
+def _humanoid_velocity(view: View, spec: BaseSpec) -> Floats:
+    del spec
+    before = view.human_xz if view.human_before is None else view.human_before
+    return humanoid_velocity(view.robot_heading, before, view.human_xz)
+
+
+def _way(view: View, spec: BaseSpec) -> Floats:
+    return way(
+        view.free, view.robot_xz, view.robot_heading, view.human_xz, view.geodesic_m, beyond_m=spec.disc_radius_m / 2
     )
 
 
@@ -92,11 +94,11 @@ NAVIGATION_INPUTS: Mapping[str, Callable[[View, BaseSpec], Floats]] = {
     "humanoid_gps": lambda view, spec: gps_compass(view.robot_xz, view.robot_heading, view.human_xz),
     "egomotion": _egomotion,
     "localization": lambda view, spec: localization(view.robot_xz, view.robot_heading, view.free.floor_y),
-    "way": _way_point,
+    "humanoid_velocity": _humanoid_velocity,
+    "way": _way,
+    "range_scan": lambda view, spec: range_scan(view.free, view.robot_xz, view.robot_heading),
 }
-"""What a network for social navigation may be shown: the observations of the training environment that need no picture, and
-``way``, which knows the map: the length of the shortest way to the person [m] and the angle at which it begins [rad],
-positive to the right."""
+"""What a network for social navigation may be shown: the observations of the training environment that need no picture."""
 
 
 def navigation_input(view: View, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:

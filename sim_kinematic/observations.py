@@ -9,7 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from sim_kinematic.sensors import DEPTH_RANGE_M, DETECTED_PIXELS, detect_humanoids, egomotion, gps_compass, localization
+from sim_kinematic.sensors import (
+    DEPTH_RANGE_M,
+    DETECTED_PIXELS,
+    FAR_M,
+    RANGE_M,
+    RANGES,
+    detect_humanoids,
+    egomotion,
+    gps_compass,
+    humanoid_velocity,
+    localization,
+    range_scan,
+    way,
+)
 from sim_kinematic.social_nav_batch import SocialNavBatch
 from sim_kinematic.state import AgentState
 
@@ -25,23 +38,25 @@ except ImportError as error:
         "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
     ) from error
 
-Observation = Literal["arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization"]
+Observation = Literal[
+    "arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization", "humanoid_velocity", "way", "range_scan"
+]  # fmt: skip
 PAPER_OBSERVATIONS: tuple[Observation, ...] = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
 STATE_OBSERVATIONS: tuple[Observation, ...] = ("humanoid_gps", "egomotion")
 """What costs no picture."""
 CAMERA = "robot_arm"
-FAR_M = 1000.0
-"""Bound of places and distances, which no home reaches."""
 FAST = 10.0
-"""Bound of egomotion [m/s, rad/s]: four times the robot's limits."""
-
+"""Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 
 _BOUNDS: dict[str, tuple[list[float], list[float]]] = {
     "humanoid_detector": ([0.0], [1.0]),
     "humanoid_gps": ([0.0, -np.pi], [FAR_M, np.pi]),
     "egomotion": ([-FAST] * 3, [FAST] * 3),
     "localization": ([-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]),
+    "humanoid_velocity": ([-FAST] * 2, [FAST] * 2),
+    "way": ([0.0, -np.pi], [FAR_M, np.pi]),
+    "range_scan": ([0.0] * RANGES, [RANGE_M] * RANGES),
 }
 
 
@@ -58,7 +73,9 @@ class Observer:
     ``humanoid_detector``: 1 when more than 1,000 pixels of that picture show the person, [1]; with ``depth_size`` as many
     as are the same part of it. ``humanoid_gps``: distance [m] and angle [rad] to her, positive to the right, [2].
     ``egomotion``: forward, left [m/s] and turn [rad/s] of the last step, [3]. ``localization``: x, y, z [m] and heading
-    [rad] in the world, [4].
+    [rad] in the world, [4]. Of the person's last step ``humanoid_velocity``: forward and left of the robot [m/s], [2]. By the
+    map: ``way``, the length of the shortest way to her [m] and the angle at which it begins [rad], positive to the right,
+    [2]; ``range_scan``, the free way in 12 directions [m], [12] (`sim_kinematic.sensors`).
     """
 
     def __init__(
@@ -91,28 +108,45 @@ class Observer:
 
     def observe(self) -> dict[str, NDArray[np.float32]]:
         """What the robots see now, [W, ...] each."""
-        batch = self._batch
-        now, before = batch.state, batch.before
+        now, before = self._batch.state, self._batch.before
+        agents = now.robots[0], before.robots[0], now.people[0], before.people[0]
         pictures = self._pictures() if self._pictured else {}
-        return {
-            name: pictures[name]
-            if name in pictures
-            else _seen(name, now.robots[0], before.robots[0], now.people[0], batch.floor_y)
-            for name in self.names
-        }
+        return {n: pictures[n] if n in pictures else self._seen(n, *agents) for n in self.names}
 
     def observe_people(self) -> dict[str, NDArray[np.float32]]:
         """The same for the people, who look for the robot, without pictures."""
-        now, before, floor_y = self._batch.state, self._batch.before, self._batch.floor_y
-        return {
-            name: _seen(name, now.people[0], before.people[0], now.robots[0], floor_y)
-            for name in self.names
-            if name not in self._pictured
-        }
+        now, before = self._batch.state, self._batch.before
+        agents = now.people[0], before.people[0], now.robots[0], before.robots[0]
+        return {n: self._seen(n, *agents) for n in self.names if n not in self._pictured}
 
     def people_space(self) -> Dict:
         """The space of one person's observations."""
         return gymnasium.spaces.Dict({n: self._box(n) for n in self.names if n not in self._pictured})
+
+    def _seen(
+        self, name: Observation, now: AgentState, before: AgentState, other: AgentState, other_before: AgentState
+    ) -> NDArray[np.float32]:
+        """What one agent observes of itself, of the other and of the home."""
+        batch = self._batch
+        if name == "humanoid_gps":
+            return _within(gps_compass(now.xz, now.heading, other.xz), FAR_M)
+        if name == "egomotion":
+            return _within(egomotion(before.xz, before.heading, now.xz, now.heading), FAST)
+        if name == "humanoid_velocity":
+            return _within(humanoid_velocity(now.heading, other_before.xz, other.xz), FAST)
+        if name == "localization":
+            return _within(localization(now.xz, now.heading, batch.floor_y), FAR_M)
+        seen = np.zeros((batch.worlds, len(_BOUNDS[name][0])))
+        for free, rows in batch.groups:
+            if name == "range_scan":
+                seen[rows] = range_scan(free, now.xz[rows], now.heading[rows])
+            else:
+                begun = batch.spec.robot.disc_radius_m / 2
+                seen[rows] = [
+                    way(free, now.xz[w], float(now.heading[w]), other.xz[w], float(batch.geodesic[w]), beyond_m=begun)
+                    for w in rows
+                ]
+        return _within(seen, FAR_M)
 
     # --- pictures -----------------------------------------------------------------------------------------------------
     def _pictures(self) -> dict[str, NDArray[np.float32]]:
@@ -156,17 +190,6 @@ class Observer:
                 worlds=batch.worlds if len(batch.places) == 1 else 1, speed_mps=batch.spec.human.speed_mps,
             )  # fmt: skip
         return self._drawn[place]
-
-
-def _seen(
-    name: Observation, now: AgentState, before: AgentState, other: AgentState, floor_y: NDArray[np.floating]
-) -> NDArray[np.float32]:
-    """What one agent observes of itself and of the other."""
-    if name == "humanoid_gps":
-        return _within(gps_compass(now.xz, now.heading, other.xz), FAR_M)
-    if name == "egomotion":
-        return _within(egomotion(before.xz, before.heading, now.xz, now.heading), FAST)
-    return _within(localization(now.xz, now.heading, floor_y), FAR_M)
 
 
 def _within(values: NDArray[Any], bound: float) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ by `with_noise` and `depth_with_noise`, where wanted. Pictures: `sim_kinematic.c
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 from h3data.geometry import heading_direction, normalized, quat_conjugate, quat_rotate, wrap_angle
 from sim_kinematic.spec import STEP_S
+
+if TYPE_CHECKING:
+    from h3data.scene import FreeSpace
 
 Floats = NDArray[np.floating]
 
@@ -24,6 +27,14 @@ DETECTED_PIXELS = 1000
 """A person is detected in a picture if more pixels than this show her (spec/habitat.md 1.5)."""
 DEPTH_RANGE_M = (0.0, 10.0)
 """Observed depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
+FAR_M = 1000.0
+"""A way that does not exist counts as this long; no home reaches as far."""
+RANGES = 12
+"""Rays of `range_scan`, one every 30 degrees."""
+RANGE_M = 2.0
+"""Farthest that it measures."""
+RANGE_STRIDES = 8
+"""Of sphere tracing: 95 % of rays in furnished homes are then within 3 cm."""
 
 
 # --- where things are ---------------------------------------------------------------------------------------------------
@@ -79,6 +90,41 @@ def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
     """
     p = np.asarray(pose, np.float64)[..., None, :]
     return np.asarray(quat_rotate(quat_conjugate(p[..., 3:]), np.asarray(points, np.float64) - p[..., :3]))
+
+
+def humanoid_velocity(robot_heading: ArrayLike, before_xz: ArrayLike, xz: ArrayLike, *, dt: float = STEP_S) -> Floats:
+    """Velocity of a person who was at ``before_xz`` [..., 2] a step ago, over the ground but along the axes of a base with
+    this heading [...]: ``(forward, left)`` [..., 2] [m/s]."""
+    return in_base_frame(before_xz, robot_heading, xz) / dt
+
+
+def way(
+    free: FreeSpace, xz: ArrayLike, heading: float, goal_xz: ArrayLike, length_m: float, *, beyond_m: float
+) -> Floats:  # fmt: skip
+    """The shortest way from a base to ``goal_xz`` [2], by the map: ``(length [m], angle at which it begins [rad])`` [2].
+
+    The angle is to the first way point farther than ``beyond_m``, positive to the RIGHT. ``length_m`` is that of
+    `FreeSpace.geodesic`; a way that does not exist counts as `FAR_M`, straight ahead.
+    """
+    if not np.isfinite(length_m):
+        return np.array([FAR_M, 0.0])
+    point = free.next_waypoint(xz, goal_xz, beyond_m=beyond_m)
+    return np.append(min(length_m, FAR_M), gps_compass(xz, heading, point)[1])
+
+
+def range_scan(free: FreeSpace, xz: ArrayLike, heading: ArrayLike) -> Floats:
+    """What a laser scanner in the middle of bases [..., 2] measures: free way [m] in `RANGES` directions [..., RANGES], the
+    first straight ahead, the others to the LEFT in turn, at most `RANGE_M`. People are not seen.
+
+    Sphere tracing in the distance grid (Hart, 1996), `RANGE_STRIDES` strides: a ray that grazes a wall may end too early.
+    """
+    along = np.asarray(heading, np.float64)[..., None] + 2 * np.pi / RANGES * np.arange(RANGES)
+    direction, start = heading_direction(along), np.asarray(xz, np.float64)[..., None, :]
+    reach = np.zeros(along.shape)
+    for _ in range(RANGE_STRIDES):
+        left = free.signed_distance(start + reach[..., None] * direction)
+        reach = np.minimum(reach + np.maximum(left, 0.0), RANGE_M)
+    return reach
 
 
 # --- the robot itself ---------------------------------------------------------------------------------------------------

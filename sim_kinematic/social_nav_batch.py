@@ -134,7 +134,8 @@ class SocialNavBatch:
         self._walkers: list[WaypointHuman] = []
         self._targets = np.zeros((self.worlds, 2))
         self._collisions = np.zeros(self.worlds, np.int64)
-        self._groups: list[tuple[FreeSpace, NDArray[np.intp]]] = []
+        self.groups: list[tuple[FreeSpace, NDArray[np.intp]]] = []
+        """The worlds that share a floor: it and their indices [n]."""
 
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: ArrayLike, indices: ArrayLike, *, where: ArrayLike = True) -> None:
@@ -168,7 +169,7 @@ class SocialNavBatch:
                 self._targets[w] = self._walkers[w].target(starts.human_xz)
         self.steps[fresh] = self._collisions[fresh] = 0
         self.found[fresh] = self.success[fresh] = self.collides[fresh] = False
-        self._groups = [(self.episodes[g[0]].free, g) for g in _runs(self.place)]
+        self.groups = [(self.episodes[g[0]].free, g) for g in _runs(self.place)]
         self._look(rows)
         self.before.put(rows, self.state.take(rows))
         worth = self.rewards.reset(self._encounter(), where=fresh)
@@ -195,7 +196,7 @@ class SocialNavBatch:
         if walks is None:
             self._next_targets()
             walk_humans(self._person, self._targets, self.spec.human)
-        for free, rows in self._groups:
+        for free, rows in self.groups:
             alone = len(rows) == self.worlds
             part = self.state if alone else self.state.take(rows)
             if walks is not None:
@@ -254,7 +255,7 @@ class SocialNavBatch:
         robot, person = self._robot, self._person
         wanted = np.zeros(self.worlds, np.bool_)
         wanted[rows] = True
-        for free, group in self._groups:
+        for free, group in self.groups:
             some = group[wanted[group]]
             self.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
         gap = robot.xz - person.xz

@@ -29,7 +29,16 @@ if TYPE_CHECKING:
     from sim_kinematic.torch_cameras import TensorCameras
     from sim_kinematic.torch_episodes import EpisodeBank
 
-TorchObservation = Literal["arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization"]
+TorchObservation = Literal[
+    "arm_depth",
+    "humanoid_detector",
+    "humanoid_gps",
+    "egomotion",
+    "localization",
+    "humanoid_velocity",
+    "way",
+    "range_scan",
+]
 """What a device shows; as in `sim_kinematic.observations`."""
 PICTURED = ("arm_depth", "humanoid_detector")
 """Those that need a picture, and so a GPU and a bank of one scene."""

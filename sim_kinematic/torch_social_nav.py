@@ -8,6 +8,7 @@ is right to `sim_kinematic.torch_contact.TOLERANCE_M`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,12 +19,13 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from sim_kinematic.rewards import PaperReward
+from sim_kinematic.sensors import FAR_M, RANGE_M, RANGE_STRIDES, RANGES
 from sim_kinematic.spec import STEP_S, SocialNavSpec
 from sim_kinematic.torch_contact import TouchTest
 from sim_kinematic.torch_episodes import EpisodeBank
-from sim_kinematic.torch_geodesic import Lattices, geodesic
+from sim_kinematic.torch_geodesic import Lattices, shortest_way
 from sim_kinematic.torch_state import HumanTensors, RobotTensors
-from sim_kinematic.torch_step import Grids, drive_robots, heading_direction, walk_humans, wrap_angle
+from sim_kinematic.torch_step import Grids, drive_robots, heading_direction, sample_sdf, walk_humans, wrap_angle
 
 
 class Play(NamedTuple):
@@ -45,11 +47,15 @@ class Play(NamedTuple):
     """Steps in which it followed her, int64 [W]."""
     geodesic: Tensor
     """Shortest way between the two [W] [m], inf where there is none."""
+    towards: Tensor
+    """In which direction (x, z) it begins at the robot, of any length, [W, 2]."""
     collides: Tensor
     """They touch, bool [W]."""
     before_xz: Tensor
     """Of the robot, before the last step, [W, 2]; ``before_heading`` [W]."""
     before_heading: Tensor
+    human_before_xz: Tensor
+    """Of the person, [W, 2]."""
     reward: Tensor
     """Of the last step, [W]."""
     terminated: Tensor
@@ -72,8 +78,9 @@ class Play(NamedTuple):
             robot=RobotTensors(numbers(2), numbers(), flags()),
             human=HumanTensors(numbers(2), numbers(), numbers(), numbers(), numbers()),
             episode=episode.clone(), leg=torch.zeros_like(episode), steps=torch.zeros_like(episode), ended=~flags(),
-            found=flags(), followed=torch.zeros_like(episode), geodesic=numbers(), collides=flags(),
-            before_xz=numbers(2), before_heading=numbers(), reward=numbers(), terminated=flags(), truncated=flags(),
+            found=flags(), followed=torch.zeros_like(episode), geodesic=numbers(), towards=numbers(2),
+            collides=flags(), before_xz=numbers(2), before_heading=numbers(),
+            human_before_xz=numbers(2), reward=numbers(), terminated=flags(), truncated=flags(),
         )  # fmt: skip
 
     def tensors(self) -> Iterator[Tensor]:
@@ -163,14 +170,15 @@ class SocialNavTensors:
             *(torch.where(fresh, zero, t) for t in human[2:]),
         )  # fmt: skip
         steps = torch.where(fresh, 0, play.steps + 1)
-        length = geodesic(grids, lattices, robot.xz, human.xz)
+        way = shortest_way(grids, lattices, robot.xz, human.xz)
         return self._judged(
             play,
             play._replace(
-                robot=robot, human=human, episode=episode, leg=leg, steps=steps, geodesic=length,
-                collides=self.touch.touching(robot, human),
+                robot=robot, human=human, episode=episode, leg=leg, steps=steps,
+                geodesic=way.length, towards=way.towards, collides=self.touch.touching(robot, human),
                 before_xz=torch.where(begins, robot.xz, play.robot.xz),
                 before_heading=torch.where(fresh, robot.heading, play.robot.heading),
+                human_before_xz=torch.where(begins, human.xz, play.human.xz),
             ),
         )  # fmt: skip
 
@@ -207,11 +215,18 @@ class SocialNavTensors:
 
     # --- what the robot is shown --------------------------------------------------------------------------------------
     def observation(self, name: str, play: Play) -> Tensor:
-        """``humanoid_gps``, ``egomotion`` or ``localization`` as in `sim_kinematic.observations`, float32 [W, ...]."""
-        robot = play.robot
+        """One that needs no picture, as in `sim_kinematic.observations`, float32 [W, ...]."""
+        robot, human = play.robot, play.human
         if name == "humanoid_gps":
-            seen = _in_base_frame(robot.xz, robot.heading, play.human.xz)
-            shown = torch.stack([torch.hypot(seen[:, 0], seen[:, 1]), -torch.atan2(seen[:, 1], seen[:, 0])], -1)
+            shown = _polar(_in_base_frame(robot.xz, robot.heading, human.xz))
+        elif name == "humanoid_velocity":
+            shown = _in_base_frame(play.human_before_xz, robot.heading, human.xz) / STEP_S
+        elif name == "way":
+            lost = play.geodesic.isinf()
+            angle = _polar(_in_base_frame(robot.xz, robot.heading, robot.xz + play.towards))[:, 1]
+            shown = torch.stack([play.geodesic.clamp_max(FAR_M), torch.where(lost, 0.0, angle)], -1)
+        elif name == "range_scan":
+            shown = self._range_scan(play)
         elif name == "egomotion":
             moved = _in_base_frame(play.before_xz, play.before_heading, robot.xz)
             shown = torch.cat([moved, wrap_angle(robot.heading - play.before_heading)[:, None]], 1) / STEP_S
@@ -221,6 +236,21 @@ class SocialNavTensors:
         else:
             raise InputError(f"On a device there is no observation {name!r}.")
         return shown.float()
+
+    def _range_scan(self, play: Play) -> Tensor:
+        grids, robot = self._grids.at(self._drawn.place[play.episode]), play.robot
+        along = robot.heading + (2 * math.pi / RANGES) * torch.arange(RANGES, device=self.device)[:, None]
+        direction = heading_direction(along)  # [RANGES, W, 2]
+        reach = torch.zeros_like(along)
+        for _ in range(RANGE_STRIDES):
+            left = sample_sdf(grids, torch.addcmul(robot.xz, direction, reach[..., None])).distance
+            reach = (reach + left.clamp_min(0.0)).clamp_max(RANGE_M)
+        return reach.T
+
+
+def _polar(seen: Tensor) -> Tensor:
+    """Distance, and angle positive to the right, of what is ``seen`` forward and left, [W, 2]."""
+    return torch.stack([torch.hypot(seen[:, 0], seen[:, 1]), -torch.atan2(seen[:, 1], seen[:, 0])], -1)
 
 
 def _in_base_frame(xz: Tensor, heading: Tensor, point: Tensor) -> Tensor:

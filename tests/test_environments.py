@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium
 import numpy as np
@@ -17,7 +17,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import h3data
 from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import PAPER_OBSERVATIONS, Observer
+from sim_kinematic.observations import Observation, Observer
 from sim_kinematic.parallel_env import SocialNavParallelEnv
 from sim_kinematic.policies import Command, View, heuristic_expert
 from sim_kinematic.social_nav import simulate_social_nav
@@ -29,7 +29,7 @@ from sim_kinematic.vector_env import SocialNavVectorEnv
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
 SIZE = (48, 36)
-EVERYTHING = (*PAPER_OBSERVATIONS, "egomotion", "localization")
+EVERYTHING = get_args(Observation)
 
 
 def expert(batch: SocialNavBatch, w: int = 0) -> np.ndarray:

@@ -22,7 +22,7 @@ from h3data.errors import FormatError, InputError
 from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.learned import LearnedNavigation, navigation_input, network_of, stamped
+from sim_kinematic.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
 from sim_kinematic.learned_chooser import chooser_input
 from sim_kinematic.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.planners import Chooser, TaskView, robot_policy
@@ -189,7 +189,7 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, we
 
 # --- social navigation --------------------------------------------------------------------------------------------------
 def test_it_is_shown_what_the_training_environment_shows() -> None:
-    names = ("humanoid_gps", "egomotion", "localization")
+    names = tuple(NAVIGATION_INPUTS)
     spec = SocialNavSpec(max_steps=25, spawn_distance_m=3.0)
     env = SocialNavEnv("small:1", spec=spec, observations=names)
     seen = [env.reset(seed=3)[0]]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, transform_points
+from h3data.scene import FreeSpace, HomeSpec, build_home
 from sim_kinematic import predicates, sensors
 from sim_kinematic.spec import STEP_S, SocialNavSpec
 from sim_kinematic.state import NOBODY, ROBOT
@@ -157,3 +158,44 @@ def test_noise_is_what_it_says_and_repeats() -> None:
     lost = sensors.depth_with_noise(depth, np.random.default_rng(0), missing=0.25)
     assert (lost[1:] == 0).mean() == pytest.approx(0.25, abs=0.02)
     assert sensors.with_noise(np.zeros(4000), 0.1, np.random.default_rng(1)).std() == pytest.approx(0.1, rel=0.05)
+
+
+# --- of the home --------------------------------------------------------------------------------------------------------
+def test_a_range_scan_measures_the_way_to_walls() -> None:
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)))
+    rng = np.random.default_rng(0)
+    xz, heading = free.sample(rng, 200), rng.uniform(-np.pi, np.pi, 200)
+    seen = sensors.range_scan(free, xz, heading)
+    assert seen.shape == (200, sensors.RANGES)
+    np.testing.assert_array_equal(seen[3], sensors.range_scan(free, xz[3], heading[3]))
+    angle = heading[:, None] + np.radians(30) * np.arange(12)
+    direction = np.stack([np.cos(angle), -np.sin(angle)], -1)
+    ends = free.signed_distance(xz[:, None] + seen[..., None] * direction)
+    reached = seen < sensors.RANGE_M
+    assert 0.2 < reached.mean() < 0.9
+    assert (
+        free.signed_distance(xz[:, None] + 0.999 * seen[..., None] * direction) > -1e-3
+    ).all()  # never through a wall
+    assert np.quantile(ends[reached], 0.9) < 0.05
+    turned = sensors.range_scan(free, xz, heading + np.radians(30))  # what was 30 degrees to the left is straight ahead
+    np.testing.assert_allclose(turned[:, :-1], seen[:, 1:], atol=1e-6)
+
+
+def test_a_way_is_the_shortest_and_begins_at_its_first_corner() -> None:
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=1)))
+    rng = np.random.default_rng(1)
+    for a, b in free.sample(rng, 40).reshape(-1, 2, 2):
+        path = free.path(a, b)
+        corner = next((p for p in path[1:] if np.hypot(*(p - a)) > 0.2), b)
+        heading = float(np.arctan2(-(corner - a)[1], (corner - a)[0]))
+        length, angle = sensors.way(free, a, heading + 0.3, b, float(free.geodesic(a, b)), beyond_m=0.2)
+        assert length == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum())
+        assert angle == pytest.approx(0.3)  # it looks too far to the left: the way begins to the right
+    np.testing.assert_array_equal(sensors.way(free, a, 0.0, b, np.inf, beyond_m=0.2), [sensors.FAR_M, 0.0])
+
+
+def test_her_velocity_is_seen_along_the_robots_axes() -> None:
+    seen = sensors.humanoid_velocity([0.0, np.pi / 2], [1.0, 2.0], [1.0 + 2.5 * STEP_S, 2.0])
+    np.testing.assert_allclose(
+        seen, [[2.5, 0.0], [0.0, -2.5]], atol=1e-12
+    )  # heading pi / 2 faces -Z: +X is to its right

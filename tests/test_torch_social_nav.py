@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -16,20 +16,22 @@ pytest.importorskip("fcl")
 import h3data  # noqa: E402
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
-from h3data.geometry import ground_pose  # noqa: E402
+from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
+from sim_kinematic.observations import Observer  # noqa: E402
 from sim_kinematic.rewards import Encounter, SocialNavReward  # noqa: E402
 from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
 from sim_kinematic.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.torch_contact import TOLERANCE_M, TouchTest  # noqa: E402
-from sim_kinematic.torch_env import SocialNavTorchEnv  # noqa: E402
+from sim_kinematic.torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
-from sim_kinematic.torch_geodesic import Lattices, geodesic  # noqa: E402
+from sim_kinematic.torch_geodesic import Lattices, shortest_way  # noqa: E402
 from sim_kinematic.torch_social_nav import Play, SocialNavTensors  # noqa: E402
 from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
 from sim_kinematic.torch_step import Grids  # noqa: E402
 
 HOMES = ["small:1", "small:2"]
+OBSERVED: tuple[Any, ...] = ("humanoid_gps", "egomotion", "localization", "humanoid_velocity", "range_scan", "way")
 RULES = replace(TRAINING, max_steps=60, end_on_collision=False)
 SEED = 5
 on_gpu = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")]
@@ -64,6 +66,8 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
     index = np.arange(worlds) % len(bank)
     batch = SocialNavBatch(HOMES, worlds=worlds, spec=RULES)
     batch.begin(SEED, index)
+    observer = Observer(batch, OBSERVED)
+    seen, shown = [], []
     sim = SocialNavTensors(bank, device="cpu", spec=RULES)
     play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(worlds, 2))
     (robots,), (people,) = batch.state.robots, batch.state.people
@@ -91,6 +95,8 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
         clear = sim.touch.gap(play.robot, play.human).abs().numpy() > TOLERANCE_M
         np.testing.assert_array_equal(play.collides.numpy()[clear], batch.collides[clear])
         np.testing.assert_allclose(play.geodesic, batch.geodesic, rtol=0.1, atol=0.05)
+        seen.append(observer.observe())
+        shown.append({name: sim.observation(name, play).numpy() for name in OBSERVED})
         worth = rewards.step(met())  # the CPU's reward of what the device saw
         if ended.any():
             rewards.reset(met(), where=ended)
@@ -102,6 +108,13 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
         follows += rewards.followed.sum()
     assert touches > 5
     assert follows > 100
+    for name in OBSERVED[:-1]:
+        np.testing.assert_allclose([a[name] for a in seen], [b[name] for b in shown], rtol=0, atol=1e-5, err_msg=name)
+    straight = np.isclose([a["way"][:, 0] for a in seen], [a["humanoid_gps"][:, 0] for a in seen], atol=1e-6)
+    assert 0.03 < straight.mean() < 0.97
+    off = np.abs(wrap_angle(np.stack([a["way"][..., 1] - b["way"][..., 1] for a, b in zip(seen, shown, strict=True)])))
+    assert off[straight].max() < 1e-3
+    assert np.quantile(off[~straight], 0.8) < np.radians(20)
     assert batch.floor_y.shape == (worlds,)
 
 
@@ -158,7 +171,9 @@ def test_a_step_waits_for_nothing(bank: EpisodeBank) -> None:
     after = sim.step(play, torch.zeros(7, 2, device="meta"))
     for mine, theirs in zip(play.tensors(), after.tensors(), strict=True):
         assert (mine.shape, mine.dtype, mine.device) == (theirs.shape, theirs.dtype, theirs.device)
-    for name, width in (("humanoid_gps", 2), ("egomotion", 3), ("localization", 4)):
+    widths = {"humanoid_gps": 2, "egomotion": 3, "localization": 4, "humanoid_velocity": 2, "way": 2, "range_scan": 12}
+    assert set(widths) == set(get_args(TorchObservation)) - set(PICTURED)
+    for name, width in widths.items():
         assert sim.observation(name, after).shape == (7, width)
 
 
@@ -172,13 +187,22 @@ def test_ways_are_nearly_the_exact_ones(preset: Any) -> None:
     a, b = (p[free.is_navigable(b)] for p in (a, b))
     exact = free.geodesic(a, b)
     tables = Grids.of([free], "cpu", torch.float64), Lattices.of([free], "cpu", torch.float64)
-    found = geodesic(*tables, doubles(a), doubles(b)).numpy()
+    way = shortest_way(*tables, doubles(a), doubles(b))
+    found = way.length.numpy()
     error = np.abs(found - exact) / exact.clip(0.1)
     assert np.median(error) < 0.002
     assert np.quantile(error, 0.95) < 0.015
     assert np.quantile(np.abs(found - exact), 0.99) < 0.15
     assert (found >= np.hypot(*(a - b).T) - 1e-9).all()
-    back = geodesic(*tables, doubles(b), doubles(a)).numpy()
+    first = np.array([free.next_waypoint(p, q, beyond_m=0.125) for p, q in zip(a, b, strict=True)])
+    turns = np.isfinite(found) & (found > np.hypot(*(a - b).T) + 1e-9)
+    towards, wanted = way.towards.numpy(), first - a
+    cross = towards[:, 0] * wanted[:, 1] - towards[:, 1] * wanted[:, 0]
+    off = np.degrees(np.abs(np.arctan2(cross, (towards * wanted).sum(1))))
+    assert off[~turns & np.isfinite(found)].max() < 1.0  # a straight way may come nearer to corners, by 4 mm
+    assert np.quantile(off[turns], 0.5) < 6
+    assert np.quantile(off[turns], 0.9) < 20
+    back = shortest_way(*tables, doubles(b), doubles(a)).length.numpy()
     np.testing.assert_allclose(back, found, rtol=0, atol=1e-2)
 
 
@@ -187,12 +211,13 @@ def test_ways_on_several_floors_and_off_the_floor(bank: EpisodeBank) -> None:
     grids, lattices = Grids.of(bank.floors, "cpu", torch.float64), Lattices.of(bank.floors, "cpu", torch.float64)
     rng = np.random.default_rng(2)
     a, b = (np.stack([bank.floors[k].sample(rng, 1)[0] for k in place]) for _ in range(2))
-    found = geodesic(grids.at(place), lattices.at(place), doubles(a), doubles(b)).numpy()
+    found = shortest_way(grids.at(place), lattices.at(place), doubles(a), doubles(b)).length.numpy()
     exact = [float(bank.floors[k].geodesic(p, q)) for k, p, q in zip(place, a, b, strict=True)]
     np.testing.assert_allclose(found, exact, rtol=0.05)
     assert len(bank.floors) == 2
-    far = geodesic(grids.at(place), lattices.at(place), doubles(a + 500.0), doubles(b))
-    assert far.isinf().all()
+    far = shortest_way(grids.at(place), lattices.at(place), doubles(a + 500.0), doubles(b))
+    assert far.length.isinf().all()
+    assert far.towards.isfinite().all()
 
 
 @pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
