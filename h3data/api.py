@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.render import Output
 from h3data.replay import Replay, camera_track
@@ -95,7 +95,6 @@ def make(task: str, **options: Any) -> Any:
     """
     tasks = {entry.name: entry for entry in importlib.metadata.entry_points(group="h3data.tasks")}
     if task not in tasks:
-        raise InputError(
-            f"Unknown task {task!r}. Expected one of: {', '.join(sorted(tasks)) or '(none is installed)'}."
-        )
+        there = ", ".join(sorted(tasks)) or "(none is installed)"
+        raise InputError(f"Unknown task {task!r}.{did_you_mean(task, tasks)} Expected one of: {there}.")
     return tasks[task].load()(**options)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class H3DataError(Exception):
     """Base of every error that h3data raises on purpose. The message says what was expected, what came, what to do."""
@@ -25,3 +27,12 @@ class MissingAssetError(SceneError):
 
 class MissingExtraError(H3DataError):
     """An optional dependency is not installed; the message names the command that installs it."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`` Did you mean 'x'?`` of the known name that is nearest to an unknown one; empty if none is near."""
+    from difflib import get_close_matches
+
+    plain = {other.lower(): other for other in known}
+    found = get_close_matches(name.lower(), plain, n=1, cutoff=0.6)
+    return f" Did you mean {plain[found[0]]!r}?" if found else ""

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, load_humanoid, load_robot, robot_names
-from h3data.errors import InputError, SceneError
+from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array, ground_pose
 from h3data.scene import FreeSpace
 from sim_kinematic.posing import Body
@@ -37,8 +37,8 @@ class Member:
 
 
 def cast_of(agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str = HUMAN_BODY) -> tuple[Member, ...]:
-    """The members that ``agents`` lists: ``robot``, ``human``, or names of built-in bodies, as a sequence or with commas
-    between. Robots come first, as in the state and in recordings; the order is kept otherwise.
+    """The members that ``agents`` lists: ``robot``, ``human``, names of built-in bodies, or .npz files of people, as a sequence
+    or with commas between. Robots come first, as in the state and in recordings; the order is kept otherwise.
 
     ``robot`` and ``human`` are the bodies of those who are named by their kind.
 
@@ -53,9 +53,11 @@ def cast_of(agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str 
     models = [{"robot": robot, "human": human}.get(name, name) for name in listed]
     kinds: list[Literal["robot", "human"]] = []
     for name, model in zip(listed, models, strict=True):
-        if name not in ("robot", "human") and model not in (*robots, *people):
+        if name not in ("robot", "human") and model not in (*robots, *people) and not model.endswith(".npz"):
+            there = ("robot", "human", *robots, *people)
             raise InputError(
-                f"Unknown agent {name!r}. Expected robot, human, or one of: {', '.join((*robots, *people))}."
+                f"Unknown agent {name!r}.{did_you_mean(name, there)} Expected one of {', '.join(there)}, or a person's "
+                ".npz file."
             )
         kinds.append("robot" if name == "robot" or model in robots else "human")
     many, count = Counter(kinds), Counter[str]()

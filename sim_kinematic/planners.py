@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.scene import FreeSpace
 from sim_kinematic.randomness import generator
 from sim_kinematic.skills import Action, Ending
@@ -220,7 +220,10 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
     if is_learned(name):
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
-        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(ROBOT_POLICIES)}, or weights:FILE.")
+        near = did_you_mean(name, ROBOT_POLICIES)
+        raise InputError(
+            f"Unknown policy {name!r}.{near} Expected one of: {', '.join(ROBOT_POLICIES)}, or weights:FILE."
+        )
     return ROBOT_POLICIES[name]()
 
 
@@ -234,7 +237,8 @@ def partner_plan(name: str, seed: int) -> str:
     if name in PLANS:
         return name
     if name not in POPULATIONS:
-        raise InputError(f"Unknown partner {name!r}. Expected one of: {', '.join(PARTNERS)}, or weights:FILE.")
+        near = did_you_mean(name, PARTNERS)
+        raise InputError(f"Unknown partner {name!r}.{near} Expected one of: {', '.join(PARTNERS)}, or weights:FILE.")
     plans = POPULATIONS[name]
     return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
 

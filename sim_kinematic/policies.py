@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.randomness import generator
@@ -251,7 +251,9 @@ def policy_by_name(name: str) -> Policy:
     if is_learned(name):
         return LearnedNavigation(network_of(name))
     if name not in POLICIES:
-        raise InputError(f"Unknown policy {name!r}. Expected one of: {', '.join(POLICIES)}, or weights:FILE.")
+        raise InputError(
+            f"Unknown policy {name!r}.{did_you_mean(name, POLICIES)} Expected one of: {', '.join(POLICIES)}, or weights:FILE."
+        )
     return POLICIES[name]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
-from h3data.errors import InputError, SceneError
+from h3data.errors import SceneError
 from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
@@ -300,9 +300,3 @@ def hindsight(world: SocialNavWorld) -> dict[str, Any]:
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
         "oracle_min_steps": oracle_min_steps(free, starts.robot_xz, starts.robot_heading, plan.xz, spec),
     }
-
-
-def require_task(task: str) -> None:
-    """Refuse a task that does not exist."""
-    if task != "social_nav":
-        raise InputError(f"Unknown task {task!r}. Expected: social_nav or rearrange.")

@@ -195,14 +195,22 @@ def wait_for(what: Any, seconds: float = 60) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("number", "task"),
+    [
+        (signal.SIGTERM, "social_nav"),
+        (signal.SIGINT, "social_nav"),
+        (signal.SIGKILL, "social_nav"),
+        (signal.SIGKILL, "wander"),
+    ],
+)
 def test_stopped_at_any_moment_it_can_be_resumed(
-    number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    number: signal.Signals, task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whatever the signal: nothing unfinished under a final name, no orphans, and --resume makes the same episodes."""
     out = tmp_path / "ds"
-    options = (*SHORT, out, "--episodes", "400", "--workers", "2")
-    process = spawn(*options)
+    options = ("generate", task, *SHORT[2:], out)
+    process = spawn(*options, "--episodes", "400", "--workers", "2")
     data = out / "data" / "chunk-000" / "_file-000.parquet.part"
     wait_for(lambda: process.poll() is not None or (data.exists() and data.stat().st_size > 50_000))
     workers = children(process.pid)
@@ -216,13 +224,13 @@ def test_stopped_at_any_moment_it_can_be_resumed(
         assert done > 2  # what was finished is kept
         assert not list(out.rglob("*.part"))
     assert done < 400
-    rest = run_json(capsys, *SHORT, out, "--episodes", str(done + 2), "--resume")
+    rest = run_json(capsys, *options, "--episodes", str(done + 2), "--resume")
     assert rest["new"] == 2
     assert recordings_equal(
         h3data.open(out).recording(done + 1),
         episode_jobs.simulate_job(
             generate.Generate(
-                task="social_nav", out=out, episodes=done + 2, seed=7, homes=1, max_steps=20
+                task=task, out=out, episodes=done + 2, seed=7, homes=1, max_steps=20
             ).jobs()[done + 1]
         ),
     ) == []  # fmt: skip

@@ -22,7 +22,7 @@ from h3data.bodies.legs import Legs
 from h3data.bodies.motion import Gaits
 from h3data.bodies.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.builtin import builtin_path
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.geometry import Array, normalized
 from h3data.scene.records import Mesh
 
@@ -48,7 +48,10 @@ def load_humanoid(name: str | Path) -> Humanoid:
     elif str(name) in humanoid_names():
         path = builtin_path(f"bodies/{name}.npz")
     else:
-        raise InputError(f"No built-in humanoid {str(name)!r}. There are: {', '.join(humanoid_names()) or 'none'}.")
+        near = did_you_mean(str(name), humanoid_names())
+        raise InputError(
+            f"No built-in humanoid {str(name)!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}."
+        )
     data = read_arrays(path, FILE_FORMAT)
     try:
         common = _common(data) if "full_faces" in data else builtin_common()

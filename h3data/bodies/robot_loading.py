@@ -14,7 +14,7 @@ from h3data.bodies.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
 from h3data.builtin import builtin_path
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.geometry import normalized, pose_from_matrix
 from h3data.scene.meshes import joined
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Mesh, Shape
@@ -58,7 +58,10 @@ def _find(name_or_path: str | Path) -> Path:
         return Path(name_or_path)
     if str(name_or_path) not in robot_names():
         known = ", ".join(robot_names()) or "none"
-        raise InputError(f"No built-in robot {str(name_or_path)!r}. There are: {known}; or give the path of a .urdf.")
+        near = did_you_mean(str(name_or_path), robot_names())
+        raise InputError(
+            f"No built-in robot {str(name_or_path)!r}.{near} There are: {known}; or give the path of a .urdf."
+        )
     return builtin_path("robots") / str(name_or_path) / "robot.urdf"
 
 

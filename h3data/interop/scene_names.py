@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.interop.habitat_dataset import DATASET_ENDING, load_scene_dataset
 from h3data.interop.habitat_scene import dataset_and_scene, load_habitat_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, HomeSpec, build_home, load_scene
@@ -76,14 +76,18 @@ def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
         return (NamedScene(name=str(Path(text)), source=SceneFile(path=str(Path(text)))),)
     label, _, which = text.partition("#")
     found = find_scene_set(label)
+    splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
+    near = did_you_mean(text, (*HOME_PRESETS, *splits))
     if found is None and ("/" in label or label.endswith((".glb", ".json", ".urdf"))) and not Path(label).exists():
-        raise InputError(f"There is no such scene or set of scenes: {text}. Hint: `h3data scenes list` shows the sets.")
-    if found is None:
-        splits = [f"{name}/{split}" for name, of in builtin_sets().items() for split in of]
         raise InputError(
-            f"Unknown scenes {text!r}. Expected {', '.join(HOME_PRESETS)}, one home as small:3, a set ({', '.join(splits)} "
-            "or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, .scene_instance.json, "
-            ".stage_config.json, .object_config.json, .ao_config.json, .urdf, .scene_dataset_config.json)."
+            f"There is no such scene or set of scenes.{near} Hint: `h3data scenes list` shows the sets. Path: {text}"
+        )
+    if found is None:
+        raise InputError(
+            f"Unknown scenes {text!r}.{near} Expected {', '.join(HOME_PRESETS)}, one home as small:3, a set "
+            f"({', '.join(splits)} or a .toml file), one of a set as h3-homes/test#3, or the path of a scene (.glb, "
+            ".scene_instance.json, .stage_config.json, .object_config.json, .ao_config.json, .urdf, "
+            ".scene_dataset_config.json)."
         )
     every = [NamedScene(name=f"{label}#{k}", source=entry.source, id=entry.id) for k, entry in enumerate(found.scenes)]
     return (every[found.scenes.index(found.entry(which))],) if "#" in text else tuple(every)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -157,7 +157,8 @@ def _read(
     known = list(table) if isinstance(table, Mapping) else table.column_names
     unknown = [n for n in (*names, *optional) if n not in known]
     if unknown:
-        raise InputError(f"The table has no column {', '.join(map(repr, unknown))}. It has: {', '.join(known)}.")
+        near = did_you_mean(unknown[0], known)
+        raise InputError(f"The table has no column {', '.join(map(repr, unknown))}.{near} It has: {', '.join(known)}.")
     columns, missing = {}, []
     for name in names:
         values = np.asarray(table[name]) if isinstance(table, Mapping) else np.asarray(table[name].to_pylist())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.metrics.statistics import adjust_p_values, bootstrap_interval
 
 if TYPE_CHECKING:
@@ -115,7 +115,8 @@ def compare_runs(
     names = list(metrics) if metrics is not None else list(first.columns)
     unknown = [n for n in names if n not in first.columns]
     if unknown:
-        raise InputError(f"No metric {', '.join(map(repr, unknown))}. There are: {', '.join(first.columns)}.")
+        near = did_you_mean(unknown[0], first.columns)
+        raise InputError(f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.")
     for table, which in ((first, "first"), (second, "second")):
         twice = sorted(e for e, times in Counter(table.episode_ids).items() if times > 1)
         if twice:

@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.metrics.metric import EpisodeMetrics, Metric, Series
 from h3data.recording.records import Recording
 
@@ -105,7 +105,9 @@ PROFILES: dict[str, tuple[Profile, ...]] = {
 def find_profile(name: str, task: str = "social_nav") -> Profile:
     """The profile of this name for recordings of a task; an `InputError` names the profiles there are."""
     if name not in PROFILES:
-        raise InputError(f"No metrics profile {name!r}. Available: {', '.join(PROFILES)}.")
+        raise InputError(
+            f"No metrics profile {name!r}.{did_you_mean(name, PROFILES)} Available: {', '.join(PROFILES)}."
+        )
     kind = "rearrange" if task in REARRANGE_TASKS else "social_nav"
     for profile in PROFILES[name]:
         if profile.task in ("any", kind):
@@ -136,7 +138,8 @@ def find_metric(name: str, *, profile: str = "paper") -> Metric:
         for metric in every:
             if test(metric):
                 return metric
-    raise InputError(f"No metric {name!r}. `h3data metrics list` shows all: {', '.join(m.id for m in every)}.")
+    near = did_you_mean(name, [m.name for m in every] + [m.id.rpartition("@")[0] for m in every])
+    raise InputError(f"No metric {name!r}.{near} `h3data metrics list` shows all: {', '.join(m.id for m in every)}.")
 
 
 def all_metrics() -> list[Metric]:

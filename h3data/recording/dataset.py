@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording.arrow_columns import conform, to_numpy
 from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECAR_SINCE, SIDECARS, record_schema
 from h3data.recording.dataset_writer import is_dataset
@@ -263,7 +263,10 @@ class Dataset:
     def _require_columns(self, columns: Sequence[str]) -> None:
         unknown = sorted(set(columns) - set(self._declared))
         if unknown:
-            raise InputError(f"No columns {unknown} in this dataset. It has: {', '.join(self._declared)}: {self.root}")
+            near = did_you_mean(unknown[0], self._declared)
+            raise InputError(
+                f"No columns {unknown} in this dataset.{near} It has: {', '.join(self._declared)}: {self.root}"
+            )
 
     def _groups(self, indices: range) -> Iterator[range]:
         """Runs of episodes of one shard with the same columns: what one read can give."""

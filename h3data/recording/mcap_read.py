@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording.mcap_header import PROFILE, TOPIC_MESSAGES
 from h3data.recording.mcap_scan import McapRecords, decoding_errors, scan_records
 from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
@@ -169,7 +169,9 @@ def assemble(
         known = [c.name for c in layout or ()]
         unknown = sorted(set(wanted) - set(known))
         if unknown:
-            raise InputError(f"No columns {unknown} in this log. It has: {', '.join(known)}. File: {path}")
+            raise InputError(
+                f"No columns {unknown} in this log.{did_you_mean(unknown[0], known)} It has: {', '.join(known)}. File: {path}"
+            )
         names = set(wanted) | required_columns(len(scene["agents"]))
     columns = columns_of(log, steps=steps, wanted=names, first=first)
     if not columns:

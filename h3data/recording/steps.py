@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
 from h3data.recording.schema import Layout
 from h3data.recording.storage import RemotePath, place
@@ -47,7 +47,9 @@ class Steps(ABC):
         known = [c.name for c in self.layout]
         unknown = sorted(set(columns or ()) - set(known))
         if unknown:
-            raise InputError(f"No columns {unknown} in this recording. It has: {', '.join(known)}.")
+            raise InputError(
+                f"No columns {unknown} in this recording.{did_you_mean(unknown[0], known)} It has: {', '.join(known)}."
+            )
         return self._rows(start, stop, known if columns is None else [n for n in known if n in set(columns)])
 
     def __getitem__(self, step: int) -> dict[str, NDArray[Any]]:

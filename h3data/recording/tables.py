@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as pads
 
-from h3data.errors import InputError, MissingExtraError
+from h3data.errors import InputError, MissingExtraError, did_you_mean
 from h3data.recording.dataset_shard import SIDECARS, data_schema, record_schema
 from h3data.recording.lerobot_meta import STANDARD, shard_path
 from h3data.recording.storage import RemotePath
@@ -85,7 +85,9 @@ def table_schema(dataset: Dataset, columns: Sequence[str] | None = None) -> pa.S
     kinds |= {c.name: (c.dtype, c.width) for c in dataset.schema.columns if c.width}
     unknown = sorted(set(columns or ()) - set(kinds))
     if unknown:
-        raise InputError(f"No columns {unknown} in this dataset. It has: {', '.join(kinds)}: {dataset.root}")
+        raise InputError(
+            f"No columns {unknown} in this dataset.{did_you_mean(unknown[0], kinds)} It has: {', '.join(kinds)}: {dataset.root}"
+        )
     fields = []
     for name in dict.fromkeys(kinds if columns is None else columns):
         dtype, width = kinds[name]

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from h3data.builtin import builtin_root
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.scene.homes.spec import HomeSpec, Preset
 
 FORMAT = 1
@@ -132,7 +132,10 @@ def find_scene_set(text: str) -> SceneSet | None:
     if splits is None or Path(text).is_file():
         return None
     if split not in splits:
-        raise InputError(f"Which split of {name}? Expected {' or '.join(f'{name}/{s}' for s in splits)}, got {text!r}.")
+        there = [f"{name}/{s}" for s in splits]
+        raise InputError(
+            f"Which split of {name}? Expected {' or '.join(there)}, got {text!r}.{did_you_mean(text, there)}"
+        )
     return read_scene_set(builtin_root() / name / f"{split}{SUFFIX}")
 
 

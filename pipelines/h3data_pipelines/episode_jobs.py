@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
 
-from h3data.errors import H3DataError, InputError, SceneError
+from h3data.errors import H3DataError, InputError
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneSet, SceneSource
+from h3data_pipelines.failed_episodes import failed_recording
 
 if TYPE_CHECKING:
     from h3data.interop.scene_names import NamedScene
@@ -53,6 +54,10 @@ class Job:
     origin: dict[str, Any] | None = None
     """Which episode of which set or file it is; ends up in the recording."""
 
+    @property
+    def task(self) -> str:
+        return "social_nav"
+
     def to_json(self) -> dict[str, Any]:
         """What decides the episode, as JSON gives it back; a stored one is known by its ``origin``."""
         fields = json.loads(msgspec.json.encode(replace(self, stored=None, origin=None)))
@@ -78,11 +83,7 @@ class Job:
         """Play it."""
         from sim_kinematic.social_nav import simulate_social_nav
 
-        try:
-            world = self.world()
-        except SceneError as fault:
-            raise SceneError(f"Episode {self.index} in {self.scene}: {fault}") from None
-        return simulate_social_nav(world, policy=self.policy, episode_id=f"{self.index:06d}")
+        return simulate_social_nav(self.world(), policy=self.policy, episode_id=f"{self.index:06d}")
 
 
 # --- where they come from ---------------------------------------------------------------------------------------------
@@ -97,19 +98,22 @@ class Changes:
 
     def body(self, seed: int) -> str | None:
         """Whose body the person has in an episode with this seed."""
-        if self.human != ANY_BODY:
-            return self.human
-        from h3data.bodies import humanoid_names
-        from sim_kinematic.randomness import generator
-
-        names = humanoid_names()
-        return names[int(generator(seed, "body").integers(len(names)))]
+        return drawn_body(seed) if self.human == ANY_BODY else self.human
 
     def applied(self, spec: SocialNavSpec) -> SocialNavSpec:
         """``spec`` with them."""
         if self.human_speed is not None:
             spec = replace(spec, human=replace(spec.human, speed_mps=self.human_speed))
         return spec if self.max_steps is None else replace(spec, max_steps=self.max_steps)
+
+
+def drawn_body(seed: int, person: int = 0) -> str:
+    """The built-in body that an episode draws for one of its people."""
+    from h3data.bodies import humanoid_names
+    from sim_kinematic.randomness import generator
+
+    names = humanoid_names()
+    return names[int(generator(seed, "body", world=person).integers(len(names)))]
 
 
 def seeded_jobs(
@@ -135,18 +139,15 @@ def set_jobs(scenes: SceneSet, *, episodes: int | None, seed: int, changes: Chan
     rules = SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
     return [
         Job(
-            index=i, seed=drawn, scene=scene, source=source, policy=changes.policy, human=changes.body(drawn),
-            spec=changes.applied(rules), drawn_with=rules, origin=origin,
+            index=e.index, seed=e.seed, scene=e.scene, source=e.source, policy=changes.policy, human=changes.body(e.seed),
+            spec=changes.applied(rules), drawn_with=rules, origin=e.origin,
         )
-        for i, drawn, scene, source, origin in set_episodes(scenes, episodes=episodes, seed=seed)
+        for e in set_episodes(scenes, episodes=episodes, seed=seed)
     ]  # fmt: skip
 
 
-def set_episodes(
-    scenes: SceneSet, *, episodes: int | None, seed: int
-) -> Iterator[tuple[int, int, str, SceneSource, dict[str, Any]]]:
-    """Of the first ``episodes`` episodes of a set, whatever the task: number, seed, name of the scene, where it comes from, and
-    which episode of which set it is."""
+def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:
+    """The first ``episodes`` episodes of a set."""
     for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
         entry, index = scenes.place(i)
         origin = {
@@ -154,7 +155,43 @@ def set_episodes(
             "sha256": scenes.sha256,
         }  # fmt: skip
         drawn = scenes.episode_seed(entry.id, index, seed=seed)
-        yield i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin
+        yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One episode that is drawn from its seed, whatever the task."""
+
+    index: int
+    seed: int
+    scene: str
+    """As the command line names it."""
+    source: SceneSource
+    origin: dict[str, Any] | None
+    """Which episode of which set it is."""
+
+
+def drawn_episodes(
+    scenes: str, *, episodes: int | None, seed: int, homes: int = 4, assets: Sequence[str | Path] = (),
+    allow_missing: bool = False,
+) -> list[Draw]:  # fmt: skip
+    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10.
+
+    Raises:
+        InputError: no such scenes, or a set has fewer episodes.
+    """
+    from h3data.interop.scene_names import named_scenes
+    from h3data.scene.scene_sets import find_scene_set
+    from sim_kinematic.randomness import episode_seed
+
+    label, _, which = scenes.partition("#")
+    found = find_scene_set(label)
+    if found is not None:
+        chosen = replace(found, scenes=(found.entry(which),)) if "#" in scenes else found
+        return list(set_episodes(chosen, episodes=episodes, seed=seed))
+    named = named_scenes(scenes, homes=homes, assets=assets, allow_missing=allow_missing)
+    places = [named[i % len(named)] for i in range(10 if episodes is None else episodes)]
+    return [Draw(i, episode_seed(seed, i), place.name, place.source, None) for i, place in enumerate(places)]
 
 
 def file_jobs(path: Path, *, episodes: int | None, changes: Changes) -> list[Job]:
@@ -205,6 +242,15 @@ class AnyJob(Protocol):
     def index(self) -> int: ...
 
     @property
+    def seed(self) -> int: ...
+
+    @property
+    def scene(self) -> str: ...
+
+    @property
+    def task(self) -> str: ...
+
+    @property
     def origin(self) -> dict[str, Any] | None: ...
 
     def to_json(self) -> dict[str, Any]: ...
@@ -213,8 +259,13 @@ class AnyJob(Protocol):
 
 
 def simulate_job(job: AnyJob) -> Recording:
-    """One episode. Depends on the job alone, so any process may run it."""
-    recording = job.record()
+    """One episode, or `failed_recording` of it. Depends on the job alone, so any process may run it."""
+    try:
+        recording = job.record()
+    except MemoryError:
+        raise
+    except Exception as fault:
+        recording = failed_recording(job, fault)
     info = {**recording.episode.info, "job": job.to_json()}
     if job.origin is not None:
         info["origin"] = job.origin

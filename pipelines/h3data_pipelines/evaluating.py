@@ -13,11 +13,12 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import FormatError, InputError, did_you_mean
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
 from h3data_pipelines.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.episode_jobs import run_jobs
-from h3data_pipelines.rearrange_jobs import RearrangeJob, rearrange_jobs, reason_of, rules
+from h3data_pipelines.failed_episodes import reason_of
+from h3data_pipelines.rearrange_jobs import RearrangeJob, rearrange_jobs, rules
 from h3data_pipelines.social_nav_evaluating import (
     PoliciesJob,
     PolicyTable,
@@ -27,6 +28,7 @@ from h3data_pipelines.social_nav_evaluating import (
 )
 
 ALL = "all"
+TASKS = ("social_nav", "rearrange")
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,9 @@ class Evaluate:
             return self.social_nav_jobs(), play_policies, policy_table
         if self.task == "rearrange":
             return self.jobs(), play_pairs, lambda rows: cross_play_table(Row(**row) for row in rows)
-        raise InputError(f"Unknown task {self.task!r}. Expected: social_nav or rearrange.")
+        raise InputError(
+            f"Unknown task {self.task!r}.{did_you_mean(self.task, TASKS)} Expected social_nav or rearrange."
+        )
 
     def social_nav_jobs(self) -> list[PoliciesJob]:
         """All episodes of social navigation, or an `InputError` that names the bad option."""
@@ -209,8 +213,9 @@ def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
     names = known if text == ALL else _listed(text)
     strangers = [name for name in names if name not in known and not is_learned(name)]
     if strangers or not names:
+        near = did_you_mean(strangers[0], known) if strangers else ""
         raise InputError(
-            f"{option}: expected some of {', '.join(known)}, weights:FILE, or all; got {', '.join(strangers) or 'none'}."
+            f"{option}: expected some of {', '.join(known)}, weights:FILE, or all; got {', '.join(strangers) or 'none'}.{near}"
         )
     return tuple(map(stamped, names))
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import InputError
+from h3data.bodies import load_humanoid
+from h3data.errors import H3DataError, InputError, did_you_mean
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
@@ -27,9 +28,11 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.episode_jobs import AnyJob, Changes, file_jobs, seeded_jobs, set_jobs, simulate_jobs
+from h3data_pipelines.episode_jobs import ANY_BODY, AnyJob, Changes, file_jobs, seeded_jobs, set_jobs, simulate_jobs
+from h3data_pipelines.failed_episodes import beside, is_failed
 
 if TYPE_CHECKING:
+    from h3data.metrics.table import MetricsTable
     from h3data.recording import Dataset, DatasetWriter
 
 COMMIT_S = 60.0
@@ -39,6 +42,9 @@ COMMIT_S = 60.0
 @dataclass(frozen=True)
 class Generate:
     """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
+
+    Finished episodes survive Ctrl-C and kill: the same command with --resume goes on. An episode that cannot be played is
+    listed at the end with its seed and error (exit code 1); the others are not stopped by it.
 
     Examples:
         h3data generate social_nav --episodes 20 --seed 7 -o ds/
@@ -50,10 +56,13 @@ class Generate:
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
         h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
         h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
+        h3data generate wander --agents robot,human,human --human any --episodes 50 --workers 2 -o ds/
+        h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals."""
+    """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals.
+    wander: any robots and people walk about from one random point to another."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None = None
@@ -77,16 +86,19 @@ class Generate:
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
     plan_pop_2, plan_pop_3 or plan_pop_4."""
     agents: str | None = None
-    """rearrange: who is there, robots and people with commas between, as robot,robot or human,human or robot,human,male_1
-    (default: robot,human). --policy and --partner then may have a name for each robot and each person."""
+    """rearrange, wander: who is there, robots and people with commas between, as robot,robot or human,human or
+    robot,human,male_1 (default: robot,human). In rearrange --policy and --partner may have a name for each robot and person."""
     human: str | None = None
-    """Built-in body of the person, or any: each episode draws one (default: the episode's, else female_0)."""
+    """Body of those who are called human: a built-in one, an .npz file, or any: each episode draws one, in wander for each
+    person (default: the episode's, else female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
     max_steps: int | None = None
-    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750)."""
+    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750;
+    wander: 300, and they walk as long as that)."""
     spawn_distance: float | None = None
-    """Least distance between both at the start [m] (default: 5, the paper's for evaluation); sets and files decide it."""
+    """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files
+    decide it."""
     workers: int = 1
     """Processes."""
     mcap: bool = False
@@ -97,7 +109,6 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 
         if self.force and self.resume:
@@ -112,45 +123,73 @@ class Generate:
         with DatasetWriter(out, resume=self.resume) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
-        recordings = _ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
-        table = measure_many(recordings)
-        text = f"{len(table)} episodes{_whose(jobs[0])}, {recordings.steps} steps in {out}\n\n{table.to_text()}"
-        text += "".join(f"\nfailed {line}" for line in recordings.failed)
+        written = _ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
+        table = _measured(written)
+        shown = f"\n\n{table.to_text()}" if table else ""
+        text = f"{len(written)} episodes{_whose(jobs[0])}, {written.steps} steps in {out}{shown}"
+        text += "".join(f"\nfailed {line}" for line in written.failed)
         data: dict[str, Any] = {
-            "dataset": str(out), "episodes": len(table), "new": len(table) - done, "steps": recordings.steps,
-            "state_hashes": recordings.hashes, "failed": recordings.failed, "metrics": table.to_dict(),
+            "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
+            "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict() if table else None,
         }  # fmt: skip
-        return Outcome(text=text, data=data, exit_code=1 if recordings.failed else 0)
+        return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
 
     def _simulate(self, jobs: Sequence[AnyJob], writer: DatasetWriter) -> None:
-        committed = time.monotonic()
+        """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
+        played = _first_played(writer)
+        waiting: list[Recording] = []
+        committed, failures = time.monotonic(), 0
         bar = tqdm(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode", disable=None)
         with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
             for recording in recordings:
-                with uninterrupted():
-                    writer.add(recording)
-                    if time.monotonic() - committed > COMMIT_S:
-                        writer.commit()
-                        committed = time.monotonic()
+                waiting.append(recording)
+                if is_failed(recording):
+                    bar.set_postfix(failed=(failures := failures + 1), refresh=False)
+                else:
+                    played = played or recording
+                if played is not None:
+                    with uninterrupted():
+                        for each in waiting:
+                            writer.add(beside(each, played) if is_failed(each) else each)
+                        waiting.clear()
+                        if time.monotonic() - committed > COMMIT_S:
+                            writer.commit()
+                            committed = time.monotonic()
                 bar.update()
         with uninterrupted():
             writer.commit()
+        if waiting:
+            first = waiting[0].episode
+            raise H3DataError(
+                f"None of {len(waiting)} episodes could be played. The first, {first.episode_id} in {first.scene} "
+                f"(seed {first.seed}): {first.info['failed']}"
+            )
 
     def jobs(self) -> Sequence[AnyJob]:
         """All episodes, or an `InputError` that names the bad option."""
-        if self.task == "rearrange":
-            return self._rearrange_jobs()
+        tasks = {"social_nav": self._social_nav_jobs, "rearrange": self._rearrange_jobs, "wander": self._wander_jobs}
+        if self.task not in tasks:
+            raise InputError(
+                f"Unknown task {self.task!r}.{did_you_mean(self.task, tasks)} Expected {', '.join(tasks)}."
+            )
+        self._check_numbers()
+        if self.human not in (None, ANY_BODY):
+            load_humanoid(self.human)
+        if self.episodes_file is not None and self.task != "social_nav":
+            raise InputError(
+                f"--episodes-file is for social_nav: episodes of {self.task} are drawn from --scenes and --seed."
+            )
+        return tasks[self.task]()
+
+    def _social_nav_jobs(self) -> Sequence[AnyJob]:
         from h3data.interop.scene_names import named_scenes
         from h3data.scene.scene_sets import find_scene_set
         from sim_kinematic.learned import stamped
         from sim_kinematic.policies import policy_by_name
-        from sim_kinematic.social_nav import require_task
         from sim_kinematic.spec import SocialNavSpec
 
-        require_task(self.task)
         policy = stamped(self.policy or "heuristic_expert")
         policy_by_name(policy)
-        self._check_numbers()
         if self.partner is not None:
             raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
         if self.agents is not None:
@@ -179,21 +218,32 @@ class Generate:
         from sim_kinematic.cast import cast_of
         from sim_kinematic.rearrange_log import SOLO
 
-        self._check_numbers()
         if self.agents is not None:
             kinds = [member.kind for member in cast_of(self.agents)]
             for option, given, kind in (("--policy", self.policy, "robot"), ("--partner", self.partner, "human")):
                 if given not in (None, SOLO) and kind not in kinds:
                     raise InputError(f"{option} {given} is for a {kind}, but there is none in --agents {self.agents}.")
-        if self.episodes_file is not None:
-            raise InputError(
-                "--episodes-file is for social_nav: episodes of rearrange are drawn from --scenes and --seed."
-            )
         return rearrange_jobs(
             self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
             seed=self.seed, policy=self.policy or "complement", partner=self.partner or "both", human=self.human,
             agents=self.agents,
             spec=rules(human_speed=self.human_speed, max_steps=self.max_steps, spawn_distance=self.spawn_distance),
+        )  # fmt: skip
+
+    def _wander_jobs(self) -> Sequence[AnyJob]:
+        from h3data_pipelines.wander_jobs import AGENTS, STEPS, wander_jobs
+        from sim_kinematic.spec import SocialNavSpec
+
+        for option, given in (("--policy", self.policy), ("--partner", self.partner)):
+            if given is not None:
+                raise InputError(f"{option} is for social_nav or rearrange: who wanders follows no policy.")
+        spec = SocialNavSpec(max_steps=STEPS)
+        if self.spawn_distance is not None:
+            spec = replace(spec, spawn_distance_m=self.spawn_distance)
+        return wander_jobs(
+            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
+            seed=self.seed, agents=AGENTS if self.agents is None else self.agents, human=self.human,
+            spec=Changes(policy="", human_speed=self.human_speed, max_steps=self.max_steps).applied(spec),
         )  # fmt: skip
 
     def _check_numbers(self) -> None:
@@ -226,6 +276,9 @@ class _ReadBack:
         """Episodes that raised: their number, seed and error."""
         self.steps = 0
 
+    def __len__(self) -> int:
+        return len(self.dataset)
+
     def __iter__(self) -> Iterator[Recording]:
         from h3data.recording import write_mcap
 
@@ -236,11 +289,35 @@ class _ReadBack:
                 if not log.exists():
                     write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
             episode = recording.episode
-            if "failed" in episode.info:
+            if is_failed(recording):
                 self.failed.append(f"{episode.episode_id} (seed {episode.seed}): {episode.info['failed']}")
             self.hashes.append(str(recording.columns["state_hash"][-1]) if len(recording) else "")
             self.steps += len(recording)
             yield recording
+
+
+def _measured(recordings: _ReadBack) -> MetricsTable | None:
+    """Their metrics: the paper's of its tasks, else those of any two agents; nothing where somebody is alone."""
+    from h3data.metrics import measure_many
+
+    first = recordings.dataset.recording(0)
+    if first.episode.task != "wander":
+        return measure_many(recordings)
+    if len(first.agents) > 1:
+        return measure_many(recordings, "field")
+    for _ in recordings:
+        pass
+    return None
+
+
+def _first_played(writer: DatasetWriter) -> Recording | None:
+    """An episode of a dataset to go on with that did not fail."""
+    from h3data.recording import Dataset
+
+    if not len(writer):
+        return None
+    dataset = Dataset(writer.root)
+    return next((r for r in map(dataset.recording, range(len(dataset))) if not is_failed(r)), None)
 
 
 def _whose(job: AnyJob) -> str:

@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data.metrics import metrics_of
 from h3data_pipelines.cross_play import CellValue, aligned, cell_value, or_none
 from h3data_pipelines.episode_jobs import Changes, Job, seeded_jobs, set_jobs
-from h3data_pipelines.rearrange_jobs import reason_of
+from h3data_pipelines.failed_episodes import reason_of
 from h3data_viewers.report_paper import paper_results
 
 METRICS = tuple(metric.name for metric in metrics_of("paper", "social_nav"))
