@@ -66,7 +66,10 @@ class Stage:
                                             colors=np.zeros((0, 3), np.uint8)), matrix=eye),
         ]  # fmt: skip
 
-    def matrices(self, index: int) -> np.ndarray:
+    def matrices(self, index: int, steps: np.ndarray) -> np.ndarray:
+        return self._tracks(index)[steps]
+
+    def _tracks(self, index: int) -> np.ndarray:
         k = np.arange(STEPS)
         if self.drawables[index].name == "cup":
             out = np.tile(pose_to_matrix([2.0, 1.0, 0.0, *quat_from_axis_angle([1, 2, 3], 0.5)]), (STEPS, 1, 1))

@@ -24,7 +24,7 @@ from h3data.interop.gltf_animation import write_gltf_animation
 from h3data.interop.lerobot_export import write_lerobot
 from h3data.interop.robomimic import write_robomimic
 from h3data.interop.transitions import transitions_of
-from h3data.recording import Agent, AssetRef, Body, Dataset, Episode, Event, Recording, write_mcap
+from h3data.recording import Agent, AssetRef, Body, Dataset, Episode, Event, InputEvent, Recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.posing import posed_cameras, posed_parts
 from h3data.scene import HomeSpec, build_home
@@ -313,6 +313,17 @@ def test_tables_hold_every_number(recording: Recording, tmp_path: Path) -> None:
     assert int(rows[-1]["state_hash"]) == recording.columns["state_hash"][-1]
     record = json.loads((tmp_path / "recording.json").read_text())
     assert record["episode"]["uid"] == recording.episode.uid
+
+
+def test_tables_keep_raw_input_to_the_letter(tmp_path: Path) -> None:
+    typed = InputEvent(time_ns=-7, kind="key_down", user=2, payload='{"key": "ü,\\n"}')
+    write_csv_tables(replace(boxes(), inputs=(typed,)), tmp_path)
+    with (tmp_path / "inputs.csv").open(newline="", encoding="utf-8") as stream:
+        (row,) = csv.DictReader(stream)
+    assert (
+        InputEvent(time_ns=int(row["time_ns"]), kind=row["kind"], user=int(row["user"]), payload=row["payload"])
+        == typed
+    )
 
 
 def test_tables_leave_out_what_is_away(tmp_path: Path) -> None:

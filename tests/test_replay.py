@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import h3data
+from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
-from h3data.replay import Replay, camera_names, camera_track
+from h3data.replay import Replay, camera_names, camera_track, links
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec
@@ -51,6 +52,22 @@ def test_poses_are_the_recorded_ones(recording: Recording, replay: Replay) -> No
     still = recording.bodies[5]
     np.testing.assert_allclose(state.poses[still.name][:3, 3], still.pose[:3], atol=1e-6)
     assert state.time_s == pytest.approx(101 / 30, abs=1e-3)
+
+
+def test_links_worked_out_in_blocks_are_those_worked_out_at_once(recording: Recording, monkeypatch) -> None:
+    robot, poses = load_robot("quad_arm"), Replay(recording, stepping=False)
+    base, joints = (recording.agent_column(0, name) for name in ("base_pose", "joint_pos"))
+    expected = robot.link_matrices(base, joints).astype(np.float32)
+    monkeypatch.setattr(links, "BLOCK_STEPS", 7)
+    monkeypatch.setattr(links, "BLOCKS_KEPT", 2)
+    for steps in (None, np.arange(200), np.array([13]), np.array([-1, 0, 41, 6, 7, 7, 199]), np.zeros(0, np.intp)):
+        rows = slice(None) if steps is None else steps
+        np.testing.assert_array_equal(poses.link_matrices(0, steps), expected[rows])
+        np.testing.assert_array_equal(poses.link_track(0, 3, steps), expected[rows, 3])
+    with pytest.raises(IndexError):
+        poses.link_matrices(0, np.array([200]))
+    with pytest.raises(InputError, match="not a robot"):
+        poses.link_matrices(1)
 
 
 def test_steps_outside_are_refused(replay: Replay) -> None:

@@ -32,8 +32,8 @@ class ShortStage(Stage):
         super().__init__(recording)
         self.drawables = self.drawables[:2] + self.drawables[3:4]
 
-    def matrices(self, index: int) -> np.ndarray:
-        return np.tile(pose_to_matrix([5.0, 1.0, 0.0, 0, 0, 0, 1]), (25, 1, 1))
+    def matrices(self, index: int, steps: np.ndarray) -> np.ndarray:
+        return np.tile(pose_to_matrix([5.0, 1.0, 0.0, 0, 0, 0, 1]), (len(steps), 1, 1))
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from h3data.geometry import (
     pose_to_matrix,
     transform_points,
 )
-from h3data.recording.records import STEP_NS, Agent, Recording
+from h3data.recording.records import STEP_NS, Agent, InputEvent, Recording
 from h3data.render.camera import look_at, orthographic, pinhole
-from h3data_viewers import CameraFeed, write_rrd
+from h3data_viewers import CameraFeed, rerun_bodies, write_rrd
 from h3data_viewers.rerun_cameras import frame_steps
 from h3data_viewers.rerun_sink import Sink
 from h3data_viewers.rerun_tracks import lanes_of, log_scalars
@@ -41,9 +42,9 @@ def test_rigid_things_are_where_the_replay_says(written, step):
     root = pose_to_matrix(recording.agent_column(0, "base_pose")[step])
     assert np.allclose(file.matrix("/world/spot", step), root, atol=1e-5)
     leg = root @ file.matrix("/world/spot/leg", step) @ file.matrix("/world/spot/leg/mesh", step)
-    assert np.allclose(leg, stage.matrices(4)[step], atol=5e-5)
+    assert np.allclose(leg, stage.matrices(4, step), atol=5e-5)
     cup = file.matrix("/world/objects/cup", step) @ file.matrix("/world/objects/cup/mesh", step)
-    assert np.allclose(cup, stage.matrices(3)[step], atol=5e-5)
+    assert np.allclose(cup, stage.matrices(3, step), atol=5e-5)
     lamp = file.matrix("/world/scene/lamp\\/left\\ hand", step)
     assert np.allclose(lamp, stage.drawables[2].matrix, atol=1e-6), "mirrored and scaled"
     camera = file.matrix("/world/cameras/user\\ eye", step)
@@ -65,6 +66,50 @@ def test_things_at_rest_cost_one_row(written):
     assert "/world/scene/nothing" not in file.batches
     assert all(static for static, _ in file.batches["/world/scene/floor"])
     assert "/world/scene/ceiling/slab" in file.batches
+
+
+@pytest.mark.parametrize("block", [1, 10, 7])
+def test_blocks_of_steps_show_the_same(tmp_path, monkeypatch, written, block):
+    recording, stage, file = written
+    monkeypatch.setattr(rerun_bodies, "BLOCK_STEPS", block)
+    again = File(write_rrd(recording, tmp_path / "e.rrd", replay=stage))
+    for entity in ("/world/spot", "/world/alex", "/world/spot/leg", "/world/objects/cup"):
+        assert again.column(entity, "Transform3D:translation")[0].tolist() == (
+            file.column(entity, "Transform3D:translation")[0].tolist()
+        )
+        for step in range(STEPS):
+            np.testing.assert_allclose(again.matrix(entity, step), file.matrix(entity, step), atol=1e-6)
+
+
+def test_what_appears_late_is_hidden_before(tmp_path, monkeypatch):
+    monkeypatch.setattr(rerun_bodies, "BLOCK_STEPS", 4)
+    recording = example()
+    pose = recording.agent_column(1, "base_pose").copy()
+    pose[:13] = np.nan
+    recording = replace(recording, columns={**recording.columns, "agent_1.base_pose": pose})
+    file = File(write_rrd(recording, tmp_path / "e.rrd"))
+    shown = [np.linalg.det(file.matrix("/world/alex", step)) > 0.9 for step in range(STEPS)]
+    assert shown == [step >= 13 for step in range(STEPS)]
+    np.testing.assert_allclose(file.matrix("/world/alex", 13), pose_to_matrix(pose[13]), atol=1e-5)
+
+
+def test_raw_input_is_logged_at_its_own_times(tmp_path):
+    given = (
+        InputEvent(time_ns=-5, kind="key_down", payload='{"key": "w"}'),
+        InputEvent(time_ns=3 * STEP_NS, kind="mouse_move", user=1),
+        InputEvent(time_ns=3 * STEP_NS + 1, kind="key_up", payload='{"key": "w"}'),
+        InputEvent(time_ns=1000 * STEP_NS, kind="text", payload='"bye"'),
+    )
+    file = File(write_rrd(replace(example(), inputs=given), tmp_path / "e.rrd"))
+    steps, texts = file.column("/input/user_0", "TextLog:text")
+    assert list(zip(steps.tolist(), [t[0] for t in texts], strict=True)) == [
+        (0, 'key_down {"key": "w"}'),
+        (4, 'key_up {"key": "w"}'),
+        (STEPS, 'text "bye"'),
+    ]
+    ((_, batch),) = file.batches["/input/user_0"]
+    assert batch.column("sim_time").cast("int64").to_pylist() == [g.time_ns for g in given if g.user == 0]
+    assert file.column("/input/user_1", "TextLog:text")[0].tolist() == [3]
 
 
 def test_skinned_vertices(written):

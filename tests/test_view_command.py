@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,3 +189,25 @@ def test_from_a_uri(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_the_default_place_is_beside_the_recording(folder: Path) -> None:
     assert main(["view", str(folder / "long.mcap"), "--compare", f"{folder / 'ds'}#1"]) == 0
     assert File(folder / "long_and_ds#1.rrd").recordings
+
+
+@pytest.mark.slow
+def test_long_recordings_are_exported_in_blocks(tmp_path: Path) -> None:
+    """Beyond the recording itself there are 170 bytes per step: 150 for the joints of stepping legs."""
+    short, few, many = _episode(seed=3, steps=400), 20_000, 100_000
+
+    def peak(steps: int) -> int:
+        """Most bytes that the export of the episode, repeated forwards and backwards, holds at a time."""
+        turns = [slice(None, None, -1 if k % 2 else 1) for k in range(-(-steps // len(short)))]
+        columns = {n: np.concatenate([c[turn] for turn in turns])[:steps] for n, c in short.columns.items()}
+        columns["time_ns"] = np.arange(1, steps + 1) * short.episode.dt_ns
+        recording = replace(short, columns=columns, skills=(), events=())
+        tracemalloc.start()
+        try:
+            write_rrd(recording, tmp_path / "long.rrd", replay=Replay(recording), overwrite=True)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(10)  # what is loaded at first use
+    assert (peak(many) - peak(few)) / (many - few) < 300

@@ -27,6 +27,8 @@ JUMP_M = 0.5
 """A base that moves farther in one step was put there: the trot begins anew."""
 MAX_STRETCH = 0.999
 """Of the length of a leg, so that the knee keeps its side."""
+_BLOCK_STEPS = 4096
+"""Worked out at once: the matrices of a long track would take a hundred times its memory."""
 
 
 def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
@@ -53,11 +55,15 @@ def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np
     begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
         if there[first]:
-            part = slice(first, last)
-            to_base = np.linalg.inv(pose_to_matrix(bases[part]) @ robot.to_base)
-            spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], _feet(bases[part], feet)) + to_base[:, None, :3, 3]
-            for k, leg in enumerate(robot.legs):
-                out[part, leg.columns] = leg_angles(robot, leg, spots[:, k])
+            track = bases[first:last]
+            heading, way = _headings_and_way(track, feet)
+            for start in range(0, len(track), _BLOCK_STEPS):
+                rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
+                to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
+                places = _feet(track, heading, way, feet, rows)
+                spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
+                for k, leg in enumerate(robot.legs):
+                    out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
     return out
 
 
@@ -67,18 +73,22 @@ def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
     return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
 
 
-def _feet(bases: Array, feet: Array) -> Array:
-    """Places of the feet in the world [T, L, 3] along a base track [T, 7], from their places at rest [L, 3]."""
+def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
+    """Heading, without jumps, and distance that the feet have covered along a base track [T, 7]; both [T]."""
     heading = np.unwrap(heading_from_quat(bases[:, 3:]))
     covered = np.hypot(*np.diff(bases[:, [0, 2]], axis=0).T)
     covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
-    way = np.concatenate([[0.0], np.cumsum(covered)])
-    edges = np.clip(np.arange(len(way))[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
+    return heading, np.concatenate([[0.0], np.cumsum(covered)])
+
+
+def _feet(bases: Array, heading: Array, way: Array, feet: Array, rows: NDArray[np.integer]) -> Array:
+    """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
+    edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
     lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
-    out = np.empty((len(bases), len(feet), 3))
+    out = np.empty((len(rows), len(feet), 3))
     for k, foot in enumerate(feet):
         begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
-        place = begin + way / STRIDE_M
+        place = begin + way[rows] / STRIDE_M
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:

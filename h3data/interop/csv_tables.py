@@ -17,7 +17,8 @@ from h3data.recording.records import Agent, Recording
 from h3data.recording.schema import episode_to_dict
 
 FILES = (
-    "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "columns.npz", "recording.json",
+    "steps.csv", "object_pose.csv", "bodies.csv", "agents.csv", "skills.csv", "events.csv", "inputs.csv", "columns.npz",
+    "recording.json",
 )  # fmt: skip
 """What `write_csv_tables` writes."""
 
@@ -32,7 +33,7 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     - ``steps.csv``: a row per step; every column of the recording with at most 64 numbers, one CSV column each, named by
       joints and actions where these are known (``agent_0.joint_pos.<joint>``).
     - ``object_pose.csv``: a row per step and moving body that was there.
-    - ``bodies.csv``, ``agents.csv``, ``skills.csv``, ``events.csv``: the records.
+    - ``bodies.csv``, ``agents.csv``, ``skills.csv``, ``events.csv``, ``inputs.csv``: the records.
     - ``columns.npz``: every column exactly, under its own name; ``recording.json``: the episode and the names.
 
     Numbers in CSV have all digits: float32 values come back bit for bit. Not a number is an empty field.
@@ -53,6 +54,8 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     _table(folder / "skills.csv", head, [[getattr(s, name) for name in head] for s in recording.skills])
     head = ["step", "agent", "kind", "target", "detail"]
     _table(folder / "events.csv", head, [[getattr(e, name) for name in head] for e in recording.events])
+    head = ["time_ns", "user", "kind", "payload"]
+    _table(folder / "inputs.csv", head, [[getattr(i, name) for name in head] for i in recording.inputs])
     with part_file(folder / "columns.npz") as part, part.open("wb") as stream:
         _npz(stream, recording)
     record = {

@@ -30,6 +30,8 @@ from h3data.render.camera import Convention, Projection
 from h3data.replay.chase import held
 from h3data.replay.replay import CameraTrack, Replay
 
+_JOINT_STEPS = 512
+
 Point = tuple[float, float, float]
 
 
@@ -242,17 +244,17 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
     if not replay.recording.agents[agent].model:
         raise InputError(f"Agent {label!r} has no model with links; a camera can be mounted on its bodies by name.")
     model = replay.model(agent)
-    if isinstance(model, Robot):
-        names = [link.name for link in model.links]
-        frames = replay.link_matrices(agent)
-    else:
-        from h3data.bodies.skeleton import JOINT_NAMES
-
-        names = list(JOINT_NAMES)
-        frames = replay.joint_matrices(agent, np.arange(len(replay)))
+    names = [link.name for link in model.links] if isinstance(model, Robot) else list(model.joint_names)
     if name not in names:
         raise InputError(f"Agent {label!r} has no link {name!r}. It has: {', '.join(names)}.")
-    return _rigid(np.asarray(frames[:, names.index(name)], np.float64))
+    number = names.index(name)
+    if isinstance(model, Robot):
+        return _rigid(replay.link_track(agent, number).astype(np.float64))
+    blocks = np.array_split(
+        np.arange(len(replay)), len(replay) // _JOINT_STEPS + 1
+    )  # all joints of all steps are large
+    frames = [replay.joint_matrices(agent, steps)[:, number] for steps in blocks]
+    return _rigid(np.concatenate(frames).astype(np.float64))
 
 
 def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:

@@ -73,7 +73,8 @@ def _mounted(replay: Replay, name: str) -> CameraTrack | None:
                     camera = pinhole(
                         mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", ".")
                     )
-                    poses = model.camera_poses(own_name, replay.link_matrices(index).astype(np.float64))
+                    link = model.camera(own_name)
+                    poses = replay.link_track(index, link.link).astype(np.float64) @ link.pose
                     return CameraTrack(camera=camera, poses=poses)
         elif model is not None and own_name == HUMAN_HEAD:
             camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)

@@ -37,7 +37,7 @@ def posed_parts(replay: Replay) -> list[PosedPart]:
     for drawable, track in zip(replay.drawables, replay.tracks, strict=True):
         body, scale, skeleton = bodies.get(drawable.name), np.ones(3), None
         if isinstance(track, LinkTrack):
-            body, poses = None, _poses(replay.link_matrices(track.agent)[:, track.link])
+            body, poses = None, _poses(replay.link_track(track.agent, track.link))
         elif isinstance(track, PersonTrack):
             body = None
             base = replay.recording.agent_column(track.agent, "base_pose").astype(np.float64)

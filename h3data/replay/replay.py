@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
-from h3data.bodies.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.interop import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.render.camera import Camera
+from h3data.replay.links import LinkPoses
 from h3data.scene import Mesh, Scene, load_scene
 
 if TYPE_CHECKING:
@@ -178,10 +178,11 @@ class Replay:
     def _add_agent(self, index: int, agent: Agent) -> None:
         model = self.model(index)
         self._require_motion(index, model)
+        first = np.zeros(1, np.intp)
         if isinstance(model, Robot):
             for number, link in enumerate(model.links):
                 if link.mesh is not None:
-                    matrix = self.link_matrices(index)[0, number] if len(self) else np.eye(4)
+                    matrix = self.link_track(index, number, first)[0] if len(self) else np.eye(4)
                     self._add(
                         Drawable(
                             name=f"{agent.name}/{link.name}", mesh=link.mesh, matrix=matrix.astype(np.float64),
@@ -228,21 +229,28 @@ class Replay:
         )
 
     # --- poses --------------------------------------------------------------------------------------------------------
-    def link_matrices(self, agent: int) -> NDArray[np.float32]:
-        """World matrices of the links of a robot that is drawn by its model, at all steps, shape [T, L, 4, 4]."""
+    def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """World matrices of the links of a robot that is drawn by its model, at ``steps`` (all by default), [T, L, 4, 4].
+
+        Those of a long recording are large: ask for some steps at a time, or for one link (`link_track`).
+        """
+        return self._links_of(agent).at(steps, slice(None))
+
+    def link_track(self, agent: int, link: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """World matrices of one link, as `link_matrices`, shape [T, 4, 4]."""
+        return self._links_of(agent).at(steps, link)
+
+    def _links_of(self, agent: int) -> LinkPoses:
         if agent not in self._links:
             robot = self.model(agent)
             if not isinstance(robot, Robot):
                 raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a robot with links.")
-            base = self.recording.agent_column(agent, "base_pose")
-            joints = self.recording.agent_column(agent, "joint_pos")
-            if self.stepping and legs_are_posed(robot, joints):
-                joints = trot(robot, base, joints)
-            self._links[agent] = robot.link_matrices(base, joints).astype(np.float32)
+            base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
+            self._links[agent] = LinkPoses(robot, base, joints, stepping=self.stepping)
         return self._links[agent]
 
     @cached_property
-    def _links(self) -> dict[int, NDArray[np.float32]]:
+    def _links(self) -> dict[int, LinkPoses]:
         return {}
 
     def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
@@ -255,7 +263,7 @@ class Replay:
             out[np.isnan(out[:, 0, 0])] = np.nan
             return out
         if isinstance(track, LinkTrack):
-            return self.link_matrices(track.agent)[rows, track.link]
+            return self.link_track(track.agent, track.link, rows)
         return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
 
     def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:

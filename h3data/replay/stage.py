@@ -132,9 +132,9 @@ class Stage:
             matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is not there
             matrices[:, :3, :3] *= self._scales
             renderer.set_transforms(self._bodies, matrices)
-        for agent, instances, links in self._robots:
-            renderer.set_transforms(instances, self.replay.link_matrices(agent)[step, links])
         rows = np.array([step])
+        for agent, instances, links in self._robots:
+            renderer.set_transforms(instances, self.replay.link_matrices(agent, rows)[0, links])
         for index, skin in self._rigged:
             vertices = self.replay.vertices(index, rows)[0]
             there = bool(np.isfinite(vertices).all())

@@ -26,6 +26,8 @@ TEXTURE_SIDE_PX = 512
 SKIN_BYTES = 16_000_000
 """Above this, skinned bodies are sampled less often."""
 SKIN_VERTICES = 3_500
+BLOCK_STEPS = 4096
+"""Steps whose poses are worked out and logged together."""
 HIDDEN = 1e-6
 """Scale of a thing that is not in the world at a step: Rerun takes 0 and NaN for a fault and says so in its log."""
 AGENT_COLORS = {"robot": (255, 202, 40), "human": (66, 165, 245)}
@@ -56,8 +58,8 @@ class Posed(Protocol):
     @property
     def drawables(self) -> Sequence[Drawable]: ...
 
-    def matrices(self, index: int) -> NDArray[np.float32]:
-        """4x4 of a moving drawable at every step, shape [T, 4, 4]; NaN where it was not in the world."""
+    def matrices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
+        """4x4 of a moving drawable at ``steps``, shape [len(steps), 4, 4]; NaN where it was not in the world."""
         ...
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
@@ -80,7 +82,9 @@ def log_agents(sink: Sink, recording: Recording, drawn: set[int]) -> None:
         pose = recording.agent_column(i, "base_pose")
         color = AGENT_COLORS[agent.kind]
         root = f"world/{entity_part(agent.name)}"
-        log_track(sink, root, pose_to_matrix(pose.astype(np.float64)))
+        track = LoggedTrack(sink, root)
+        for steps in step_blocks(len(recording)):
+            track.log(steps, pose_to_matrix(pose[steps].astype(np.float64)))
         height = 1.95 if agent.kind == "human" else 0.95
         tag = rr.Points3D([[0, height, 0]], radii=[0.02], colors=[color], labels=[agent.name], show_labels=True)
         sink.static(f"{root}/name", tag)
@@ -123,29 +127,28 @@ def log_rigid(sink: Sink, recording: Recording, replay: Posed, *, share: float =
     """Meshes of everything that does not deform, static or with a track; ``share`` of the file's bytes are theirs."""
     rigid = [(i, d) for i, d in enumerate(replay.drawables) if not d.deformable and len(d.mesh.faces)]
     looks = _looks([d.mesh for _, d in rigid], share)
-    inverse: dict[int, NDArray[np.floating]] = {}
     taken: set[str] = set()
+    moving = []
     for (index, drawable), look in zip(rigid, looks, strict=True):
         if not drawable.moving:
             layer = f"{entity_part(drawable.layer)}/" if drawable.layer else ""
             entity = _unique(f"world/scene/{layer}{entity_part(drawable.name)}", taken)
             _log_mesh(sink, entity, look, drawable.matrix)
             continue
-        matrices = replay.matrices(index).astype(np.float64)
-        parent = "world/objects"
-        if _has_root(recording, drawable.agent):
-            agent = drawable.agent
-            if agent not in inverse:
-                pose = recording.agent_column(agent, "base_pose").astype(np.float64)
-                inverse[agent] = pose_to_matrix(pose_inverse(pose))
-            matrices = inverse[agent] @ matrices
-            parent = f"world/{entity_part(recording.agents[agent].name)}"
-            name = drawable.name.removeprefix(recording.agents[agent].name + "/")
-        else:
-            name = drawable.name
-        entity = _unique(f"{parent}/{entity_part(name)}", taken)
-        scale = log_track(sink, entity, matrices)
-        _log_mesh(sink, f"{entity}/mesh", look, np.diag([*scale, 1.0]))
+        agent = drawable.agent if _has_root(recording, drawable.agent) else -1
+        parent, name = "world/objects", drawable.name
+        if agent >= 0:
+            owner = recording.agents[agent].name
+            parent, name = f"world/{entity_part(owner)}", name.removeprefix(owner + "/")
+        moving.append((index, agent, LoggedTrack(sink, _unique(f"{parent}/{entity_part(name)}", taken)), look))
+    roots = {agent: recording.agent_column(agent, "base_pose") for _, agent, _, _ in moving if agent >= 0}
+    for steps in step_blocks(len(recording)):
+        to_root = {a: pose_to_matrix(pose_inverse(pose[steps].astype(np.float64))) for a, pose in roots.items()}
+        for index, agent, track, _ in moving:
+            matrices = replay.matrices(index, steps).astype(np.float64)
+            track.log(steps, matrices if agent < 0 else to_root[agent] @ matrices)
+    for _, _, track, look in moving:
+        _log_mesh(sink, f"{track.entity}/mesh", look, np.diag([*track.scale, 1.0]))
 
 
 def _has_root(recording: Recording, agent: int) -> bool:
@@ -214,25 +217,46 @@ def decompose(
     return matrices[:, :3, 3], quat_from_matrix(rotation), scale
 
 
-def log_track(sink: Sink, entity: str, matrices: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Log poses [T, 4, 4] where they change; returns the scale [3] of the first one, which the poses leave out."""
-    import rerun as rr
+def step_blocks(steps: int) -> list[NDArray[np.intp]]:
+    """All steps in runs that are logged together: only one run of poses is in memory at a time."""
+    return [np.arange(start, min(start + BLOCK_STEPS, steps)) for start in range(0, steps, BLOCK_STEPS)]
 
-    there = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))
-    if not len(matrices) or not there.any():
-        if len(matrices):
-            sink.static(entity, rr.Transform3D(scale=HIDDEN))
-        return np.ones(3)
-    filled = np.where(there[:, None, None], matrices, matrices[np.argmax(there)])
-    position, quat, scale = decompose(filled)
-    quat = quat_sign_continuous(quat)
-    # 20 µm steps: rounding noise of a thing at rest makes no new row, and nothing drifts.
-    coarse = np.concatenate([np.round(np.concatenate([position, quat], 1) / 2e-5), there[:, None]], axis=1)
-    rows = np.flatnonzero(np.concatenate([[True], np.any(np.diff(coarse, axis=0) != 0, axis=1)]))
-    shown = None if there.all() else np.where(there[rows, None], 1.0, HIDDEN) * np.ones(3)
-    columns = rr.Transform3D.columns(translation=position[rows], quaternion=quat[rows], scale=shown)
-    sink.columns(entity, rows, columns)
-    return scale[np.argmax(there)]
+
+class LoggedTrack:
+    """Poses of one entity, logged where they change, block by block."""
+
+    def __init__(self, sink: Sink, entity: str) -> None:
+        self.entity = entity
+        self.scale: NDArray[np.floating] = np.ones(3)
+        """Of the first pose; the logged ones leave it out."""
+        self._sink = sink
+        self._last = np.eye(4)
+        self._last_quat = np.array([[0.0, 0, 0, 1]])
+        self._coarse = np.full((1, 8), np.nan)
+        self._met = self._hides = False
+
+    def log(self, steps: NDArray[np.integer], matrices: NDArray[np.floating]) -> None:
+        """Poses [n, 4, 4] at the next ``steps`` [n], at least one; NaN where it was not in the world."""
+        import rerun as rr
+
+        there = np.asarray(np.isfinite(matrices).reshape(len(matrices), 16).all(axis=1))
+        known = np.maximum.accumulate(np.where(there, np.arange(1, len(there) + 1), 0))
+        position, quat, scale = decompose(np.concatenate([self._last[None], matrices])[known])
+        quat = quat_sign_continuous(np.concatenate([self._last_quat, quat]))[1:]
+        if there.any():
+            if not self._met:
+                self._met, self.scale = True, scale[np.argmax(there)]
+            self._last, self._last_quat = matrices[np.flatnonzero(there)[-1]], quat[-1:]
+        # 20 µm steps: rounding noise of a thing at rest makes no new row, and nothing drifts.
+        coarse = np.concatenate([np.round(np.concatenate([position, quat], 1) / 2e-5), there[:, None]], axis=1)
+        chosen = np.flatnonzero(np.any(np.diff(np.concatenate([self._coarse, coarse]), axis=0) != 0, axis=1))
+        self._coarse = coarse[-1:]
+        if not len(chosen):
+            return
+        self._hides |= not there.all()  # from then on every row says whether it is seen
+        shown = np.where(there[chosen, None], 1.0, HIDDEN) * np.ones(3) if self._hides else None
+        columns = rr.Transform3D.columns(translation=position[chosen], quaternion=quat[chosen], scale=shown)
+        self._sink.columns(self.entity, steps[chosen], columns)
 
 
 # --- skinned bodies ---------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
-from h3data_viewers.rerun_bodies import decompose, entity_part, log_track
+from h3data_viewers.rerun_bodies import LoggedTrack, decompose, entity_part, step_blocks
 from h3data_viewers.rerun_sink import Sink
 
 Pictures = Literal["stills", "video"]
@@ -81,7 +81,9 @@ def log_camera(sink: Sink, feed: CameraFeed, *, pictures: Pictures) -> str:
         position, quat, _ = decompose(np.asarray(poses, np.float64))
         sink.static(entity, rr.Transform3D(translation=position[0], quaternion=quat[0]))
     else:
-        log_track(sink, entity, np.asarray(poses, np.float64))
+        track = LoggedTrack(sink, entity)
+        for steps in step_blocks(len(poses)):
+            track.log(steps, np.asarray(poses[steps], np.float64))
     small = scaled(camera, min(1.0, STILL_WIDTH / camera.width))
     if len(sink.time_ns) and feed.drawn is not None:
         _log_stills(sink, f"{entity}/image", _encoded(feed.drawn))

@@ -32,6 +32,8 @@ class Side:
     lanes: Sequence[str]
     log: str
     """Root of the log; empty without one."""
+    inputs: str
+    """Root of people's raw input; empty without any."""
 
 
 def layout(sides: Sequence[Side], *, timeline: str) -> rrb.Blueprint:
@@ -67,10 +69,10 @@ def layout(sides: Sequence[Side], *, timeline: str) -> rrb.Blueprint:
     if lanes:
         rows.append(rrb.StateTimelineView(origin="/", contents=lanes, name="Actions"))
         shares.append(0.35 + 0.22 * len(lanes))
-    logs = [f"{side.log}/**" for side in sides if side.log]
-    if logs:
-        rows.append(rrb.TextLogView(origin="/", contents=logs, name="Events"))
-        shares.append(0.7)
+    for name, roots in (("Events", [side.log for side in sides]), ("Input", [side.inputs for side in sides])):
+        if any(roots):
+            rows.append(rrb.TextLogView(origin="/", contents=[f"{root}/**" for root in roots if root], name=name))
+            shares.append(0.7)
     time = rrb.TimePanel(state="collapsed", timeline=timeline)
     if not rows:
         root = homes[0] if len(homes) == 1 else rrb.Horizontal(*homes)

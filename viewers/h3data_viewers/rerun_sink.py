@@ -39,11 +39,23 @@ class Sink:
         """Log one value per row of ``rows``, all rows if None; row T lies one step after the last one."""
         self.stream.send_columns(self.path(entity), self._at(rows), columns, strict=True)
 
+    def moments(self, entity: str, time_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]) -> None:
+        """Log one value at each of ``time_ns``, which lie between rows: its step is the first row that is no earlier."""
+        import rerun as rr
+
+        steps = np.searchsorted(self.time_ns, time_ns)
+        durations = time_ns.astype("timedelta64[ns]")
+        times = [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("sim_time", duration=durations)]
+        self.stream.send_columns(self.path(entity), times, columns, strict=True)
+
     def _at(self, rows: Rows | None) -> list[rr.TimeColumn]:
         import rerun as rr
 
         count = len(self.time_ns)
         steps = np.arange(count) if rows is None else np.asarray(rows, np.int64)
         after = self.time_ns[-1] + STEP_NS if count else 0
-        durations = np.append(self.time_ns, after)[steps].astype("timedelta64[ns]")
-        return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("sim_time", duration=durations)]
+        durations = np.where(steps < count, self.time_ns[np.minimum(steps, count - 1)], after) if count else steps * 0
+        return [
+            rr.TimeColumn("step", sequence=steps),
+            rr.TimeColumn("sim_time", duration=durations.astype("timedelta64[ns]")),
+        ]

@@ -170,3 +170,14 @@ def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
         columns = rr.TextLog.columns(text=[line[1] for line in group], level=[line[2] for line in group])
         sink.columns(f"log/{name}", steps, columns)
     return bool(lines)
+
+
+def log_inputs(sink: Sink, recording: Recording) -> bool:
+    """Log raw input of people as text below ``input/``, at its own times; returns whether there is any."""
+    import rerun as rr
+
+    for user in sorted({given.user for given in recording.inputs}):
+        own = [given for given in recording.inputs if given.user == user]
+        columns = rr.TextLog.columns(text=[f"{g.kind} {g.payload}".rstrip() for g in own], level=["INFO"] * len(own))
+        sink.moments(f"input/user_{user}", np.array([given.time_ns for given in own], np.int64), columns)
+    return bool(recording.inputs)

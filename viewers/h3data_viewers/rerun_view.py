@@ -3,7 +3,7 @@
 Entities: ``world/scene/<name>`` what stands still (below its layer, if it has one), ``world/objects/<name>`` what moves,
 ``world/<agent>/...`` agents: their parts hang in the agent's root frame, so that only joints that move cost bytes.
 ``world/trajectories``, ``world/goals``, ``world/free_space``, ``world/cameras/<name>``, ``metrics/*``,
-``actions/*``, ``log/*``; of two recordings in one file below ``/a`` and ``/b``. Timelines: ``step``, ``sim_time``.
+``actions/*``, ``log/*``, ``input/*``; of two recordings in one file below ``/a`` and ``/b``. Timelines: ``step``, ``sim_time``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from h3data_viewers.rerun_cameras import CameraFeed, Pictures, log_camera
 from h3data_viewers.rerun_layout import Side, layout
 from h3data_viewers.rerun_marks import log_free_space, log_goals
 from h3data_viewers.rerun_sink import Sink
-from h3data_viewers.rerun_tracks import log_events, log_lanes, log_scalars
+from h3data_viewers.rerun_tracks import log_events, log_inputs, log_lanes, log_scalars
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -167,6 +167,7 @@ def _write_side(
         plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if together else None, bounds=bounds),
         lanes=log_lanes(sink, recording, ends=together),
         log=sink.path("log") if log_events(sink, recording, ends=together) else "",
+        inputs=sink.path("input") if log_inputs(sink, recording) else "",
     )
 
 
