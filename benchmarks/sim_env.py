@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.sim import cpu_s
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS, Observation
+from sim_kinematic.observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
 from sim_kinematic.vector_env import SocialNavVectorEnv
 
 Emit = Callable[[str, float, str], None]
@@ -40,7 +40,7 @@ def run(emit: Emit) -> None:
     emit("sim.reset_growth_mb", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024, "MiB")
 
 
-def _vector(worlds: int, steps: int, observations: tuple[Observation, ...]) -> float:
+def _vector(worlds: int, steps: int, observations: tuple[str, ...]) -> float:
     env = SocialNavVectorEnv(worlds, HOME, observations=observations)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, worlds, 2))

@@ -162,16 +162,25 @@ class StateRenderer:
         self._frames = list(frames)
         self._shown.clear()
 
+    def middle(self, agent: int) -> Array:
+        """The middle of the box around an agent's links or joints in all worlds, as last posed, [W, 3] [m]."""
+        places = self._posed(agent)[:, :, :3, 3]
+        return (places.min(1) + places.max(1)) / 2
+
+    def _posed(self, agent: int) -> Array:
+        """An agent's frames as last posed."""
+        if not self._frames:
+            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.")
+        if not 0 <= agent < len(self._agents):
+            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.")
+        return self._frames[agent]
+
     def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
         """A camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between her eyes.
 
         ``size``: width and height [pixels] instead of the camera's own; its field of view stays.
         """
-        if not self._frames:
-            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.")
-        if not 0 <= agent < len(self._agents):
-            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.")
-        body, frames = self._agents[agent].body, self._frames[agent]
+        frames, body = self._posed(agent), self._agents[agent].body
         if isinstance(body, Robot):
             mounted = body.camera(name)
             camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.render import look_at, pinhole
 from h3data.scene import Scene
-from sim_kinematic.observations import STATE_OBSERVATIONS, Observation, Observer, gymnasium
+from sim_kinematic.observations import STATE_OBSERVATIONS, Observer, gymnasium
 from sim_kinematic.rewards import RewardProfile
+from sim_kinematic.sensors import NoiseModel
 from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch, checked_actions
 from sim_kinematic.spec import STEP_S, SocialNavSpec
+from sim_kinematic.watching import Watcher
 
-Observations = dict[str, NDArray[np.float32]]
+Observations = dict[str, NDArray[Any]]
 
 
 class SocialNavEnv(gymnasium.Env[Any, Any]):
@@ -36,11 +37,13 @@ class SocialNavEnv(gymnasium.Env[Any, Any]):
         self,
         scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
         *,
-        observations: Sequence[Observation] = STATE_OBSERVATIONS,
+        observations: Sequence[str] = STATE_OBSERVATIONS,
         spec: SocialNavSpec = TRAINING,
         reward: RewardProfile = "paper",
         end_on_success: bool = False,
         depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
         robot: str = "quad_arm",
         human: str = "female_0",
         render_mode: str | None = None,
@@ -52,16 +55,17 @@ class SocialNavEnv(gymnasium.Env[Any, Any]):
             spec: The rules; by default those of the paper's training.
             reward: ``paper`` or ``habitat``.
             end_on_success: Whether having followed long enough terminates the episode too.
-            depth_size: Width and height of pictures [pixels].
+            depth_size: Width and height of depth, masks and boxes [pixels]; None is each camera's own.
+            rgb_size: The same of colours.
+            noise: Model by name of an observation, as `sim_kinematic.sensors.with_noise`; by default all are exact.
             robot: Name of a built-in robot.
             human: Name of a built-in body.
             render_mode: ``rgb_array`` for `render`, or None.
         """
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(f"Unknown render mode {render_mode!r}. Expected rgb_array or None.")
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self.batch = SocialNavBatch(scenes, spec=spec, reward=reward, robot=robot, human=human)
-        self._observer = Observer(self.batch, observations, depth_size=depth_size)
+        self._observer = Observer(self.batch, observations, depth_size=depth_size, rgb_size=rgb_size, noise=noise)
+        self._watcher = Watcher()
         self._end_on_success = end_on_success
         self._seed, self._episode = 0, -1
         self.observation_space = self._observer.space()
@@ -91,10 +95,8 @@ class SocialNavEnv(gymnasium.Env[Any, Any]):
         return observed, float(worth.reward[0]), bool(terminated[0]), bool(self.batch.out_of_time[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The robot from above, uint8 [480, 640, 3]; None without a render mode."""
-        if self.render_mode is None:
-            return None
-        return picture_from_above(self.batch, self._observer)
+        """The robot and what is around it from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        return None if self.render_mode is None else watched(self.batch, self._observer, self._watcher)
 
 
 def action_space(batch: SocialNavBatch) -> gymnasium.spaces.Box:
@@ -127,18 +129,22 @@ def episodes(batch: SocialNavBatch) -> dict[str, NDArray[Any]]:
     }
 
 
-def picture_from_above(batch: SocialNavBatch, observer: Observer) -> NDArray[np.uint8]:
-    """What is around the robot of world 0, which faces upwards in it: 9 m across, uint8 [480, 640, 3], without ceilings."""
+def watched(batch: SocialNavBatch, observer: Observer, watcher: Watcher) -> NDArray[np.uint8]:
+    """The robot of the only world as `Watcher` sees it."""
     if not batch.episodes:
         raise InputError("No episode has begun. Hint: call reset() first.")
-    drawn, robot = observer.renderer(int(batch.place[0])), batch.state.robots[0]
-    floor = batch.episodes[0].free.floor_y
-    drawn.pose(batch.state, floor_y=floor)
-    x, z = robot.xz[0]
-    c, s = np.cos(robot.heading[0]), np.sin(robot.heading[0])
-    pose = look_at((x, floor + 6, z), (x, floor, z), up=(c, 0, -s))
-    camera = pinhole(640, 480, hfov_deg=75, name="above", pose=pose, hidden_layers=("ceiling",))
-    return drawn.picture([camera], ("rgb",))["rgb"][0]
+    return watcher.picture(observer.posed(np.array([0])))
+
+
+def checked_render_mode(mode: str | None) -> str | None:
+    """``rgb_array`` or None.
+
+    Raises:
+        InputError: it is another.
+    """
+    if mode not in (None, "rgb_array"):
+        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.")
+    return mode
 
 
 def _first(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

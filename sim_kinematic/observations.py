@@ -2,182 +2,228 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import InputError, MissingExtraError
+from h3data.geometry import ground_pose
+from sim_kinematic.agent_pictures import Limits, picture_names
+from sim_kinematic.manipulation import arm_columns
+from sim_kinematic.observation_set import Arrays, ObservationSet, box, checked_names, gymnasium
+from sim_kinematic.posing import Body
 from sim_kinematic.sensors import (
-    DEPTH_RANGE_M,
-    DETECTED_PIXELS,
     FAR_M,
     RANGE_M,
     RANGES,
-    detect_humanoids,
+    NoiseModel,
     egomotion,
     gps_compass,
     humanoid_velocity,
+    in_frame,
     localization,
+    localization_in_start_frame,
     range_scan,
     way,
 )
 from sim_kinematic.social_nav_batch import SocialNavBatch
-from sim_kinematic.state import AgentState
+from sim_kinematic.state import ROBOT, AgentState
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict
 
     from sim_kinematic.camera_sensor import StateRenderer
 
-try:
-    import gymnasium
-except ImportError as error:
-    raise MissingExtraError(
-        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
-    ) from error
-
-Observation = Literal[
-    "arm_depth", "humanoid_detector", "humanoid_gps", "egomotion", "localization", "humanoid_velocity", "way", "range_scan"
-]  # fmt: skip
-PAPER_OBSERVATIONS: tuple[Observation, ...] = ("arm_depth", "humanoid_detector", "humanoid_gps")
+PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
-STATE_OBSERVATIONS: tuple[Observation, ...] = ("humanoid_gps", "egomotion")
+STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 """What costs no picture."""
-CAMERA = "robot_arm"
 FAST = 10.0
 """Bound of velocities [m/s, rad/s]: four times the robot's limits."""
-
-_BOUNDS: dict[str, tuple[list[float], list[float]]] = {
-    "humanoid_detector": ([0.0], [1.0]),
-    "humanoid_gps": ([0.0, -np.pi], [FAR_M, np.pi]),
-    "egomotion": ([-FAST] * 3, [FAST] * 3),
-    "localization": ([-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]),
-    "humanoid_velocity": ([-FAST] * 2, [FAST] * 2),
-    "way": ([0.0, -np.pi], [FAR_M, np.pi]),
-    "range_scan": ([0.0] * RANGES, [RANGE_M] * RANGES),
-}
+JOINT_MOST = 10.0
+"""Bound of joints [rad or m]."""
 
 
-def state_box(name: Observation) -> gymnasium.spaces.Box:
-    """The space of one world's observation that is no picture."""
-    low, high = (np.array(bound, np.float32) for bound in _BOUNDS[name])
-    return gymnasium.spaces.Box(low, high, dtype=np.float32)
+class Seen(NamedTuple):
+    """What one agent of each world can tell."""
+
+    batch: SocialNavBatch
+    now: AgentState
+    before: AgentState
+    """One step ago."""
+    start: AgentState
+    other: AgentState
+    other_before: AgentState
+    contact: NDArray[np.bool_]
+    """It touched an obstacle in the last step, [W]."""
+    arm: NDArray[np.float64]
+    """Its arm's joints, which rest in this task, [n]; of a person [0]."""
+
+
+class State(NamedTuple):
+    """An observation that is no picture."""
+
+    of: Callable[[Seen], NDArray[np.floating]]
+    """Values [W, n]."""
+    low: ArrayLike
+    high: ArrayLike
+
+
+def _other_from_start(seen: Seen) -> NDArray[np.floating]:
+    start = ground_pose(seen.start.xz, seen.start.heading)
+    return in_frame(start, ground_pose(seen.other.xz, seen.other.heading)[:, None, :3])[:, 0]
+
+
+def _way(seen: Seen) -> NDArray[np.floating]:
+    begun = seen.batch.spec.robot.disc_radius_m / 2
+    xz, heading, other, length = seen.now.xz, seen.now.heading.tolist(), seen.other.xz, seen.batch.geodesic.tolist()
+    found = np.zeros((len(xz), 2))
+    for free, rows in seen.batch.groups:
+        found[rows] = [way(free, xz[w], heading[w], other[w], length[w], beyond_m=begun) for w in rows]
+    return found
+
+
+def _range_scan(seen: Seen) -> NDArray[np.floating]:
+    found = np.zeros((len(seen.now.xz), RANGES))
+    for free, rows in seen.batch.groups:
+        found[rows] = range_scan(free, seen.now.xz[rows], seen.now.heading[rows])
+    return found
+
+
+STATES: Mapping[str, State] = {
+    "humanoid_gps": State(
+        lambda s: gps_compass(s.now.xz, s.now.heading, s.other.xz), [0.0, -np.pi], [FAR_M, np.pi]
+    ),
+    "egomotion": State(
+        lambda s: egomotion(s.before.xz, s.before.heading, s.now.xz, s.now.heading), [-FAST] * 3, [FAST] * 3
+    ),
+    "localization": State(
+        lambda s: localization(s.now.xz, s.now.heading, s.batch.floor_y), [-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi]
+    ),
+    "humanoid_velocity": State(
+        lambda s: humanoid_velocity(s.now.heading, s.other_before.xz, s.other.xz), [-FAST] * 2, [FAST] * 2
+    ),
+    "way": State(_way, [0.0, -np.pi], [FAR_M, np.pi]),
+    "range_scan": State(_range_scan, [0.0] * RANGES, [RANGE_M] * RANGES),
+    "localization_in_start_frame": State(
+        lambda s: localization_in_start_frame(s.start.xz, s.start.heading, s.now.xz, s.now.heading),
+        [-FAR_M] * 3 + [-np.pi], [FAR_M] * 3 + [np.pi],
+    ),
+    "humanoid_in_start_frame": State(_other_from_start, [-FAR_M] * 3, [FAR_M] * 3),
+    "collision": State(
+        lambda s: np.stack([s.contact, s.batch.collides], -1).astype(np.float64), [0.0] * 2, [1.0] * 2
+    ),
+    "is_holding": State(lambda s: np.zeros((s.batch.worlds, 1)), [0.0], [1.0]),
+    "arm_joints": State(lambda s: np.tile(s.arm, (s.batch.worlds, 1)), [-JOINT_MOST], [JOINT_MOST]),
+}  # fmt: skip
+
+
+def _limits(name: str, joints: int) -> Limits:
+    known = STATES[name]
+    low, high = (np.array(bound, np.float32).repeat(joints if name == "arm_joints" else 1) for bound in known[1:])
+    return Limits(low, high, low.shape, np.float32)
+
+
+def state_box(name: str) -> gymnasium.spaces.Box:
+    """The space of one world's observation that is a few numbers."""
+    if name == "humanoid_detector":
+        return gymnasium.spaces.Box(0.0, 1.0, (1,), np.float32)
+    return box(_limits(name, 0))
 
 
 class Observer:
-    """The robots' observations of a batch; each array is [W, ...] float32 and within its space.
+    """What robots, and people if they learn too, observe in a batch; each array is [W, ...] and within its space.
 
-    ``arm_depth``: depth of the arm's camera, [H, W, 1] in 0..1 of `DEPTH_RANGE_M`, 0 = nothing hit.
-    ``humanoid_detector``: 1 when more than 1,000 pixels of that picture show the person, [1]; with ``depth_size`` as many
-    as are the same part of it. ``humanoid_gps``: distance [m] and angle [rad] to her, positive to the right, [2].
-    ``egomotion``: forward, left [m/s] and turn [rad/s] of the last step, [3]. ``localization``: x, y, z [m] and heading
-    [rad] in the world, [4]. Of the person's last step ``humanoid_velocity``: forward and left of the robot [m/s], [2]. By the
-    map: ``way``, the length of the shortest way to her [m] and the angle at which it begins [rad], positive to the right,
-    [2]; ``range_scan``, the free way in 12 directions [m], [12] (`sim_kinematic.sensors`).
+    Pictures (`sim_kinematic.agent_pictures`) are ``arm_depth`` [H, W, 1], 0..1 of `DEPTH_RANGE_M`, 0 = nothing hit; ``arm_rgb``
+    uint8 [H, W, 3]; the same of body cameras (``front_left_depth``) and of a person's own view (``head_rgb``);
+    ``humanoid_detector`` [1]: 1 when more than 1,000 pixels of ``arm_depth`` show the person, with ``depth_size`` as many as
+    are the same part of it; ``humanoid_mask``, ``humanoid_box`` [H, W, 1]: 1 in her pixels, in the rectangle around them.
+
+    Of itself ``egomotion``: forward, left [m/s] and turn [rad/s] of the last step, [3]; ``localization``: x, y, z [m] and
+    heading [rad] in the world, [4]; ``localization_in_start_frame``: the same from where it began; ``collision``: with an
+    obstacle, with the other agent, [2]; ``arm_joints`` [7] and ``is_holding`` [1], which do not change in this task. Of the
+    other agent ``humanoid_gps``: distance [m] and angle [rad], positive to the right, [2]; ``humanoid_velocity``: forward and
+    left [m/s] in its last step, [2]; ``humanoid_in_start_frame``: its place from where the agent itself began, [3]. By the
+    map ``way``: length of the shortest way to the other [m] and the angle at which it begins [rad], positive to the right,
+    [2]; ``range_scan``: the free way in 12 directions [m], [12] (`sim_kinematic.sensors`).
     """
 
     def __init__(
-        self, batch: SocialNavBatch, names: Sequence[Observation], *, depth_size: tuple[int, int] | None = None,
+        self, batch: SocialNavBatch, names: Sequence[str], *, depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None, noise: Mapping[str, NoiseModel] | None = None, people: bool = False,
         threads: int = 1,
     ) -> None:  # fmt: skip
-        """``depth_size``: width and height of pictures [pixels], None for the camera's own 224 x 171.
+        """
+        Args:
+            batch: Whose agents observe.
+            names: Of the robots' observations and, with ``people``, of the people's: each has its own of them.
+            depth_size: Width and height of depth, masks and boxes [pixels], None for the cameras' own: 224 x 171 of the arm.
+            rgb_size: The same of colours.
+            noise: Model by name of an observation (`sim_kinematic.sensors.NoiseModel`); by default all are exact.
+            people: Whether people observe too.
+            threads: Draw pictures.
 
         Raises:
             InputError: there are no such observations.
         """
-        self.names = _checked_names(names)
         self._batch, self._threads = batch, threads
-        camera = batch.robot.camera(CAMERA)
-        self._own_size = camera.width, camera.height
-        self._size = depth_size or self._own_size
-        if min(self._size) < 1:
-            raise InputError(f"Expected a picture of at least 1 x 1 pixels, got {self._size}.")
-        self._pictured = tuple(n for n in self.names if n in ("arm_depth", "humanoid_detector"))
         self._drawn: dict[int, StateRenderer] = {}
+        bodies: tuple[Body, ...] = (batch.robot, batch.human) if people else (batch.robot,)
+        joints = len(arm_columns(batch.robot)) if batch.robot.hand_link >= 0 else 0
+        self._arm = np.array(batch.robot.rest[list(arm_columns(batch.robot))] if joints else [], np.float64)
+        states = [
+            {name: _limits(name, joints) for name in STATES if name != "arm_joints" or (joints and body is batch.robot)}
+            for body in bodies
+        ]
+        known = [(*own, *picture_names(body)) for own, body in zip(states, bodies, strict=True)]
+        chosen = checked_names(names, *known, noise=noise or ())
+        self._sets = tuple(
+            ObservationSet(
+                own, limits, body, agent=agent, depth_size=depth_size, rgb_size=rgb_size, noise=noise
+            )
+            for agent, (own, limits, body) in enumerate(zip(chosen, states, bodies, strict=True))
+        )  # fmt: skip
 
-    def space(self) -> Dict:
-        """The space of one world's observations."""
-        return gymnasium.spaces.Dict({name: self._box(name) for name in self.names})
+    def space(self, agent: int = ROBOT) -> Dict:
+        """The space of one robot's observations, or of one person's."""
+        return self._sets[agent].space()
 
-    def _box(self, name: Observation) -> gymnasium.spaces.Box:
-        if name == "arm_depth":
-            return gymnasium.spaces.Box(0.0, 1.0, (*self._size[::-1], 1), np.float32)
-        return state_box(name)
+    def observe(self, agent: int = ROBOT) -> Arrays:
+        """What the robots see now, or the people, [W, ...] each."""
+        own, batch = self._sets[agent], self._batch
+        seen = self._seen(agent)
+        exact = {name: STATES[name].of(seen) for name in own.states}
+        if own.pictures.names:
+            exact |= self._pictures(own)
+        return own.shown(exact, [episode.seed for episode in batch.episodes], batch.steps.tolist())
 
-    def observe(self) -> dict[str, NDArray[np.float32]]:
-        """What the robots see now, [W, ...] each."""
-        now, before = self._batch.state, self._batch.before
-        agents = now.robots[0], before.robots[0], now.people[0], before.people[0]
-        pictures = self._pictures() if self._pictured else {}
-        return {n: pictures[n] if n in pictures else self._seen(n, *agents) for n in self.names}
-
-    def observe_people(self) -> dict[str, NDArray[np.float32]]:
-        """The same for the people, who look for the robot, without pictures."""
-        now, before = self._batch.state, self._batch.before
-        agents = now.people[0], before.people[0], now.robots[0], before.robots[0]
-        return {n: self._seen(n, *agents) for n in self.names if n not in self._pictured}
-
-    def people_space(self) -> Dict:
-        """The space of one person's observations."""
-        return gymnasium.spaces.Dict({n: self._box(n) for n in self.names if n not in self._pictured})
-
-    def _seen(
-        self, name: Observation, now: AgentState, before: AgentState, other: AgentState, other_before: AgentState
-    ) -> NDArray[np.float32]:
-        """What one agent observes of itself, of the other and of the home."""
+    def _seen(self, agent: int) -> Seen:
         batch = self._batch
-        if name == "humanoid_gps":
-            return _within(gps_compass(now.xz, now.heading, other.xz), FAR_M)
-        if name == "egomotion":
-            return _within(egomotion(before.xz, before.heading, now.xz, now.heading), FAST)
-        if name == "humanoid_velocity":
-            return _within(humanoid_velocity(now.heading, other_before.xz, other.xz), FAST)
-        if name == "localization":
-            return _within(localization(now.xz, now.heading, batch.floor_y), FAR_M)
-        seen = np.zeros((batch.worlds, len(_BOUNDS[name][0])))
-        for free, rows in batch.groups:
-            if name == "range_scan":
-                seen[rows] = range_scan(free, now.xz[rows], now.heading[rows])
-            else:
-                begun = batch.spec.robot.disc_radius_m / 2
-                seen[rows] = [
-                    way(free, now.xz[w], float(now.heading[w]), other.xz[w], float(batch.geodesic[w]), beyond_m=begun)
-                    for w in rows
-                ]
-        return _within(seen, FAR_M)
+        now, before, is_robot = batch.state.agents, batch.before.agents, agent == ROBOT
+        return Seen(
+            batch, now[agent], before[agent], batch.start.agents[agent], now[1 - agent], before[1 - agent],
+            batch.state.robots[0].contact if is_robot else batch.human_contact, self._arm if is_robot else np.zeros(0),
+        )  # fmt: skip
 
     # --- pictures -----------------------------------------------------------------------------------------------------
-    def _pictures(self) -> dict[str, NDArray[np.float32]]:
-        from h3data.render import Output
-        from sim_kinematic.camera_sensor import CameraSensor
-
-        wanted: list[Output] = []
-        if "arm_depth" in self._pictured:
-            wanted.append("depth")
-        if "humanoid_detector" in self._pictured:
-            wanted.append("semantic")
-        sensor = CameraSensor(camera=CAMERA, outputs=tuple(wanted), depth_range_m=DEPTH_RANGE_M, size=self._size)
-        width, height = self._size
-        share = width * height / (self._own_size[0] * self._own_size[1])
-        result: dict[str, NDArray[np.float32]] = {}
-        if "depth" in wanted:
-            result["arm_depth"] = np.zeros((self._batch.worlds, height, width, 1), np.float32)
-        if "semantic" in wanted:
-            result["humanoid_detector"] = np.zeros((self._batch.worlds, 1), np.float32)
+    def _pictures(self, own: ObservationSet) -> Arrays:
+        result: Arrays = {}
         for k in np.unique(self._batch.place):
-            drawn = self.renderer(int(k))
             rows = np.flatnonzero(self._batch.place == k)
-            for part in rows.reshape(-1, drawn.worlds):
-                drawn.pose(self._batch.state.take(part), floor_y=self._batch.episodes[part[0]].free.floor_y)
-                seen = sensor.observe(drawn)
-                if "depth" in wanted:
-                    result["arm_depth"][part] = seen["depth"].reshape(len(part), height, width, 1)
-                if "semantic" in wanted:
-                    found = detect_humanoids(seen["semantic"], more_than_pixels=int(DETECTED_PIXELS * share)).found
-                    result["humanoid_detector"][part, 0] = found
+            for part in rows.reshape(-1, self.renderer(int(k)).worlds):
+                for name, picture in own.take(self.posed(part)).items():
+                    if name not in result:
+                        result[name] = np.zeros((self._batch.worlds, *picture.shape[1:]), picture.dtype)
+                    result[name][part] = picture
         return result
+
+    def posed(self, worlds: NDArray[np.intp]) -> StateRenderer:
+        """What draws some worlds that are in one scene, with everything where it is now."""
+        batch = self._batch
+        drawn = self.renderer(int(batch.place[worlds[0]]))
+        drawn.pose(batch.state.take(worlds), floor_y=batch.episodes[worlds[0]].free.floor_y)
+        return drawn
 
     def renderer(self, place: int) -> StateRenderer:
         """What draws a scene: all worlds at once where there is only one scene, else world by world."""
@@ -190,14 +236,3 @@ class Observer:
                 worlds=batch.worlds if len(batch.places) == 1 else 1, speed_mps=batch.spec.human.speed_mps,
             )  # fmt: skip
         return self._drawn[place]
-
-
-def _within(values: NDArray[Any], bound: float) -> NDArray[np.float32]:
-    return np.clip(values, -bound, bound).astype(np.float32)
-
-
-def _checked_names(names: Sequence[Observation]) -> tuple[Observation, ...]:
-    known = get_args(Observation)
-    if isinstance(names, str) or not names or not set(names) <= set(known):
-        raise InputError(f"Expected a list of observations, some of: {', '.join(known)}. Got {names!r}.")
-    return tuple(dict.fromkeys(names))

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.errors import InputError
 from h3data.scene import Scene
-from sim_kinematic.env import Observations, action_space, episodes, infos, picture_from_above
-from sim_kinematic.observations import STATE_OBSERVATIONS, Observation, Observer, gymnasium
+from sim_kinematic.env import Observations, action_space, checked_render_mode, episodes, infos, watched
+from sim_kinematic.observations import STATE_OBSERVATIONS, Observer, gymnasium
 from sim_kinematic.pair_env import Infos, PairEnv
 from sim_kinematic.rewards import RewardProfile
+from sim_kinematic.sensors import NoiseModel
 from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch, checked_actions
 from sim_kinematic.spec import STEP_S, SocialNavSpec
+from sim_kinematic.state import HUMAN, ROBOT
+from sim_kinematic.watching import Watcher
 
 
 class SocialNavParallelEnv(PairEnv):
     """``robot`` and ``human`` act in every step, both by base velocity; both get the robot's reward.
 
-    The person walks forwards only, as a disc that slides along obstacles. She sees what needs no picture, with herself in
-    the robot's place: ``humanoid_gps`` is then the way to the robot. Scenes, episodes, seeds, actions and ends are those of
-    `sim_kinematic.env.SocialNavEnv`.
+    The person walks forwards only, as a disc that slides along obstacles. Of the observations each has its own: she has no arm
+    and no body cameras, but ``head_depth`` and ``head_rgb``; ``humanoid_gps`` is to her the way to the robot. Scenes,
+    episodes, seeds, actions and ends are those of `sim_kinematic.env.SocialNavEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -36,22 +38,25 @@ class SocialNavParallelEnv(PairEnv):
         self,
         scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
         *,
-        observations: Sequence[Observation] = STATE_OBSERVATIONS,
+        observations: Sequence[str] = STATE_OBSERVATIONS,
         spec: SocialNavSpec = TRAINING,
         reward: RewardProfile = "paper",
         depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
         robot: str = "quad_arm",
         human: str = "female_0",
         render_mode: str | None = None,
     ) -> None:
         """As `SocialNavEnv`."""
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(f"Unknown render mode {render_mode!r}. Expected rgb_array or None.")
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self.batch = SocialNavBatch(scenes, spec=spec, reward=reward, robot=robot, human=human, driven_human=True)
-        self._observer = Observer(self.batch, observations, depth_size=depth_size)
+        self._observer = Observer(
+            self.batch, observations, depth_size=depth_size, rgb_size=rgb_size, noise=noise, people=True
+        )
+        self._watcher = Watcher()
         super().__init__(
-            {"robot": self._observer.space(), "human": self._observer.people_space()},
+            {"robot": self._observer.space(ROBOT), "human": self._observer.space(HUMAN)},
             {"robot": action_space(self.batch), "human": gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)},
         )
 
@@ -66,10 +71,10 @@ class SocialNavParallelEnv(PairEnv):
 
     def render(self) -> NDArray[np.uint8] | None:
         """As `SocialNavEnv.render`."""
-        return None if self.render_mode is None else picture_from_above(self.batch, self._observer)
+        return None if self.render_mode is None else watched(self.batch, self._observer, self._watcher)
 
     def _observed(self) -> dict[str, Observations]:
-        seen = {"robot": self._observer.observe(), "human": self._observer.observe_people()}
+        seen = {"robot": self._observer.observe(ROBOT), "human": self._observer.observe(HUMAN)}
         return {agent: {name: array[0] for name, array in of.items()} for agent, of in seen.items()}
 
     def _informed(self) -> Infos:

@@ -7,6 +7,7 @@ by `with_noise` and `depth_with_noise`, where wanted. Pictures: `sim_kinematic.c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -80,6 +81,15 @@ def localization(xz: ArrayLike, heading: ArrayLike, floor_y: ArrayLike = 0.0) ->
     y = np.broadcast_to(np.asarray(floor_y, np.float64), xz.shape[:-1])
     turn = np.broadcast_to(wrap_angle(np.asarray(heading, np.float64)), xz.shape[:-1])
     return np.stack([xz[..., 0], y, xz[..., 1], turn], axis=-1)
+
+
+def localization_in_start_frame(
+    start_xz: ArrayLike, start_heading: ArrayLike, xz: ArrayLike, heading: ArrayLike
+) -> Floats:
+    """``(x, y, z, heading)`` [..., 4] of a base in the agent root frame that it began in: x forward, y up, z right."""
+    seen = in_base_frame(start_xz, start_heading, xz)
+    turn = wrap_angle(np.asarray(heading, np.float64) - np.asarray(start_heading, np.float64))
+    return np.stack([seen[..., 0], np.zeros_like(seen[..., 0]), -seen[..., 1], turn], axis=-1)
 
 
 def in_frame(pose: ArrayLike, points: ArrayLike) -> Floats:
@@ -189,10 +199,15 @@ def facing(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> Floats:
 
 
 # --- noise: off unless called -------------------------------------------------------------------------------------------
-def with_noise(values: ArrayLike, sigma: float, rng: np.random.Generator) -> Floats:
-    """Values with Gaussian noise of this standard deviation, in their own unit."""
+NoiseModel = Callable[..., ArrayLike]
+"""``model(values, rng=rng)``: exact values of a sensor with noise. `depth_with_noise` is one, and
+``partial(with_noise, sigma=0.05)``."""
+
+
+def with_noise(values: ArrayLike, sigma: ArrayLike, rng: np.random.Generator) -> Floats:
+    """Values with Gaussian noise of this standard deviation (one, or one for each value), in their own unit."""
     exact = np.asarray(values, np.float64)
-    return exact + sigma * rng.standard_normal(exact.shape)
+    return exact + np.asarray(sigma, np.float64) * rng.standard_normal(exact.shape)
 
 
 def depth_with_noise(

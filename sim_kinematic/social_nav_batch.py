@@ -114,6 +114,8 @@ class SocialNavBatch:
         (self._robot,), (self._person,) = self.state.robots, self.state.people
         self.before = self.state.copy()
         """The state before the last step."""
+        self.start = self.state.copy()
+        """The state in which each world's episode began."""
         self.place = np.full(self.worlds, -1)
         """Index of the scene that each world is in, [W]."""
         self.episodes: list[SocialNavWorld] = []
@@ -124,6 +126,8 @@ class SocialNavBatch:
         """Shortest way from robot to person [m], inf where there is none, [W]."""
         self.collides = np.zeros(self.worlds, np.bool_)
         """Robot and person touch, [W]."""
+        self.human_contact = np.zeros(self.worlds, np.bool_)
+        """A driven person touched an obstacle in the last step, [W]."""
         self.found = np.zeros(self.worlds, np.bool_)
         """The robot has found the person in this episode, [W]."""
         self.success = np.zeros(self.worlds, np.bool_)
@@ -168,10 +172,12 @@ class SocialNavBatch:
             if not self._driven:
                 self._targets[w] = self._walkers[w].target(starts.human_xz)
         self.steps[fresh] = self._collisions[fresh] = 0
-        self.found[fresh] = self.success[fresh] = self.collides[fresh] = False
+        self.found[fresh] = self.success[fresh] = self.collides[fresh] = self.human_contact[fresh] = False
         self.groups = [(self.episodes[g[0]].free, g) for g in _runs(self.place)]
         self._look(rows)
-        self.before.put(rows, self.state.take(rows))
+        begun = self.state.take(rows)
+        self.before.put(rows, begun)
+        self.start.put(rows, begun)
         worth = self.rewards.reset(self._encounter(), where=fresh)
         self.success[fresh] |= worth.success[fresh]
 
@@ -200,7 +206,7 @@ class SocialNavBatch:
             alone = len(rows) == self.worlds
             part = self.state if alone else self.state.take(rows)
             if walks is not None:
-                self._drive_people(part.people[0], free, walks[rows])
+                self.human_contact[rows] = self._drive_people(part.people[0], free, walks[rows])
             drive_robots(part.robots[0], free, moves[rows], self.spec.robot)
             if not alone:
                 self.state.put(rows, part)
@@ -228,8 +234,8 @@ class SocialNavBatch:
         for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
             self._targets[w] = self._walkers[w].target(self._person.xz[w])
 
-    def _drive_people(self, state: HumanState, free: FreeSpace, actions: Array) -> None:
-        """Move people as bases of one disc, and their walking cycle with them."""
+    def _drive_people(self, state: HumanState, free: FreeSpace, actions: Array) -> NDArray[np.bool_]:
+        """Move people as bases of one disc, and their walking cycle with them; which of them touched an obstacle."""
         walker = self.spec.human
         body = BaseSpec(
             max_speed_mps=walker.speed_mps, max_turn_rad_s=walker.turn_rad_s, allow_back=False, disc_offsets_m=(0.0,),
@@ -249,6 +255,7 @@ class SocialNavBatch:
         state.blend[:] = np.where(
             goes, np.minimum(np.maximum(state.blend, 0.5) + rate, 1), np.maximum(state.blend - rate, 0)
         )
+        return touched
 
     def _look(self, rows: NDArray[np.intp]) -> None:
         """What the rules ask of the state of some worlds: distances, contact, whether she is found."""

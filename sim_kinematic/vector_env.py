@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 from h3data.scene import Scene
 from sim_kinematic.env import Observations, action_space, episodes, infos, run_seed
-from sim_kinematic.observations import STATE_OBSERVATIONS, Observation, Observer, gymnasium
+from sim_kinematic.observations import STATE_OBSERVATIONS, Observer, gymnasium
 from sim_kinematic.rewards import RewardProfile
+from sim_kinematic.sensors import NoiseModel
 from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch
 from sim_kinematic.spec import STEP_S, SocialNavSpec
 
@@ -35,11 +36,13 @@ class SocialNavVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
         *,
-        observations: Sequence[Observation] = STATE_OBSERVATIONS,
+        observations: Sequence[str] = STATE_OBSERVATIONS,
         spec: SocialNavSpec = TRAINING,
         reward: RewardProfile = "paper",
         end_on_success: bool = False,
         depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
         robot: str = "quad_arm",
         human: str = "female_0",
         threads: int = 1,
@@ -47,7 +50,9 @@ class SocialNavVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """``num_envs`` is W; ``threads`` draw pictures. The rest is as in `SocialNavEnv`."""
         self.batch = SocialNavBatch(scenes, worlds=num_envs, spec=spec, reward=reward, robot=robot, human=human)
         self.num_envs = self.batch.worlds
-        self._observer = Observer(self.batch, observations, depth_size=depth_size, threads=threads)
+        self._observer = Observer(
+            self.batch, observations, depth_size=depth_size, rgb_size=rgb_size, noise=noise, threads=threads
+        )
         self._end_on_success = end_on_success
         self._seeds = np.zeros(self.num_envs, object)  # Python's whole numbers: seeds may have any size
         self._indices = np.full(self.num_envs, -1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,8 +16,9 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import h3data
 from h3data.errors import InputError, MissingExtraError, SceneError
+from sim_kinematic.agent_pictures import DETECTORS
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import Observation, Observer
+from sim_kinematic.observations import STATES, Observer
 from sim_kinematic.parallel_env import SocialNavParallelEnv
 from sim_kinematic.policies import Command, View, heuristic_expert
 from sim_kinematic.social_nav import simulate_social_nav
@@ -28,8 +29,8 @@ from sim_kinematic.vector_env import SocialNavVectorEnv
 
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
-SIZE = (48, 36)
-EVERYTHING = get_args(Observation)
+EVERYTHING = (*STATES, "arm_depth", "arm_rgb", *DETECTORS)
+SIZES: dict[str, Any] = {"depth_size": (48, 36), "rgb_size": (32, 20)}
 
 
 def expert(batch: SocialNavBatch, w: int = 0) -> np.ndarray:
@@ -55,7 +56,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 def test_gymnasium_accepts_the_environment() -> None:
-    env = gymnasium.make("sim_kinematic.env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, depth_size=SIZE)
+    env = gymnasium.make("sim_kinematic.env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES)
     check_env(env.unwrapped)
 
 
@@ -70,7 +71,7 @@ def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
 
 
 def test_pettingzoo_accepts_the_environment() -> None:
-    parallel_api_test(SocialNavParallelEnv(HOME, spec=SHORT, observations=EVERYTHING, depth_size=SIZE), num_cycles=100)
+    parallel_api_test(SocialNavParallelEnv(HOME, spec=SHORT, observations=EVERYTHING, **SIZES), num_cycles=100)
     parallel_seed_test(lambda: SocialNavParallelEnv(HOME, spec=SHORT), num_cycles=30)
 
 
@@ -126,13 +127,13 @@ def test_a_world_of_many_is_a_world_alone() -> None:
 
 
 def test_pictures_of_many_worlds_are_those_of_each() -> None:
-    many = SocialNavVectorEnv(3, HOME, observations=EVERYTHING, depth_size=SIZE)
+    many = SocialNavVectorEnv(3, HOME, observations=EVERYTHING, **SIZES)
     seen = [many.reset(seed=2)[0]]
     actions = np.random.default_rng(1).uniform(-1, 1, (6, 3, 2)).astype(np.float32)
     seen += [many.step(a)[0] for a in actions]
-    mixed = SocialNavVectorEnv(3, [HOME, HOME], observations=EVERYTHING, depth_size=SIZE)  # drawn world by world
+    mixed = SocialNavVectorEnv(3, [HOME, HOME], observations=EVERYTHING, **SIZES)  # drawn world by world
     again = [mixed.reset(seed=2)[0], *(mixed.step(a)[0] for a in actions)]
-    one = SocialNavEnv(HOME, observations=EVERYTHING, depth_size=SIZE)
+    one = SocialNavEnv(HOME, observations=EVERYTHING, **SIZES)
     alone = [one.reset(seed=4)[0], *(one.step(a[2])[0] for a in actions)]
     for k, all_seen in enumerate(seen):
         assert_same({n: v[2] for n, v in all_seen.items()}, alone[k])
@@ -407,7 +408,7 @@ def test_make_finds_tasks_without_knowing_them() -> None:
 
 
 def test_without_gymnasium_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("observations", "env", "vector_env", "parallel_env"):
+    for module in ("observation_set", "observations", "env", "vector_env", "parallel_env"):
         monkeypatch.delitem(sys.modules, f"sim_kinematic.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(MissingExtraError, match=r"h3data\[env\]"):
