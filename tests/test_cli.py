@@ -53,12 +53,6 @@ def test_help_has_examples(command: str, capsys: pytest.CaptureFixture[str]) -> 
     assert "--json" in out
 
 
-def test_unknown_command_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["fly"])
-    assert stop.value.code == 2
-
-
 def test_demo_makes_everything(demo: Path) -> None:
     for name in DEMO_FILES:
         assert (demo / name).stat().st_size > 0, name

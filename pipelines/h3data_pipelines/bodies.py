@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 HEADINGS_DEG = {"front": -90.0, "back": 90.0, "side": 0.0}
 
@@ -165,32 +164,10 @@ class BodiesBake:
             raise InputError(f"Baking needs {error.name}. Hint: pip install 'h3data[bodies]'.") from None
 
 
-@dataclass(frozen=True)
-class Bodies:
-    """People: show the built-in ones, bake new ones.
-
-    Each has its own --help, and prints one JSON object with --json.
-
-    Examples:
-        h3data bodies show
-        h3data bodies show -o bodies.png
-        h3data bodies bake -o me.npz --gender 0.3 --stature 1.82
-    """
-
-    do: Annotated[
-        Union[  # noqa: UP007 - made of parts with a help text each
-            Annotated[BodiesShow, tyro.conf.subcommand("show", description=inspect.getdoc(BodiesShow))],
-            Annotated[BodiesBake, tyro.conf.subcommand("bake", description=inspect.getdoc(BodiesBake))],
-        ],
-        tyro.conf.arg(name=""),
-    ]
-
-    @property
-    def json(self) -> bool:
-        return self.do.json
-
-    def run(self) -> Outcome:
-        return self.do.run()
+BODIES = Group(
+    "People: show the built-in ones, bake new ones.",
+    {"show": BodiesShow, "bake": BodiesBake},
+)
 
 
 def _row(body: Humanoid) -> dict[str, Any]:

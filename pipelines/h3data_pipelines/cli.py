@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import io
 import json
 import logging
@@ -11,14 +10,12 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any, Union
-
-import tyro
+from typing import Any
 
 from h3data.errors import H3DataError
 from h3data_pipelines.bench import Bench
-from h3data_pipelines.bodies import Bodies
-from h3data_pipelines.command import Command
+from h3data_pipelines.bodies import BODIES
+from h3data_pipelines.command import Command, Group
 from h3data_pipelines.converting import Convert
 from h3data_pipelines.demo import Demo
 from h3data_pipelines.doctor import Doctor
@@ -27,18 +24,19 @@ from h3data_pipelines.exporting import Export
 from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
 from h3data_pipelines.measuring import Metrics
-from h3data_pipelines.motion import MotionCommand
+from h3data_pipelines.motion import MOTION
+from h3data_pipelines.parsing import parse
 from h3data_pipelines.recovering import Recover
 from h3data_pipelines.replaying import ReplayCommand
 from h3data_pipelines.report import ReportCommand
 from h3data_pipelines.rerender import Rerender
-from h3data_pipelines.robots import Robots
-from h3data_pipelines.scenes import Scenes
+from h3data_pipelines.robots import ROBOTS
+from h3data_pipelines.scenes import SCENES
 from h3data_pipelines.sql import Sql
 from h3data_pipelines.validating import Validate
 from h3data_pipelines.viewing import View
 
-COMMANDS: dict[str, type[Command]] = {
+COMMANDS: dict[str, type[Command] | Group] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
@@ -49,10 +47,10 @@ COMMANDS: dict[str, type[Command]] = {
     "sql": Sql,
     "view": View,
     "report": ReportCommand,
-    "scenes": Scenes,
-    "bodies": Bodies,
-    "motion": MotionCommand,
-    "robots": Robots,
+    "scenes": SCENES,
+    "bodies": BODIES,
+    "motion": MOTION,
+    "robots": ROBOTS,
     "replay": ReplayCommand,
     "convert": Convert,
     "validate": Validate,
@@ -61,9 +59,7 @@ COMMANDS: dict[str, type[Command]] = {
     "bench": Bench,
 }
 
-_DESCRIPTION = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again.
-
-Start with: h3data demo -o out/demo"""
+ABOUT = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again."""
 
 
 def jsonable(value: Any) -> Any:
@@ -77,35 +73,26 @@ def jsonable(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _parse(args: list[str]) -> Command:
-    """The command that ``args`` ask for; the help of each shows its docstring with the examples, unabridged."""
-    parts = [Annotated[c, tyro.conf.subcommand(n, description=inspect.getdoc(c))] for n, c in COMMANDS.items()]
-    union: Any = Union[tuple(parts)]  # noqa: UP007 - made at run time
-    config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
-    return tyro.cli(union, args=args, prog="h3data", description=_DESCRIPTION, config=config)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
     logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
     args = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        command = _parse(args or ["--help"])
-    except BrokenPipeError:
-        _close_stdout()
-        return 0
-    try:
+        command = parse(args, COMMANDS, about=ABOUT)
         outcome = command.run()
         _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
         return outcome.exit_code
     except KeyboardInterrupt:
         sys.stderr.write("interrupted; finished files are kept\n")
         return 130
+    except BrokenPipeError:
+        _close_stdout()
+        return 0
     except (H3DataError, OSError, MemoryError) as error:
         message = _message(error)
         sys.stderr.write(f"error: {message}\n")
-        if command.json:
+        if "--json" in args:
             _print(json.dumps({"error": message}))
         return 2
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +46,14 @@ class Command(Protocol):
     def json(self) -> bool: ...
 
     def run(self) -> Outcome: ...
+
+
+@dataclass(frozen=True)
+class Group:
+    """Commands that share a first word, as ``h3data scenes list`` and ``h3data scenes show``."""
+
+    about: str
+    commands: Mapping[str, type[Command]]
 
 
 def claim_folder(folder: P, *, force: bool) -> P:

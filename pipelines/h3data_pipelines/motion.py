@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -18,7 +17,7 @@ from h3data.bodies.motion_cycle import trim_to_cycle
 from h3data.bodies.motion_retarget import foot_report, retarget
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.interop.motion_files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 KindChoice = Annotated[
     Literal["auto", "motion", "amass", "habitat", "bvh"],
@@ -190,32 +189,10 @@ class MotionShow:
         (write_png if target.suffix.lower() == ".png" else write_jpg)(target, np.concatenate(strips))
 
 
-@dataclass(frozen=True)
-class MotionCommand:
-    """Motion capture on our bodies: import AMASS, Habitat and BVH files, show them.
-
-    Each has its own --help, and prints one JSON object with --json.
-
-    Examples:
-        h3data motion import walk.bvh -o motions/
-        h3data motion show walk.bvh -o walk.mp4
-        h3data motion show motions/*.npz -o strips.png --body female_1
-    """
-
-    do: Annotated[
-        Union[  # noqa: UP007 - made of parts with a help text each
-            Annotated[MotionImport, tyro.conf.subcommand("import", description=inspect.getdoc(MotionImport))],
-            Annotated[MotionShow, tyro.conf.subcommand("show", description=inspect.getdoc(MotionShow))],
-        ],
-        tyro.conf.arg(name=""),
-    ]
-
-    @property
-    def json(self) -> bool:
-        return self.do.json
-
-    def run(self) -> Outcome:
-        return self.do.run()
+MOTION = Group(
+    "Motion capture on our bodies: import AMASS, Habitat and BVH files, show them.",
+    {"import": MotionImport, "show": MotionShow},
+)
 
 
 # --- files ----------------------------------------------------------------------------------------------------------------

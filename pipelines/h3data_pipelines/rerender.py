@@ -54,7 +54,7 @@ class Rerender:
     format: Format = "mp4"
     """mp4 (H.264) or av1: videos to look at. png: pictures, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
-    workers: int = 0
+    workers: int | None = None
     """Threads that draw (default: one per core)."""
     force: ForceFlag = False
     json: JsonFlag = False
@@ -64,8 +64,8 @@ class Rerender:
         local(self.out)
         if not self.recordings:
             raise InputError("Expected at least one recording (.mcap).")
-        if self.workers < 0:
-            raise InputError(f"--workers must be at least 1 (0: one per core), got {self.workers}.")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"--workers must be at least 1, got {self.workers}.")
         stems = [recording_stem(path) for path in self.recordings]
         twice = sorted({stem for stem in stems if stems.count(stem) > 1})
         if twice:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
 from h3data.bodies import Robot, load_robot, robot_names, solve_ik
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 UpChoice = Annotated[
     Literal["z", "y"], tyro.conf.arg(help="Axis of a URDF's base frame that points up; Habitat's own robots have y.")
@@ -107,32 +106,10 @@ class RobotsReach:
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if found.reached else 1)
 
 
-@dataclass(frozen=True)
-class Robots:
-    """Robots: show the built-in ones or any URDF, ask what their hand reaches.
-
-    Each has its own --help, and prints one JSON object with --json.
-
-    Examples:
-        h3data robots show
-        h3data robots show -o robots.jpg
-        h3data robots reach quad_arm 0.8 0.5 0.1
-    """
-
-    do: Annotated[
-        Union[  # noqa: UP007 - made of parts with a help text each
-            Annotated[RobotsShow, tyro.conf.subcommand("show", description=inspect.getdoc(RobotsShow))],
-            Annotated[RobotsReach, tyro.conf.subcommand("reach", description=inspect.getdoc(RobotsReach))],
-        ],
-        tyro.conf.arg(name=""),
-    ]
-
-    @property
-    def json(self) -> bool:
-        return self.do.json
-
-    def run(self) -> Outcome:
-        return self.do.run()
+ROBOTS = Group(
+    "Robots: show the built-in ones or any URDF, ask what their hand reaches.",
+    {"show": RobotsShow, "reach": RobotsReach},
+)
 
 
 def _row(robot: Robot) -> dict[str, Any]:

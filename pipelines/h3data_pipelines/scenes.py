@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
 import tyro
 from tqdm import tqdm
@@ -18,7 +17,16 @@ from h3data.interop.habitat_episode_records import EpisodeSet
 from h3data.interop.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
-from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, StrictFlag, claim_file
+from h3data_pipelines.command import (
+    AssetsOption,
+    ForceFlag,
+    Group,
+    JsonFlag,
+    MissingFlag,
+    Outcome,
+    StrictFlag,
+    claim_file,
+)
 from h3data_pipelines.scene_reports import (
     AGENT_HEIGHT_M,
     AGENT_RADIUS_M,
@@ -287,41 +295,10 @@ class ScenesValidate:
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
 
 
-def _subcommand(name: str, of: type) -> Any:
-    """The help of each shows its docstring with the examples, unabridged."""
-    return tyro.conf.subcommand(name, description=inspect.getdoc(of))
-
-
-@dataclass(frozen=True)
-class Scenes:
-    """Homes to simulate in: list them, draw them, export them to other formats, look for faults.
-
-    Each has its own --help, and prints one JSON object with --json.
-
-    Examples:
-        h3data scenes list
-        h3data scenes list h3-homes/test
-        h3data scenes show h3-homes/test#3 -o home.png
-        h3data scenes export h3-homes/test -o exports/h3-homes_test
-        h3data scenes validate small --homes 10
-    """
-
-    do: Annotated[
-        Union[  # noqa: UP007 - made of parts with a help text each
-            Annotated[ScenesList, _subcommand("list", ScenesList)],
-            Annotated[ScenesShow, _subcommand("show", ScenesShow)],
-            Annotated[ScenesExport, _subcommand("export", ScenesExport)],
-            Annotated[ScenesValidate, _subcommand("validate", ScenesValidate)],
-        ],
-        tyro.conf.arg(name=""),
-    ]
-
-    @property
-    def json(self) -> bool:
-        return self.do.json
-
-    def run(self) -> Outcome:
-        return self.do.run()
+SCENES = Group(
+    "Homes to simulate in: list them, draw them, export them to other formats, look for faults.",
+    {"list": ScenesList, "show": ScenesShow, "export": ScenesExport, "validate": ScenesValidate},
+)
 
 
 # --- scenes by name ---------------------------------------------------------------------------------------------------
