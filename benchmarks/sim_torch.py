@@ -122,6 +122,7 @@ def run(emit: Emit) -> None:
     if not torch.cuda.is_available():
         print("# sim.torch.cuda: no GPU that torch can use")
         return
+    _parity(emit)
     for worlds in CUDA_WORLDS:
         _on_cuda(emit, worlds)
     if _missing():
@@ -177,6 +178,30 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
         for _ in range(60):  # she has set off
             replay()
         return worlds / _wall_s(replay, steps=50)
+
+
+def _parity(emit: Emit, worlds: int = 4096, steps: int = 1000) -> None:
+    """How far apart CPU and GPU are in float64 [m]: the worst of single steps from the same states, and what is left of 1,000
+    steps on their own, where a tie at a wall may part two tracks for good."""
+    import torch
+
+    with torch.no_grad():
+        cpu, led, alone = (Stepper(BoxFloor.draw(), worlds, d, torch.float64) for d in ("cpu", "cuda", "cuda"))
+        worst = {"robot": [], "human": []}
+        for _ in range(steps):
+            for tensor, value in zip(led.tensors(), cpu.tensors(), strict=True):
+                tensor.copy_(value)
+            for stepper in (cpu, led, alone):
+                stepper.step()
+            for agent, apart in worst.items():
+                apart.append((getattr(led, agent).xz.cpu() - getattr(cpu, agent).xz).abs().amax(1))
+        for agent, apart in worst.items():
+            every = torch.stack(apart)
+            emit(f"sim.torch.cuda.parity.{agent}_one_step_max_m", float(every.max()), "m")
+            emit(f"sim.torch.cuda.parity.{agent}_one_step_within_1e-5_m", float((every < 1e-5).double().mean()), "1")
+            apart = (getattr(alone, agent).xz.cpu() - getattr(cpu, agent).xz).abs().amax(1)
+            emit(f"sim.torch.cuda.parity.{agent}_1000_steps_median_m", float(apart.median()), "m")
+            emit(f"sim.torch.cuda.parity.{agent}_1000_steps_within_1e-5_m", float((apart < 1e-5).double().mean()), "1")
 
 
 def _on_cuda(emit: Emit, worlds: int) -> None:

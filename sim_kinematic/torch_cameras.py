@@ -132,5 +132,5 @@ def _placed(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float) -> Tens
     c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
     x, y, z = frames.unbind(-2)
     rows = torch.stack([c * x + s * z, y.expand(len(heading), -1, -1), c * z - s * x], -2)
-    place = torch.nn.functional.pad(xz, (0, 1), value=floor_y)[:, [0, 2, 1]]
+    place = torch.stack([xz[:, 0], torch.full_like(heading, floor_y), xz[:, 1]], -1)
     return rows + torch.nn.functional.pad(place[:, None, :, None], (3, 0))

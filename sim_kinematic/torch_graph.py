@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
@@ -18,7 +19,17 @@ def fused(function: Callable[P, R]) -> Callable[P, R]:
     The first call compiles, which takes some 20 s, or a few where the files of the last time are still there. Products and
     sums may be contracted: the last bits differ from those of ``function``.
     """
-    return torch.compile(function, fullgraph=True, dynamic=False)
+
+    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        return function(*args, **kwargs)
+
+    alone.__code__ = alone.__code__.replace()  # torch keeps what it compiles, eight times at most, by code object
+    return torch.compile(alone, fullgraph=True, dynamic=False)
+
+
+def can_fuse() -> bool:
+    """Whether what `torch.compile` needs for a GPU is installed; it comes with torch for CUDA on Linux."""
+    return importlib.util.find_spec("triton") is not None
 
 
 def captured(step: Callable[[], object], kept: Sequence[Tensor]) -> Callable[[], None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, get_args
@@ -26,6 +27,7 @@ from sim_kinematic.torch_contact import TOLERANCE_M, TouchTest  # noqa: E402
 from sim_kinematic.torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch_geodesic import Lattices, shortest_way  # noqa: E402
+from sim_kinematic.torch_graph import fused  # noqa: E402
 from sim_kinematic.torch_social_nav import Play, SocialNavTensors  # noqa: E402
 from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
 from sim_kinematic.torch_step import Grids  # noqa: E402
@@ -34,6 +36,10 @@ HOMES = ["small:1", "small:2"]
 OBSERVED: tuple[Any, ...] = ("humanoid_gps", "egomotion", "localization", "humanoid_velocity", "range_scan", "way")
 RULES = replace(TRAINING, max_steps=60, end_on_collision=False)
 SEED = 5
+compiles = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed, so nothing is compiled for the CPU"),
+]
 on_gpu = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")]
 
 
@@ -287,7 +293,7 @@ def test_the_environment_keeps_gymnasiums_manners(bank: EpisodeBank) -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_results_are_not_overwritten_by_later_steps(bank: EpisodeBank, dtype: torch.dtype) -> None:
+def test_results_are_not_overwritten_by_later_steps(bank: EpisodeBank, dtype: Any) -> None:
     env = SocialNavTorchEnv(3, device="cpu", dtype=dtype, spec=RULES, episodes=bank)
     rng = np.random.default_rng(0)
     given = list(env.reset(seed=1))
@@ -354,8 +360,8 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
 def test_a_gpu_plays_as_the_cpu_and_a_graph_as_eager(bank: EpisodeBank, worlds: int) -> None:
     options: dict[str, Any] = {"spec": RULES, "episodes": bank, "dtype": torch.float64}
     cpu = SocialNavTorchEnv(worlds, device="cpu", **options)
-    eager = SocialNavTorchEnv(worlds, device="cuda", graph=False, **options)
-    graph = SocialNavTorchEnv(worlds, device="cuda", **options)
+    eager = SocialNavTorchEnv(worlds, device="cuda", graph=False, compile=False, **options)
+    graph = SocialNavTorchEnv(worlds, device="cuda", compile=False, **options)
     envs, rng = (cpu, eager, graph), np.random.default_rng(0)
     seen = [env.reset(seed=1)[0] for env in envs]
     for _ in range(150):
@@ -374,14 +380,41 @@ def test_a_gpu_plays_as_the_cpu_and_a_graph_as_eager(bank: EpisodeBank, worlds: 
         assert (results[0][1][same] - results[2][1].cpu()[same]).abs().quantile(0.99) < 1e-3
 
 
+@pytest.mark.filterwarnings("default")  # of what compiles
+@pytest.mark.parametrize("device", [pytest.param("cpu", marks=compiles), pytest.param("cuda", marks=on_gpu)])
+def test_a_compiled_step_is_the_eager_one(bank: EpisodeBank, device: str) -> None:
+    options: dict[str, Any] = {"spec": RULES, "episodes": bank, "dtype": torch.float64, "device": device}
+    eager = SocialNavTorchEnv(64, compile=False, **options)
+    compiled = SocialNavTorchEnv(64, compile=True, **options)
+    rng = np.random.default_rng(0)
+    seen = [env.reset(seed=1)[0] for env in (eager, compiled)]
+    for _ in range(150):
+        actions = torch.tensor(chase(seen[0]["humanoid_gps"].cpu().numpy(), rng), device=device)
+        results = [env.step(actions) for env in (eager, compiled)]
+        seen = [r[0] for r in results]
+    apart = (eager.play.robot.xz - compiled.play.robot.xz).abs().amax(1)
+    assert (apart < 1e-9).double().mean() > 0.98  # a tie at a wall may part two tracks
+    assert torch.equal(eager.play.episode, compiled.play.episode)
+    assert (seen[0]["humanoid_gps"] - seen[1]["humanoid_gps"])[apart < 1e-9].abs().max() < 1e-5
+
+
+@pytest.mark.filterwarnings("default")  # of what compiles
+@pytest.mark.parametrize("device", [pytest.param("cpu", marks=compiles), pytest.param("cuda", marks=on_gpu)])
+def test_any_number_of_steps_can_be_compiled(device: str) -> None:
+    for worlds in range(2, 14):
+        ones = torch.ones(worlds, device=device)
+        assert fused(lambda value, ones=ones: value + ones)(ones).sum() == 2 * worlds
+
+
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode")  # what it says of itself when it is turned on
 @pytest.mark.parametrize("worlds", [pytest.param(4096, marks=on_gpu)])
 def test_actions_and_results_stay_on_the_gpu(bank: EpisodeBank, worlds: int) -> None:
     env = SocialNavTorchEnv(worlds, device="cuda", spec=RULES, episodes=bank)
     env.reset(seed=0)
     actions = torch.rand(worlds, 2, device="cuda")
     torch.cuda.synchronize()
-    torch.cuda.set_sync_debug_mode("error")
     try:
+        torch.cuda.set_sync_debug_mode("error")
         shown, *rest = env.step(actions)
     finally:
         torch.cuda.set_sync_debug_mode("default")
