@@ -33,7 +33,7 @@ def main(wanted: list[str]) -> int:
     record = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(["python -m benchmarks", *wanted]),
-        "machine": {"processor": _processor(), "cpus": os.cpu_count(), "platform": platform.platform()},
+        "machine": {"processor": _processor(), "gpu": _gpu(), "cpus": os.cpu_count(), "platform": platform.platform()},
         "versions": {p: importlib.metadata.version(p) for p in ("h3data", "numpy", "numba", "pyarrow", "mcap")},
         "figures": {name: {"value": value, "unit": unit} for name, (value, unit) in figures.items()},
     }
@@ -47,6 +47,12 @@ def _processor() -> str:
     info = Path("/proc/cpuinfo")
     names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
     return names[0] if names else platform.processor()
+
+
+def _gpu() -> str | None:
+    """The first GPU, if a group has used torch and there is one."""
+    torch = sys.modules.get("torch")
+    return torch.cuda.get_device_name() if torch is not None and torch.cuda.is_available() else None
 
 
 if __name__ == "__main__":
