@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from sim_kinematic.agent_pictures import AgentPictures, Limits, picture_names
+from sim_kinematic.agent_pictures import AgentPictures, Limits
 from sim_kinematic.posing import Body
 from sim_kinematic.randomness import generator
 from sim_kinematic.sensors import DEPTH_RANGE_M, NoiseModel
@@ -40,8 +40,8 @@ class ObservationSet:
     ) -> None:  # fmt: skip
         """
         Args:
-            names: Some of ``states`` and of `picture_names` of the body.
-            states: Spaces of all observations that are no pictures.
+            names: As `checked_names` gives them: some of ``states`` and of `picture_names` of the body.
+            states: Spaces of observations that are no pictures.
             body: Of the agent.
             agent: Its number in the state.
             depth_size: As of `AgentPictures`.
@@ -49,9 +49,9 @@ class ObservationSet:
             noise: Model by name of an observation; None and others are exact.
 
         Raises:
-            InputError: there is no such observation, or a size is not at least 1 x 1.
+            InputError: a size is not at least 1 x 1.
         """
-        (self.names,) = checked_names(names, (*states, *picture_names(body)))
+        self.names = tuple(names)
         self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)
         self.states = tuple(name for name in self.names if name not in self.pictures.names)
         self.limits = {n: states[n] if n in self.states else self.pictures.limits(n) for n in self.names}

@@ -15,6 +15,7 @@ from sim_kinematic.observation_set import Arrays, ObservationSet, box, checked_n
 from sim_kinematic.posing import Body
 from sim_kinematic.sensors import (
     FAR_M,
+    FAST,
     RANGE_M,
     RANGES,
     NoiseModel,
@@ -39,8 +40,6 @@ PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
 STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 """What costs no picture."""
-FAST = 10.0
-"""Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 JOINT_MOST = 10.0
 """Bound of joints [rad or m]."""
 

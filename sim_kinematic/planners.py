@@ -66,6 +66,14 @@ class TaskView(NamedTuple):
     """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
     arm: NDArray[np.float64]
     """Positions of the arm's joints of a robot [n]; of a person [0]."""
+    start: NDArray[np.float64]
+    """Where it began, ``(x, z, heading)`` [3],"""
+    before: NDArray[np.float64]
+    """and where it was a step ago."""
+    contact: bool
+    """Its base touched an obstacle in the last step."""
+    collision: bool
+    """Agents touch now."""
 
     def left_to_do(self) -> list[int]:
         """Objects that are not at their goals and that the other does not hold."""

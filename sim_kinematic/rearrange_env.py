@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import load_robot
+from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import Scene
-from sim_kinematic.env import Observations, run_seed
+from sim_kinematic.agent_pictures import Limits, picture_names
+from sim_kinematic.env import Observations, checked_render_mode, run_seed
 from sim_kinematic.manipulation import arm_columns
-from sim_kinematic.observations import gymnasium
+from sim_kinematic.observation_set import ObservationSet, checked_names, gymnasium
 from sim_kinematic.planners import HighLevelPolicy
+from sim_kinematic.posing import Body
 from sim_kinematic.rearrange_episode import RearrangeSpec
-from sim_kinematic.rearrange_observations import STATE_SENSES, bounds, observe
-from sim_kinematic.rearrange_session import RearrangeSession
+from sim_kinematic.rearrange_observations import STATE_SENSES, exact, limits
+from sim_kinematic.rearrange_session import AGENTS, RearrangeSession
+from sim_kinematic.rearrange_stage import RearrangeStage
 from sim_kinematic.robot_skills import checked_command
+from sim_kinematic.sensors import NoiseModel
 from sim_kinematic.skills import CONTROL, Action, choices
 from sim_kinematic.spec import STEP_S
+from sim_kinematic.watching import Watcher
 
 Level = Literal["high", "low"]
 
@@ -38,7 +43,7 @@ class RearrangeEnv(gymnasium.Env[Any, Any]):
     adds ``scene`` and ``episode_seed``. Seeds are as in `sim_kinematic.env.SocialNavEnv`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -52,6 +57,9 @@ class RearrangeEnv(gymnasium.Env[Any, Any]):
         interrupts_when_close: bool = True,
         robot: str = "quad_arm",
         human: str = "female_0",
+        depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
         render_mode: str | None = None,
     ) -> None:
         """
@@ -60,25 +68,31 @@ class RearrangeEnv(gymnasium.Env[Any, Any]):
             agent: Who acts: ``robot`` or ``human``.
             partner: Who moves the other one, as of `RearrangeSession`.
             level: ``high`` or ``low``.
-            observations: Names in `sim_kinematic.rearrange_observations.SENSES`; `PAPER_SENSES` are the paper's.
+            observations: Names in `sim_kinematic.rearrange_observations.SENSES` and `agent_pictures.picture_names`;
+                `PAPER_SENSES` are the paper's.
             spec: The rules.
             interrupts_when_close: Whether one may choose anew in every step while the other is close.
             robot: Name of a built-in robot.
             human: Name of a built-in body.
-            render_mode: None: there is none.
+            depth_size: Width and height of depth, masks and boxes [pixels]; None is each camera's own.
+            rgb_size: The same of colours.
+            noise: Model by name of an observation, as `sim_kinematic.sensors.with_noise`; by default all are exact.
+            render_mode: ``rgb_array`` for `render`, or None.
 
         Raises:
             InputError: there is no such thing.
         """
-        if render_mode is not None:
-            raise InputError(f"Unknown render mode {render_mode!r}. Expected None.")
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self.session = RearrangeSession(
             scenes, agents=(agent,), partner=partner, spec=spec, interrupts_when_close=interrupts_when_close,
             robot=robot, human=human,
         )  # fmt: skip
         self.agent = agent
-        self._hand = Hand(self.session, agent, level, observations)
+        self._stage, self._watcher = RearrangeStage(self.session), Watcher()
+        (names,) = checked_names(observations, seen_by(self.session, agent), noise=noise or ())
+        self._hand = Hand(
+            self.session, self._stage, agent, level, names, depth_size=depth_size, rgb_size=rgb_size, noise=noise
+        )
         self.observation_space, self.action_space = self._hand.observation_space, self._hand.action_space
         self._seed, self._episode = 0, -1
 
@@ -108,28 +122,35 @@ class RearrangeEnv(gymnasium.Env[Any, Any]):
         terminated, truncated = ends(session)
         return self._hand.observe(), session.reward, terminated, truncated, self._hand.info()
 
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The agent and what is around it from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        return None if self.render_mode is None else self._watcher.picture(self._stage.posed(), AGENTS[self.agent])
+
 
 class Hand:
     """How one agent of a session acts and what it observes, in Gymnasium's terms."""
 
-    def __init__(self, session: RearrangeSession, agent: str, level: Level, observations: Sequence[str]) -> None:
+    def __init__(
+        self, session: RearrangeSession, stage: RearrangeStage, agent: str, level: Level, observations: Sequence[str], *,
+        depth_size: tuple[int, int] | None, rgb_size: tuple[int, int] | None, noise: Mapping[str, NoiseModel] | None,
+    ) -> None:  # fmt: skip
+        """As `RearrangeEnv`; observations as `checked_names` gives them."""
         if level not in get_args(Level):
             raise InputError(f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.")
         if level == "low" and agent != "robot":
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
-        self._session, self._agent, self._level = session, agent, level
+        self._session, self._stage, self._agent, self._level = session, stage, agent, level
         self._robot = load_robot(session.bodies[0])
-        arm = len(arm_columns(self._robot)) if agent == "robot" else 0
         self.choices = choices(session.spec.objects, robot=agent == "robot")
-        limits = bounds(observations, objects=session.spec.objects, arm=arm)
-        self._names = tuple(limits)
-        self.observation_space = gymnasium.spaces.Dict(
-            {name: gymnasium.spaces.Box(low, high, dtype=np.float32) for name, (low, high) in limits.items()}
-        )
+        self._set = ObservationSet(
+            observations, _limits(session, agent), _body(session, agent), agent=AGENTS[agent], depth_size=depth_size,
+            rgb_size=rgb_size, noise=noise,
+        )  # fmt: skip
+        self.observation_space = self._set.space()
         self.action_space: gymnasium.Space[Any] = (
             gymnasium.spaces.Discrete(len(self.choices))
             if level == "high"
-            else gymnasium.spaces.Box(-1.0, 1.0, (arm + 3,), np.float32)
+            else gymnasium.spaces.Box(-1.0, 1.0, (len(arm_columns(self._robot)) + 3,), np.float32)
         )
 
     def chosen(self, action: ArrayLike) -> Action:
@@ -147,7 +168,13 @@ class Hand:
 
     def observe(self) -> Observations:
         """What the agent sees now."""
-        return observe(self._session.view(self._agent), self._names)
+        play = self._session.play
+        assert play is not None
+        seen = {name: values[None] for name, values in exact(self._session.view(self._agent), self._set.states).items()}
+        if self._set.pictures.names:
+            seen |= self._set.take(self._stage.posed())
+        shown = self._set.shown(seen, [play.world.seed], [play.steps])
+        return {name: values[0] for name, values in shown.items()}
 
     def info(self) -> dict[str, Any]:
         """What is known beyond that."""
@@ -162,6 +189,21 @@ class Hand:
             "at_goal": play.at_goal.copy(), "held_by": play.objects.held_by.copy(),
             "action_mask": np.array(mask, np.int8),
         }  # fmt: skip
+
+
+def seen_by(session: RearrangeSession, agent: str) -> tuple[str, ...]:
+    """All observations of an agent."""
+    return (*_limits(session, agent), *picture_names(_body(session, agent)))
+
+
+def _limits(session: RearrangeSession, agent: str) -> dict[str, Limits]:
+    """Spaces of those that are no pictures."""
+    arm = len(arm_columns(load_robot(session.bodies[0]))) if agent == "robot" else 0
+    return limits(objects=session.spec.objects, arm=arm)
+
+
+def _body(session: RearrangeSession, agent: str) -> Body:
+    return load_robot(session.bodies[0]) if agent == "robot" else load_humanoid(session.bodies[1])
 
 
 def ends(session: RearrangeSession) -> tuple[bool, bool]:

@@ -2,7 +2,8 @@
 for policies from a file.
 
 Places are (distance [m], angle [rad], positive to the RIGHT) from the agent's base, or ``(x, y, z)`` [m] in the frame of its
-hand, as Habitat's sensors of the same names (spec/habitat.md 2.5).
+hand, as Habitat's sensors of the same names (spec/habitat.md 2.5), or in the agent root frame in which it began. Pictures:
+`sim_kinematic.agent_pictures`.
 """
 
 from __future__ import annotations
@@ -13,17 +14,24 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
+from h3data.geometry import ground_pose
+from sim_kinematic.agent_pictures import Limits
 from sim_kinematic.planners import TaskView
-from sim_kinematic.sensors import gps_compass, in_frame, localization, other_agent_gps
+from sim_kinematic.sensors import (
+    FAR_M,
+    FAST,
+    egomotion,
+    gps_compass,
+    in_frame,
+    localization,
+    localization_in_start_frame,
+    other_agent_gps,
+)
 from sim_kinematic.skills import choices
 from sim_kinematic.state import NOBODY
 
 Floats = NDArray[np.floating]
 Times = Literal["once", "objects", "joints", "choices"]
-
-FAR_M = 1000.0
-"""Bound of places and distances, which no home reaches."""
 
 
 class Sense(NamedTuple):
@@ -51,6 +59,18 @@ def _in_hand(points: Callable[[TaskView], Floats]) -> Sense:
     return Sense(lambda view: in_frame(view.hand(), points(view)), (-FAR_M,) * 3, (FAR_M,) * 3, "objects")
 
 
+def _from_start(points: Callable[[TaskView], Floats]) -> Sense:
+    return Sense(lambda view: in_frame(_start_pose(view), points(view)), (-FAR_M,) * 3, (FAR_M,) * 3, "objects")
+
+
+def _start_pose(view: TaskView) -> Floats:
+    return ground_pose(view.start[:2], view.start[2], view.free.floor_y)
+
+
+def _other_from_start(view: TaskView) -> Floats:
+    return in_frame(_start_pose(view), ground_pose(view.other_xz, 0.0, view.free.floor_y)[None, :3])
+
+
 def _flags(of: Callable[[TaskView], NDArray], times: Times = "objects") -> Sense:
     return Sense(lambda view: np.asarray(of(view), np.float64), (0.0,), (1.0,), times)
 
@@ -73,6 +93,7 @@ def _one_of_choices(outcome: str) -> Callable[[TaskView], Floats]:
     return seen
 
 
+_OTHER_GPS = _other(lambda v: gps_compass(v.xz, v.heading, v.other_xz), (0.0, -np.pi), (FAR_M, np.pi))
 SENSES: Mapping[str, Sense] = {
     "is_holding": _flags(lambda v: np.array([(v.held_by == v.agent).any()]), "once"),
     "obj_start_gps_compass": _gps(lambda v: v.starts),
@@ -85,21 +106,41 @@ SENSES: Mapping[str, Sense] = {
     "holds": _flags(lambda v: v.held_by == v.agent),
     "held_by_other": _flags(lambda v: (v.held_by != v.agent) & (v.held_by != NOBODY)),
     "at_goal": _flags(lambda v: v.at_goal),
-    "other_gps_compass": _other(
-        lambda v: gps_compass(v.xz, v.heading, v.other_xz), (0.0, -np.pi), (FAR_M, np.pi)
-    ),
+    "other_gps_compass": _OTHER_GPS,
+    "humanoid_gps": _OTHER_GPS,
     "close": _flags(lambda v: np.array([v.close]), "once"),
     "localization": Sense(
         lambda v: localization(v.xz, v.heading, v.free.floor_y), (-FAR_M,) * 3 + (-np.pi,), (FAR_M,) * 3 + (np.pi,), "once"
     ),
+    "localization_in_start_frame": Sense(
+        lambda v: localization_in_start_frame(v.start[:2], v.start[2], v.xz, v.heading), (-FAR_M,) * 3 + (-np.pi,),
+        (FAR_M,) * 3 + (np.pi,), "once",
+    ),
+    "humanoid_in_start_frame": _other(_other_from_start, (-FAR_M,) * 3, (FAR_M,) * 3),
+    "obj_start_in_start_frame": _from_start(lambda v: v.starts),
+    "obj_goal_in_start_frame": _from_start(lambda v: v.goals),
+    "obj_in_start_frame": _from_start(lambda v: v.objects),
+    "egomotion": Sense(
+        lambda v: egomotion(v.before[:2], v.before[2], v.xz, v.heading), (-FAST,) * 3, (FAST,) * 3, "once"
+    ),
+    "collision": Sense(lambda v: np.array([v.contact, v.collision], np.float64), (0.0,) * 2, (1.0,) * 2, "once"),
     "arm_joints": Sense(lambda v: v.arm, (-10.0,), (10.0,), "joints"),
     "last_done": Sense(_one_of_choices("done"), (0.0,), (1.0,), "choices"),
     "interrupted": Sense(_one_of_choices("aborted"), (0.0,), (1.0,), "choices"),
 }  # fmt: skip
-PAPER_SENSES = (
-    "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor", "obj_goal_sensor",
+HABITAT_SENSES = (
+    "arm_depth", "is_holding", "obj_start_gps_compass", "obj_goal_gps_compass", "other_agent_gps", "obj_start_sensor",
+    "obj_goal_sensor",
 )  # fmt: skip
-"""What the paper's high-level policy sees beside the depth picture (spec/habitat.md 2.5)."""
+"""What Habitat's configuration shows the upper layer (spec/habitat.md 2.5). Needs a picture in every step."""
+PAPER_SENSES = (
+    *(name for name in HABITAT_SENSES if name != "other_agent_gps"),
+    "humanoid_gps",
+    "arm_joints",
+    "egomotion",
+)
+"""What the paper says that the robot has (section 4.2): depth, arm joints, egomotion, the person's distance and direction; and
+of the task what Habitat shows. Needs a picture in every step."""
 STATE_SENSES = (
     "obj_gps_compass", "obj_goal_gps_compass", "holds", "held_by_other", "at_goal", "other_gps_compass", "last_done",
     "interrupted",
@@ -108,29 +149,26 @@ STATE_SENSES = (
 
 
 def observe(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
-    """The named observations, each [n] float32 and within its `bounds`."""
-    seen = {}
-    for name in names:
-        sense = SENSES[name]
-        values = np.ravel(sense.of(view)).reshape(-1, len(sense.low))
-        seen[name] = np.clip(values, sense.low, sense.high).astype(np.float32).ravel()
-    return seen
+    """The named observations, each [n] float32 and within its `limits`."""
+    shown = {}
+    for name, values in exact(view, names).items():
+        low, high = (np.tile(side, len(values) // len(side)) for side in (SENSES[name].low, SENSES[name].high))
+        shown[name] = values.clip(low, high).astype(np.float32)
+    return shown
 
 
-def bounds(
-    names: Sequence[str], *, objects: int, arm: int
-) -> dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Least and greatest values of the named observations, of an agent with ``arm`` joints (0: a person).
+def exact(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """The named observations as they are, each [n]."""
+    return {name: np.asarray(SENSES[name].of(view), np.float64).ravel() for name in names}
 
-    Raises:
-        InputError: there are no such observations.
-    """
-    if isinstance(names, str) or not names or not set(names) <= set(SENSES):
-        raise InputError(f"Expected a list of observations, some of: {', '.join(SENSES)}. Got {names!r}.")
+
+def limits(*, objects: int, arm: int) -> dict[str, Limits]:
+    """The spaces of all that an agent with ``arm`` joints (0: a person) can be shown beside pictures."""
     counts = {"once": 1, "objects": objects, "joints": arm, "choices": len(choices(objects, robot=arm > 0))}
     found = {}
-    for name in dict.fromkeys(names):
-        sense = SENSES[name]
-        low, high = (np.tile(np.array(side, np.float32), counts[sense.times]) for side in (sense.low, sense.high))
-        found[name] = low, high
+    for name, sense in SENSES.items():
+        count = counts[sense.times]
+        if count:
+            low, high = (np.tile(np.array(side, np.float32), count) for side in (sense.low, sense.high))
+            found[name] = Limits(low, high, low.shape, np.float32)
     return found

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from h3data.scene import Scene
-from sim_kinematic.env import Observations
+from sim_kinematic.env import Observations, checked_render_mode
+from sim_kinematic.observation_set import checked_names
 from sim_kinematic.pair_env import Infos, PairEnv
-from sim_kinematic.rearrange_env import Hand, Level, ends, episode_info
+from sim_kinematic.rearrange_env import Hand, Level, ends, episode_info, seen_by
 from sim_kinematic.rearrange_episode import RearrangeSpec
 from sim_kinematic.rearrange_observations import STATE_SENSES
 from sim_kinematic.rearrange_session import RearrangeSession
+from sim_kinematic.rearrange_stage import RearrangeStage
+from sim_kinematic.sensors import NoiseModel
 from sim_kinematic.spec import STEP_S
+from sim_kinematic.watching import Watcher
 
 
 class RearrangeParallelEnv(PairEnv):
@@ -28,7 +33,7 @@ class RearrangeParallelEnv(PairEnv):
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "name": "h3data_rearrange_v0",
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
         "render_fps": round(1 / STEP_S),
     }
 
@@ -42,18 +47,27 @@ class RearrangeParallelEnv(PairEnv):
         interrupts_when_close: bool = True,
         robot: str = "quad_arm",
         human: str = "female_0",
+        depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
+        render_mode: str | None = None,
     ) -> None:
-        """As `RearrangeEnv`; ``level`` is the robot's."""
-        self.render_mode = None
+        """As `RearrangeEnv`; ``level`` is the robot's, and of the observations each has its own."""
+        self.render_mode = checked_render_mode(render_mode)
         self.session = RearrangeSession(
             scenes, agents=("robot", "human"), spec=spec, interrupts_when_close=interrupts_when_close, robot=robot,
             human=human,
         )  # fmt: skip
-        names = [name for name in observations if name != "arm_joints"]
+        self._stage, self._watcher = RearrangeStage(self.session), Watcher()
+        known = [seen_by(self.session, name) for name in self.session.agents]
+        chosen = checked_names(observations, *known, noise=noise or ())
         self._hands = {
-            "robot": Hand(self.session, "robot", level, observations),
-            "human": Hand(self.session, "human", "high", names if not isinstance(observations, str) else observations),
-        }
+            name: Hand(
+                self.session, self._stage, name, level if name == "robot" else "high", own, depth_size=depth_size,
+                rgb_size=rgb_size, noise=noise,
+            )
+            for name, own in zip(self.session.agents, chosen, strict=True)
+        }  # fmt: skip
         super().__init__(
             {name: hand.observation_space for name, hand in self._hands.items()},
             {name: hand.action_space for name, hand in self._hands.items()},
@@ -67,8 +81,9 @@ class RearrangeParallelEnv(PairEnv):
         self.session.step({name: self._hands[name].chosen(action) for name, action in actions.items()})
         return self.session.reward, *ends(self.session)
 
-    def render(self) -> None:
-        """There is no picture."""
+    def render(self) -> NDArray[np.uint8] | None:
+        """The robot, as `RearrangeEnv.render`."""
+        return None if self.render_mode is None else self._watcher.picture(self._stage.posed())
 
     def _observed(self) -> dict[str, Observations]:
         return {name: self._hands[name].observe() for name in self.agents}

@@ -153,6 +153,7 @@ class RearrangePlay:
         self.contacts = AgentContacts(*(body_shapes(member.body) for member in world.cast))
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
+        self.places = self.before = world.places.copy()
         self.paid = np.zeros((1, 2 * len(names)), np.bool_)
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
@@ -187,6 +188,7 @@ class RearrangePlay:
             for track, actor in zip(self.tracks, self.actors, strict=True):
                 track.append(actor.xz.copy())
             self._write_people()
+            self.before, self.places = self.places, np.array([[*a.xz, a.heading] for a in self.actors])
             self.at_goal = self._at_goal()
             frames = {person.number: person.person.frame() for person in self.people}
             self.touching = self._touching(frames)
@@ -269,6 +271,8 @@ class RearrangePlay:
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
+            start=self.world.places[runner.number], before=self.before[runner.number], collision=self.collision,
+            contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
         )  # fmt: skip
 
     def _at_goal(self) -> NDArray[np.bool_]:

@@ -30,6 +30,8 @@ DEPTH_RANGE_M = (0.0, 10.0)
 """Observed depth is clipped to this range and scaled to 0..1 (spec/habitat.md 1.1, 1.5)."""
 FAR_M = 1000.0
 """A way that does not exist counts as this long; no home reaches as far."""
+FAST = 10.0
+"""Bound of velocities [m/s, rad/s]: four times the robot's limits."""
 RANGES = 12
 """Rays of `range_scan`, one every 30 degrees."""
 RANGE_M = 2.0

@@ -14,6 +14,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import h3data
 from h3data.errors import InputError
+from sim_kinematic.agent_pictures import DETECTORS
 from sim_kinematic.person_skills import PersonActor
 from sim_kinematic.planners import planner, robot_policy
 from sim_kinematic.rearrange import simulate_rearrange
@@ -28,7 +29,9 @@ from sim_kinematic.state import NOBODY
 from sim_kinematic.step import least_clearance
 
 HOME = "small:1"
-OF_PERSON = tuple(name for name in SENSES if name != "arm_joints")
+OF_ROBOT = (*SENSES, "arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "back_rgb")
+OF_PERSON = (*(name for name in SENSES if name != "arm_joints"), "head_depth", "head_rgb")
+SIZES: dict[str, Any] = {"depth_size": (28, 21), "rgb_size": (32, 24)}
 NAV_0, NAV_1, PICK_0, PLACE_0, WAIT, FORWARD = 0, 1, 4, 6, 8, 9
 """Of `choices(2)`."""
 
@@ -41,15 +44,16 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("options", [{}, {"level": "low"}, {"agent": "human"}], ids=str)
-def test_gymnasium_accepts_the_environment(options: dict[str, str]) -> None:
-    names = OF_PERSON if "agent" in options else tuple(SENSES)
-    env = gymnasium.make("sim_kinematic.rearrange_env:h3data/Rearrange-v0", scenes=HOME, observations=names, **options)
+def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
+    name, names = "sim_kinematic.rearrange_env:h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
+    env = gymnasium.make(name, scenes=HOME, observations=names, render_mode="rgb_array", **SIZES, **options)
     check_env(env.unwrapped)
 
 
 @pytest.mark.parametrize("level", ["high", "low"])
 def test_pettingzoo_accepts_the_environment(level: str) -> None:
-    parallel_api_test(RearrangeParallelEnv(HOME, level=level, observations=tuple(SENSES)), num_cycles=25)  # type: ignore[arg-type]
+    names = dict.fromkeys((*OF_ROBOT, *OF_PERSON))
+    parallel_api_test(RearrangeParallelEnv(HOME, level=level, observations=tuple(names), **SIZES), num_cycles=25)  # type: ignore[arg-type]
 
 
 def test_pettingzoo_finds_the_same_seeds() -> None:
@@ -220,17 +224,19 @@ configurations = st.fixed_dictionaries(
         "level": st.sampled_from(["high", "low"]),
         "close": st.booleans(),
         "masked": st.booleans(),
+        "pictures": st.booleans(),
         "scene": st.sampled_from([HOME, "small:2"]),
     }
 )
 
 
 def make(c: dict[str, Any]) -> RearrangeParallelEnv | RearrangeEnv:
-    common: dict[str, Any] = {"interrupts_when_close": c["close"]}
+    common: dict[str, Any] = {"interrupts_when_close": c["close"], **SIZES}
+    robots, hers = (names if c["pictures"] else [n for n in names if n in SENSES] for names in (OF_ROBOT, OF_PERSON))
     if c["agents"] == "both":
-        return RearrangeParallelEnv(c["scene"], level=c["level"], observations=tuple(SENSES), **common)
+        return RearrangeParallelEnv(c["scene"], level=c["level"], observations=[*robots, *hers], **common)
     level = c["level"] if c["agents"] == "robot" else "high"
-    names = tuple(SENSES) if c["agents"] == "robot" else OF_PERSON
+    names = robots if c["agents"] == "robot" else hers
     return RearrangeEnv(c["scene"], agent=c["agents"], level=level, observations=names, **common)
 
 

@@ -1,0 +1,264 @@
+"""What agents of training environments see and feel: own views, held things, sensors against each other, noise, the view for
+people."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import h3data
+from h3data.errors import InputError
+from h3data.render import look_at, pinhole
+from sim_kinematic.agent_pictures import DETECTORS, picture_names
+from sim_kinematic.env import SocialNavEnv
+from sim_kinematic.observations import STATES
+from sim_kinematic.parallel_env import SocialNavParallelEnv
+from sim_kinematic.rearrange_env import RearrangeEnv
+from sim_kinematic.rearrange_observations import HABITAT_SENSES, PAPER_SENSES, SENSES
+from sim_kinematic.rearrange_parallel_env import RearrangeParallelEnv
+from sim_kinematic.sensors import depth_with_noise, with_noise
+from sim_kinematic.vector_env import SocialNavVectorEnv
+
+HOME = "small:1"
+SIZES: dict[str, Any] = {"depth_size": (56, 43), "rgb_size": (40, 30)}
+NAV_0, PICK_0, BACKWARD = 0, 4, 10
+
+
+def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------------
+def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
+    names = ("arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "front_left_rgb")
+    for env in (SocialNavEnv(HOME, observations=names), RearrangeEnv(HOME, observations=names)):
+        seen, _ = env.reset(seed=4)
+        assert {name: array.shape for name, array in seen.items()} == {
+            "arm_depth": (171, 224, 1), "arm_rgb": (480, 640, 3), "humanoid_detector": (1,),
+            "humanoid_mask": (171, 224, 1), "humanoid_box": (171, 224, 1), "front_left_depth": (212, 120, 1),
+            "front_left_rgb": (212, 120, 3),
+        }  # fmt: skip
+        assert env.observation_space.contains(seen)
+        assert {seen[name].dtype for name in names if name.endswith("_rgb")} == {np.dtype(np.uint8)}
+        assert 0 < seen["arm_depth"].max() <= 1
+        assert seen["arm_rgb"].std() > 5
+    (robot, person) = env.session.play.world.cast  # type: ignore[union-attr]
+    assert set(names) < set(picture_names(robot.body))
+    assert picture_names(person.body) == ("head_depth", "head_rgb")
+
+
+def test_the_detectors_agree_and_see_the_person() -> None:
+    env = SocialNavEnv(HOME, observations=tuple(DETECTORS))
+    found = np.zeros(0)
+    env.reset(seed=5)
+    for _ in range(150):
+        seen = env.step(np.array([0.0, 0.5]))[0]  # it looks round
+        mask, box = seen["humanoid_mask"], seen["humanoid_box"]
+        assert seen["humanoid_detector"] == (mask.sum() > 1000)
+        assert set(np.unique(mask)) <= {0.0, 1.0}
+        if box.any():
+            rows, columns = np.flatnonzero(mask.any((1, 2))), np.flatnonzero(mask.any((0, 2)))
+            assert box.sum() == (rows[-1] - rows[0]) * (columns[-1] - columns[0])
+        found = np.append(found, seen["humanoid_detector"])
+    assert 0 < found.sum() < len(found)
+
+
+@pytest.fixture(scope="module")
+def holding() -> RearrangeEnv:
+    """The robot has taken the first object."""
+    env = RearrangeEnv(HOME, partner="still", observations=("arm_depth", "is_holding"), render_mode="rgb_array")
+    env.reset(seed=4)
+    env.step(NAV_0)
+    seen, _, _, _, info = env.step(PICK_0)
+    assert info["outcome"] == "done"
+    assert seen["is_holding"] == 1
+    env.step(BACKWARD)
+    env.step(BACKWARD)
+    return env
+
+
+def test_held_things_are_in_the_picture(holding: RearrangeEnv) -> None:
+    play = holding.session.play
+    assert play is not None
+    drawn, target = holding._stage.posed(), play.world.targets[0]
+    (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == target.name]
+    away = np.array([-0.5, 1.0, 0.5])
+
+    def looked_at(point: np.ndarray) -> np.ndarray:
+        camera = pinhole(80, 60, hfov_deg=30, pose=look_at(point + away, point), hidden_layers=("ceiling",))
+        return drawn.picture([camera], ("instance",))["instance"][0]
+
+    there = looked_at(play.objects.poses[0, :3])
+    assert (there[20:40, 25:55] == number).sum() > 50
+    assert set(drawn.instances(0)) & set(np.unique(there))  # the hand that holds it
+    assert not (looked_at(target.start[:3])[20:40, 30:50] == number).any()
+    picture = holding.render()
+    assert picture is not None
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 20
+
+
+def test_a_moving_arm_moves_the_picture() -> None:
+    env = RearrangeEnv(HOME, level="low", partner="still", observations=("arm_depth", "arm_joints"), **SIZES)
+    before, _ = env.reset(seed=4)
+    still = env.step(np.zeros(10))[0]
+    np.testing.assert_array_equal(before["arm_depth"], still["arm_depth"])
+    command = np.zeros(10, np.float32)
+    command[3] = 1.0
+    moved = env.step(command)[0]
+    np.testing.assert_allclose(np.abs(moved["arm_joints"] - still["arm_joints"]).max(), 0.05, atol=1e-5)
+    assert (np.abs(moved["arm_depth"] - still["arm_depth"]) > 1e-3).mean() > 0.1
+
+
+@pytest.mark.parametrize("env", [SocialNavParallelEnv, RearrangeParallelEnv])
+def test_each_of_two_has_its_own_pictures(env: Any) -> None:
+    both = env(HOME, observations=("humanoid_gps", "arm_depth", "arm_joints", "head_rgb"), **SIZES)
+    seen, _ = both.reset(seed=4)
+    assert set(seen["robot"]) == {"humanoid_gps", "arm_depth", "arm_joints"}
+    assert set(seen["human"]) == {"humanoid_gps", "head_rgb"}
+    assert seen["human"]["head_rgb"].std() > 5
+    assert all(both.observation_space(agent).contains(seen[agent]) for agent in both.agents)
+
+
+def test_worlds_side_by_side_show_the_pictures_of_each() -> None:
+    names = (*PAPER_SENSES, "arm_rgb")
+    many = h3data.make("rearrange", scenes=HOME, num_envs=2, observations=names, render_mode="rgb_array", **SIZES)
+    one = RearrangeEnv(HOME, observations=names, **SIZES)
+    first, _ = many.reset(seed=3)
+    second = many.step(np.array([8, 9]))[0]
+    for w in range(2):
+        assert_same(one.reset(seed=3 + w)[0], {name: array[w] for name, array in first.items()})
+        assert_same(one.step(8 + w)[0], {name: array[w] for name, array in second.items()})
+    assert [picture.shape for picture in many.render()] == [(480, 640, 3)] * 2
+
+
+# --- sensors against each other -----------------------------------------------------------------------------------------
+def test_both_tasks_have_the_sensors_of_the_list() -> None:
+    common = {
+        "humanoid_gps", "egomotion", "arm_joints", "is_holding", "localization", "localization_in_start_frame",
+        "humanoid_in_start_frame", "collision",
+    }  # fmt: skip
+    assert common <= set(STATES) & set(SENSES)
+    assert set(PAPER_SENSES) - {"arm_depth"} <= set(SENSES) >= set(HABITAT_SENSES) - {"arm_depth"}
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_the_start_frame_stays_where_it_was(task: str) -> None:
+    names = ["localization", "localization_in_start_frame", "humanoid_in_start_frame", "humanoid_gps", "egomotion"]
+    options: dict[str, Any] = {"level": "low", "partner": "still"} if task == "rearrange" else {}
+    fixed = ["obj_start_in_start_frame", "obj_goal_in_start_frame", "obj_in_start_frame"] if options else []
+    near = ["obj_start_gps_compass", "obj_goal_gps_compass", "obj_gps_compass"] if options else []
+    env = h3data.make(task, scenes=HOME, observations=[*names, *fixed, *near], **options)
+    began, _ = env.reset(seed=4)
+    np.testing.assert_array_equal(began["localization_in_start_frame"], 0)
+    np.testing.assert_array_equal(began["egomotion"], 0)
+    for polar, place in zip(["humanoid_gps", *near], ["humanoid_in_start_frame", *fixed], strict=True):
+        distance, right = began[polar].reshape(-1, 2).T
+        x, _, z = began[place].reshape(-1, 3).T
+        np.testing.assert_allclose([np.hypot(x, z), np.arctan2(z, x)], [distance, right], atol=1e-5)
+    seen, moved = began, np.zeros(2)
+    action = np.zeros(env.action_space.shape, np.float32)
+    action[:2] = 0.5, 0.7
+    for _ in range(10):
+        before = seen
+        seen = env.step(action)[0]
+        forward, left, turn = seen["egomotion"] / 30
+        heading = before["localization_in_start_frame"][3]
+        c, s = np.cos(heading), np.sin(heading)
+        moved += [c * forward - s * left, -s * forward - c * left]
+        np.testing.assert_allclose(seen["localization_in_start_frame"][[0, 2]], moved, atol=1e-5)
+        np.testing.assert_allclose(seen["localization_in_start_frame"][3], heading + turn, atol=1e-5)
+    assert np.linalg.norm(moved) > 0.2
+    gap = np.diff([began["localization"][[0, 2]], seen["localization"][[0, 2]]], axis=0)
+    assert np.hypot(*gap[0]) == pytest.approx(float(np.linalg.norm(moved)), abs=1e-5)
+    for name in fixed:
+        np.testing.assert_allclose(seen[name], began[name], atol=1e-6)
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_collisions_are_felt(task: str) -> None:
+    options: dict[str, Any] = {"level": "low", "partner": "still"} if task == "rearrange" else {}
+    env = h3data.make(task, scenes=HOME, observations=["collision"], **options)
+    env.reset(seed=4)
+    action = np.zeros(env.action_space.shape, np.float32)
+    action[0] = 1.0
+    felt = [env.step(action)[0]["collision"][0] for _ in range(90)]
+    assert felt[0] == 0
+    assert felt[-1] == 1  # at a wall by now
+
+
+# --- noise --------------------------------------------------------------------------------------------------------------
+NOISE: dict[str, Any] = {
+    "arm_depth": partial(depth_with_noise, missing=0.05),
+    "humanoid_gps": partial(with_noise, sigma=(0.1, 0.02)),
+    "arm_rgb": partial(with_noise, sigma=4.0),
+}
+NOISY = (*NOISE, "localization")
+
+
+def test_noise_follows_from_seed_and_step() -> None:
+    exact = SocialNavVectorEnv(2, HOME, observations=NOISY, **SIZES)
+    noisy = SocialNavVectorEnv(2, HOME, observations=NOISY, noise=NOISE, **SIZES)
+    one = SocialNavEnv(HOME, observations=NOISY, noise=NOISE, **SIZES)
+    seen, blurred, single = exact.reset(seed=3)[0], noisy.reset(seed=3)[0], one.reset(seed=4)[0]
+    for _ in range(3):
+        assert noisy.observation_space.contains(blurred)
+        assert_same({name: array[1] for name, array in blurred.items()}, single)
+        np.testing.assert_array_equal(blurred["localization"], seen["localization"])
+        apart = (blurred["humanoid_gps"] - seen["humanoid_gps"]) / (0.1, 0.02)
+        assert 0 < np.abs(apart).max() < 5
+        lost = (blurred["arm_depth"] == 0) & (seen["arm_depth"] > 0)
+        assert 0.03 < lost.mean() < 0.07
+        shades = blurred["arm_rgb"].astype(float) - seen["arm_rgb"]
+        assert 3 < shades[(seen["arm_rgb"] > 20) & (seen["arm_rgb"] < 235)].std() < 5
+        before = apart
+        actions = np.full((2, 2), 0.3, np.float32)
+        seen, blurred, single = exact.step(actions)[0], noisy.step(actions)[0], one.step(actions[1])[0]
+        assert not np.array_equal(before, (blurred["humanoid_gps"] - seen["humanoid_gps"]) / (0.1, 0.02))
+
+
+def test_noise_of_rearrangement_is_each_agents_own() -> None:
+    names, noise = ("humanoid_gps", "arm_depth"), {"humanoid_gps": partial(with_noise, sigma=0.1)}
+    env = RearrangeParallelEnv(HOME, observations=names, noise=noise, **SIZES)
+    plain = RearrangeParallelEnv(HOME, observations=names, **SIZES)
+    (seen, _), (exact, _) = env.reset(seed=4), plain.reset(seed=4)
+    (robots, hers) = (seen[a]["humanoid_gps"] - exact[a]["humanoid_gps"] for a in ("robot", "human"))
+    assert robots[0] != hers[0]
+    np.testing.assert_array_equal(seen["robot"]["arm_depth"], exact["robot"]["arm_depth"])
+    assert_same(env.reset(seed=4)[0]["robot"], seen["robot"])
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"noise": {"arm_depth": depth_with_noise}}, "not arm_depth"),
+        ({"noise": {"humanoid_gps": lambda values, rng: values[:1]}}, r"keep the shape \[2\]"),
+        ({"noise": {"humanoid_gps": lambda values, rng: values * np.nan}}, "finite"),
+        ({"observations": ["head_rgb"]}, "arm_rgb"),
+        ({"observations": ["arm_rgb"], "rgb_size": (0, 3)}, "1 x 1"),
+        ({"observations": [["arm_rgb"]]}, "Expected a list"),
+    ],
+)
+def test_what_cannot_be_shown_is_told(task: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        h3data.make(task, **{"scenes": HOME, "observations": ["humanoid_gps"], **options}).reset(seed=1)
+
+
+# --- for people who watch -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("options", [{"agents": ("robot", "human")}, {"agents": ("human",)}, {}], ids=str)
+def test_the_view_follows_the_agent_and_stays_on_its_side(options: dict[str, Any]) -> None:
+    env = h3data.make("rearrange", scenes=HOME, render_mode="rgb_array", **options)
+    with pytest.raises(InputError, match="reset"):
+        env.render()
+    env.reset(seed=4)
+    first = env.render()
+    np.testing.assert_array_equal(env.render(), first)
+    assert first.shape == (480, 640, 3)
+    assert h3data.make("rearrange", scenes=HOME, **options).render() is None
