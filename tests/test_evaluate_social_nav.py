@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from h3data.metrics import measure_files
+from h3data.metrics import measure, measure_files, measure_many
+from h3data.metrics.set_up import set_up_differences
+from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
+from h3data_pipelines.cross_play import cross_play_table
 from h3data_pipelines.social_nav_evaluating import METRICS, policy_table
 from sim_kinematic.network import Network, save_network
 
@@ -36,7 +41,15 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
         assert cell["mean"] == pytest.approx(summary.mean, nan_ok=True)
         assert cell["low"] == pytest.approx(summary.low, nan_ok=True)
         assert cell["episodes"] == summary.count
+    stored = json.loads((out / "episodes" / "000001.json").read_text())
+    assert stored["created_by"] == f"h3data {version('h3data')}"
+    assert (stored["origin"]["split"], len(stored["origin"]["sha256"])) == ("val", 64)
+    assert result["created_by"] == [stored["created_by"]]
+    assert result["job"]["set"]["sha256"] == stored["origin"]["sha256"]
+    assert (result["job"]["task"], result["job"]["scenes"]) == ("social_nav", "h3-homes/val#1")
+    assert result["job"]["spec"]["max_steps"] == 150
     text = (out / "table.txt").read_text()
+    assert "max_steps 150 (paper 1500): 4 episodes" in text
     assert "Heuristic Expert" in text
     assert "0.97" in text
     assert run_json(capsys, *evaluate, "--episodes", "2")["new"] == 0
@@ -80,6 +93,28 @@ def test_a_folder_of_others_is_not_written_to(tmp_path: Path, capsys: pytest.Cap
     error = run_json(capsys, "evaluate", "social_nav", *RULES, "--episodes", "1", "-o", tmp_path, code=2)["error"]
     assert "not empty" in error
     assert [file.name for file in tmp_path.iterdir()] == ["table.txt"]
+
+
+def test_without_results_there_is_no_table_and_no_paper() -> None:
+    for table in (policy_table([]), cross_play_table([])):
+        assert table.to_text() == "No episode could be played: there is no table."
+
+
+def test_the_set_up_of_the_paper_is_not_remarked_on() -> None:
+    spec = {"max_steps": 1500, "spawn_distance_m": 5.0, "human": {"speed_mps": 2.5}, "unknown": 3}
+    agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
+    episode = Episode(uid="u", episode_id="e", task="social_nav", scene="s", info={"spec": spec})
+    pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
+    columns = {"time_ns": np.arange(2), "agent_0.base_pose": pose, "agent_1.base_pose": pose}
+    recording = Recording(episode=episode, agents=agents, columns=columns)
+    assert set_up_differences(recording) == ""
+    other = {**spec, "spawn_distance_m": 3.0, "human": {"speed_mps": 1.0}}
+    changed = replace(recording, episode=replace(episode, info={"spec": other}), agents=agents[1:])
+    assert set_up_differences(changed) == (
+        "spawn_distance_m 3.0 (paper 5.0), human.speed_mps 1.0 (paper 2.5), agents human (paper robot, human)"
+    )
+    assert measure(recording).set_up == measure(replace(changed, agents=agents), "field").set_up == ""
+    assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
 
 
 def test_what_is_undefined_does_not_count() -> None:

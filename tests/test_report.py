@@ -300,6 +300,15 @@ def test_recordings_without_a_scene_still_have_plans(tmp_path: Path) -> None:
     assert 'class="floor"' in report.html
 
 
+def test_one_is_not_many_and_plans_left_out_are_counted(tmp_path: Path) -> None:
+    one = make_report([write(tmp_path / "one", [tidy(5, home="a")])], pictures=0)
+    facts = re.findall(r"<b>([^<]+)</b><span>([^<]+)</span>", one.html)
+    assert facts[:4] == [("1", "episode"), ("1", "run"), ("1", "scene"), ("5", "steps")]
+    assert "scenes with most episodes" not in one.html
+    four = make_report([write(tmp_path / "four", [tidy(5, home=home) for home in "abcd"])], pictures=0)
+    assert "The 3 scenes with most episodes, of 4." in four.html
+
+
 def test_paths_that_cannot_be_reported(runs: dict[str, Path], tmp_path: Path) -> None:
     for paths, message in (([], "at least one"), ([runs["stand_still"]] * 2, "Named twice")):
         with pytest.raises(InputError, match=message):

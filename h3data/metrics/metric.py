@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.metrics.set_up import set_up_differences
 from h3data.recording.records import STEP_NS, Recording
 
 Direction = Literal["higher", "lower", "neither"]
@@ -99,6 +100,8 @@ class EpisodeMetrics:
     """Nominal step of the recording."""
     units: str = "SI"
     """``info:units`` of the recording."""
+    set_up: str = ""
+    """Of the profile ``paper``: in what the rules of the episode differ from the paper's."""
 
     def to_dict(self) -> dict[str, Any]:
         """The same as JSON types; NaN and infinities become None."""
@@ -114,6 +117,7 @@ class EpisodeMetrics:
             "contact_row": self.contact_row,
             "values": {k: float(v) if np.isfinite(v) else None for k, v in self.values.items()},
             "notes": dict(self.notes),
+            "set_up": self.set_up,
         }
 
 
@@ -162,6 +166,7 @@ def episode_metrics(
         scene=episode.scene,
         dt_ns=episode.dt_ns,
         units=str(episode.info.get("units", "SI")),
+        set_up=set_up_differences(recording) if metrics[0].profile == "paper" else "",
     )
 
 

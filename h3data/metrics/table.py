@@ -104,7 +104,7 @@ class MetricsTable:
             lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
         widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
         table = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
-        return "\n".join(table + self._note_lines())
+        return "\n".join(table + self._note_lines() + set_up_lines(e.set_up for e in self.episodes))
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
         """Summary, notes and all episodes as JSON types; NaN becomes None."""
@@ -141,6 +141,13 @@ class MetricsTable:
                 f"  {', '.join(names)}: {text}" + (f" ({times} of {len(self)} episodes)" if len(self) > 1 else "")
             )
         return ["Notes", *lines] if lines else []
+
+
+def set_up_lines(differences: Iterable[str]) -> list[str]:
+    """What to say of episodes whose rules differ from the paper's (`h3data.metrics.set_up`), most frequent first."""
+    found = Counter(text for text in differences if text)
+    lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in found.most_common()]
+    return ["Not the set-up of the paper, whose numbers do not compare:", *lines] if lines else []
 
 
 def measure_many(recordings: Iterable[Recording], profile: str = "paper") -> MetricsTable:

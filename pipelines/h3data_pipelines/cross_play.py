@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from h3data.metrics.statistics import bootstrap_interval, wilson_interval
+from h3data.metrics.table import set_up_lines
 from h3data_viewers.report_paper import paper_results
 
 METRICS = {
@@ -19,6 +20,7 @@ METRICS = {
 }
 BINARY, PERCENT = ("SR", "S", "CR"), ("SR",)
 ZSC_COLUMN = "ZSC planners"
+NOTHING = "No episode could be played: there is no table."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +37,8 @@ class Row:
     values: dict[str, float | None]
     """The paper's metrics; None = undefined."""
     state_hash: str
+    set_up: str = ""
+    """In what its rules differ from the paper's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +63,13 @@ class CrossPlayTable:
     episodes: int
     solo_steps: float
     """Mean steps of the person alone."""
+    set_ups: tuple[str, ...] = ()
+    """Of each result: in what its rules differ from the paper's."""
 
     def to_text(self) -> str:
-        """A table for each metric, the paper's rows below."""
+        """A table for each metric, the paper's rows below; without ours there is nothing to compare."""
+        if not self.cells:
+            return NOTHING
         blocks = [
             f"{self.episodes} episodes; the person alone takes {self.solo_steps:.0f} steps on average.\n"
             "Rows: robots. Columns: partners. Mean [95 % interval]."
@@ -72,7 +80,7 @@ class CrossPlayTable:
                 cells = [self.cells.get((metric, policy, partner)) for partner in self.partners]
                 lines.append([policy, *(_shown(metric, cell) for cell in cells)])
             blocks.append(aligned(lines))
-        return "\n\n".join([*blocks, _paper_text()])
+        return "\n\n".join([*blocks, "\n".join([_paper_text(), *set_up_lines(self.set_ups)])])
 
     def to_dict(self) -> dict[str, Any]:
         """The same as JSON types; NaN becomes None."""
@@ -111,7 +119,7 @@ def cross_play_table(rows: Iterable[Row]) -> CrossPlayTable:
     solo = {row.index: row.solo_steps for row in rows}
     return CrossPlayTable(
         policies=policies, partners=tuple(groups), cells=cells, episodes=len(solo),
-        solo_steps=float(np.mean(list(solo.values()))) if solo else float("nan"),
+        solo_steps=float(np.mean(list(solo.values()))) if solo else float("nan"), set_ups=tuple(row.set_up for row in rows),
     )  # fmt: skip
 
 

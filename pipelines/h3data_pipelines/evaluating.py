@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -86,10 +87,12 @@ class Evaluate:
                 file.unlink()
         files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
         wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
+        made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
         bar = tqdm(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode", disable=None)
         with bar, closing(run_jobs(play, wanted, workers=self.workers)) as results:
             for result in results:
-                write_text(files[result["job"]["episode"]["index"]], json.dumps(result) + "\n")
+                index = result["job"]["episode"]["index"]
+                write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
                 bar.update()
         results = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
         rows = [row for result in results for row in result["rows"]]
@@ -100,10 +103,24 @@ class Evaluate:
         ]
         table = tabulate(rows)
         text = table.to_text() + "".join(f"\nfailed {line}" for line in failed)
-        data = {"episodes": len(jobs), "new": len(wanted), "failed": failed, **table.to_dict()}
+        data = {
+            "episodes": len(jobs), "new": len(wanted), "failed": failed, **table.to_dict(), "job": self._asked(jobs[0]),
+            "created_by": sorted({r.get("created_by", "unknown") for r in results}),
+        }  # fmt: skip
         write_text(self.out / "table.txt", text + "\n")
         write_text(self.out / "table.json", json.dumps(data, indent=2) + "\n")
         return Outcome(text=text, data=data, exit_code=1 if failed else 0)
+
+    def _asked(self, job: PoliciesJob | CrossPlayJob) -> dict[str, Any]:
+        """What the table is of: the task, the rules, who plays, and the digest of the set of scenes."""
+        asked = job.to_json()
+        own = {"index", "seed", "scene", "source", "human", "drawn_with"}
+        rules = {name: value for name, value in asked.pop("episode").items() if name not in own}
+        of_set = {name: (job.base.origin or {}).get(name) for name in ("set", "split", "sha256")}
+        return {
+            "task": self.task, **asked, **rules, "scenes": self.scenes, "set": of_set if of_set["set"] else None,
+            "seed": self.seed, "human": self.human,
+        }  # fmt: skip
 
     def _task(
         self,
@@ -178,13 +195,12 @@ def play_pairs(job: CrossPlayJob) -> dict[str, Any]:
             try:
                 if plan not in played:
                     recording = simulate_rearrange(world, policy=policy, partner=plan, solo_steps=solo)
-                    values = {
-                        name: None if value != value else value for name, value in measure(recording).values.items()
-                    }
+                    measured = measure(recording)
+                    values = {name: None if value != value else value for name, value in measured.values.items()}
                     played[plan] = Row(
                         index=job.base.index, policy=policy, partner=plan, plan=plan,
                         ended=recording.episode.info["ended"], solo_steps=solo, values=values,
-                        state_hash=str(recording.columns["state_hash"][-1]),
+                        state_hash=str(recording.columns["state_hash"][-1]), set_up=measured.set_up,
                     )  # fmt: skip
                 rows.append(Row(**{**asdict(played[plan]), "partner": partner}))
             except Exception as fault:

@@ -8,7 +8,8 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.metrics import metrics_of
-from h3data_pipelines.cross_play import CellValue, aligned, cell_value, or_none
+from h3data.metrics.table import set_up_lines
+from h3data_pipelines.cross_play import NOTHING, CellValue, aligned, cell_value, or_none
 from h3data_pipelines.episode_jobs import Changes, Job, seeded_jobs, set_jobs
 from h3data_pipelines.failed_episodes import reason_of
 from h3data_viewers.report_paper import paper_results
@@ -76,11 +77,12 @@ def play_policies(job: PoliciesJob) -> dict[str, Any]:
         return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
     for policy in job.policies:
         try:
-            values = measure(simulate_social_nav(world, policy=policy)).values
+            measured = measure(simulate_social_nav(world, policy=policy))
         except Exception as fault:
             failed.append(f"{policy}: {reason_of(fault)}")
         else:
-            rows.append({"policy": policy, "values": {name: or_none(value) for name, value in values.items()}})
+            values = {name: or_none(value) for name, value in measured.values.items()}
+            rows.append({"policy": policy, "values": values, "set_up": measured.set_up})
     return {"job": job.to_json(), "rows": rows, "failed": failed}
 
 
@@ -90,9 +92,13 @@ class PolicyTable:
 
     cells: dict[tuple[str, str], CellValue]
     """By policy and metric."""
+    set_ups: tuple[str, ...] = ()
+    """Of each result: in what its rules differ from the paper's."""
 
     def to_text(self) -> str:
-        """Our rows with intervals, the paper's below."""
+        """Our rows with intervals, the paper's below; without ours there is nothing to compare."""
+        if not self.cells:
+            return NOTHING
         paper = paper_results().social_nav
         policies = tuple(dict.fromkeys(policy for policy, _ in self.cells))
         ours = [[policy, *(self._shown(policy, metric) for metric in METRICS)] for policy in policies]
@@ -100,7 +106,7 @@ class PolicyTable:
         lines = aligned(
             [["Mean [95 % interval]", *METRICS], *ours, ["Habitat 3.0, as published", *METRICS], *published]
         )
-        return f"{lines}\n{paper.source}."
+        return "\n".join([lines, f"{paper.source}.", *set_up_lines(self.set_ups)])
 
     def to_dict(self) -> dict[str, Any]:
         """The same as JSON types; NaN becomes None."""
@@ -130,7 +136,8 @@ def policy_table(rows: Iterable[dict[str, Any]]) -> PolicyTable:
             (policy, metric): cell_value(metric, [r["values"].get(metric) for r in rows if r["policy"] == policy])
             for policy in dict.fromkeys(r["policy"] for r in rows)
             for metric in METRICS
-        }
+        },
+        set_ups=tuple(r.get("set_up", "") for r in rows),
     )
 
 

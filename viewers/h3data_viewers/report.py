@@ -180,10 +180,11 @@ def _task_sections(
     parts.append(_section(f"{task}-spread", "Distributions" + tail, lead + names + _panels(distribution_charts(runs))))
     if charts := time_charts(runs):
         parts.append(_section(f"{task}-time", "Over time" + tail, names + _panels(charts)))
-    if figures := trajectory_figures(runs, plans):
+    figures, which = trajectory_figures(runs, plans)
+    if figures:
         lead = (
-            "<p class=quiet>Ways of the robots in the colour of their run, with a dot where each ended; ways of the people in "
-            "grey.</p>"
+            f"<p class=quiet>{which} Ways of the robots in the colour of their run, with a dot where each ended; ways of the "
+            "people in grey.</p>"
         )
         parts.append(_section(f"{task}-plans", "Trajectories" + tail, lead + names + _panels(figures)))
     return parts

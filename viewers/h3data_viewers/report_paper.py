@@ -7,6 +7,7 @@ The paper's numbers and where they are printed: ``paper_results.toml`` in this f
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -117,8 +118,18 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
             Section(title="These recordings", rows=tuple(ours)),
             Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
         ),
-        notes=(f"Published numbers: {paper.source}.", *fewer),
+        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs), *fewer),
     )
+
+
+def _set_ups(runs: Sequence[Run]) -> list[str]:
+    """Of each run whose rules differ from the paper's, in what."""
+    found = {run.name: Counter(e.metrics.set_up for e in run.episodes if e.metrics.set_up) for run in runs}
+    return [
+        f"{name}: not the set-up of the paper, {text} ({counted(times, 'episode')})."
+        for name, texts in found.items()
+        for text, times in texts.most_common()
+    ]
 
 
 # --- rearrangement ----------------------------------------------------------------------------------------------------
@@ -169,7 +180,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
             Section(title="These recordings", rows=tuple(ours)),
             Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
         ),
-        notes=(f"Published numbers: {paper.source}.",),
+        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs)),
     )
 
 

@@ -129,8 +129,9 @@ def _blank(key: str, episode: ReportEpisode) -> Plan:
 
 
 # --- trajectories -----------------------------------------------------------------------------------------------------
-def trajectory_figures(runs: Sequence[Run], plans: Plans) -> list[str]:
-    """The scenes with most episodes: where robots (in the run's colour) and people (grey) went."""
+def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], str]:
+    """The scenes with most episodes: where robots (in the run's colour) and people (grey) went; and which scenes these are of
+    how many, if they are not all."""
     counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
     figures = []
     for scene, count in counts.most_common(_SCENES):
@@ -155,7 +156,9 @@ def trajectory_figures(runs: Sequence[Run], plans: Plans) -> list[str]:
         drawn = sum(map(len, chosen))
         what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
         figures.append(f"<figure><figcaption>{escape(scene)}: {what}</figcaption>{svg.to_html()}</figure>")
-    return figures
+    return figures, f"The {len(figures)} scenes with most episodes, of {len(counts)}." if len(figures) < len(
+        counts
+    ) else ""
 
 
 def _spread(episodes: Sequence[ReportEpisode]) -> list[ReportEpisode]:

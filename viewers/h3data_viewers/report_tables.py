@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 
 NAN = float("nan")
-_WIDE = 7
+_WIDE = 6
 """With more columns, intervals stand below their means."""
 _LATEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",

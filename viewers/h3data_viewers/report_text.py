@@ -35,10 +35,16 @@ def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Se
     steps = sum(e.metrics.rows for e in episodes)
     hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
     facts = [
-        (f"{len(episodes):,}", "episodes"),
-        (f"{len(data.runs)}", "runs"),
-        (f"{len({e.metrics.scene for e in episodes})}", "scenes"),
-        (f"{steps:,}", "steps"),
+        *(
+            (number_of, noun)
+            for count, name in (
+                (len(episodes), "episode"),
+                (len(data.runs), "run"),
+                (len({e.metrics.scene for e in episodes}), "scene"),
+                (steps, "step"),
+            )
+            for number_of, _, noun in [counted(count, name).partition(" ")]
+        ),
         (f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min", "of behaviour"),
     ]
     tiles = "".join(f"<li><b>{value}</b><span>{name}</span></li>" for value, name in facts)
