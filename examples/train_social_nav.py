@@ -1,0 +1,161 @@
+"""One idea: a robot learns to find and follow a person by reinforcement learning (PPO, Schulman et al. 2017), in minutes.
+
+A thousand worlds are stepped as tensors, on the CPU or a GPU; what was learned becomes a file of weights that plays wherever
+a policy has a name: python examples/train_social_nav.py --out follower.npz --compile, then
+h3data evaluate social_nav --policies weights:follower.npz -o out/follower"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from torch import Tensor, nn
+
+import h3data
+from h3data.files import part_file
+from sim_kinematic.network import from_torch, save_network
+
+OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
+ROLLOUT, EPOCHS, MINIBATCH = 64, 3, 2048  # steps in each world, times they are learned from, samples at once
+GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.002, 1e-3
+
+
+class Learner(nn.Module):
+    """Actor, critic, and what observations are normalised by."""
+
+    def __init__(self, inputs: int, actions: int = 2) -> None:
+        super().__init__()
+        self.actor, self.critic = (
+            nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
+            for outputs in (actions, 1)
+        )
+        self.log_std = nn.Parameter(torch.full((actions,), -0.5))
+        for name, start in (("mean", torch.zeros(inputs)), ("var", torch.ones(inputs)), ("seen", torch.tensor(1e4))):
+            self.register_buffer(name, start)
+
+    def scale(self) -> Tensor:
+        return self.var.sqrt().clamp_min(1e-3)
+
+    def policy(self, x: Tensor) -> torch.distributions.Normal:
+        mean = self.actor((x - self.mean) / self.scale())
+        return torch.distributions.Normal(mean, self.log_std.exp(), validate_args=False)
+
+    def value(self, x: Tensor) -> Tensor:
+        return self.critic((x - self.mean) / self.scale())[..., 0]
+
+    def look(self, x: Tensor) -> None:
+        """Take observations [n, inputs] into the mean and the variance (Chan, Golub and LeVeque 1979)."""
+        share, off = len(x) / (self.seen + len(x)), x.mean(0) - self.mean
+        self.var.lerp_(x.var(0), share).add_(share * (1 - share) * off**2)
+        self.mean.add_(share * off)
+        self.seen.add_(len(x))
+
+
+def flat(observation: dict[str, Tensor]) -> Tensor:
+    return torch.cat([observation[name] for name in OBSERVATIONS], 1)
+
+
+def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+    """What happens in `ROLLOUT` steps, [T, W, ...] each, and what is seen after them."""
+    rows = []
+    for _ in range(ROLLOUT):
+        begins, before, chosen = env.play.ended.clone(), env.play.followed.clone(), learner.policy(x)
+        action = chosen.mean + chosen.stddev * torch.randn(chosen.mean.shape, generator=dice, device=x.device)
+        observation, reward, terminated, truncated, info = env.step(action)
+        rows.append({
+            "x": x, "action": action, "log_prob": chosen.log_prob(action).sum(1), "reward": reward, "begins": begins,
+            "terminated": terminated, "ended": terminated | truncated, "follows": (info["followed"] > before) & ~begins,
+        })  # fmt: skip
+        x = flat(observation)
+    return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}, x
+
+
+def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor) -> None:
+    """Generalised advantage estimates (Schulman et al. 2016). An episode that was truncated would have gone on."""
+    value = learner.value(torch.cat([seen["x"], last[None]]))
+    gain = (1 - GAMMA) * seen["reward"] + GAMMA * value[1:] * ~seen["terminated"] - value[:-1]
+    for t in reversed(range(len(gain) - 1)):
+        gain[t] += GAMMA * LAMBDA * ~seen["ended"][t] * gain[t + 1]
+    seen |= {"gain": gain, "return": gain + value[:-1]}
+
+
+def learn(seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, dice: torch.Generator) -> None:
+    """Some epochs with the clipped objective. A step that begins an episode takes no action, so it teaches nothing."""
+    samples = {name: rows[~seen["begins"]] for name, rows in seen.items()}
+    samples["gain"] = (samples["gain"] - samples["gain"].mean()) / samples["gain"].std()
+    for _ in range(EPOCHS):
+        for k in torch.randperm(len(samples["x"]), generator=dice, device=dice.device).split(MINIBATCH):
+            x, gain, chosen = samples["x"][k], samples["gain"][k], learner.policy(samples["x"][k])
+            ratio = (chosen.log_prob(samples["action"][k]).sum(1) - samples["log_prob"][k]).exp()
+            worth = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
+            surprise = (learner.value(x) - samples["return"][k]).square().mean()
+            optimizer.zero_grad()
+            (surprise - worth - ENTROPY * chosen.entropy().sum(1).mean()).backward()
+            nn.utils.clip_grad_norm_(learner.parameters(), 0.5)
+            optimizer.step()
+    learner.look(samples["x"])
+
+
+def train(
+    out: Path = Path("follower.npz"), *, scenes: str = "h3-homes/train", episodes: int = 1024, device: str = "cpu",
+    compile: bool = False, worlds: int = 1024, steps: int = 40_000_000, seed: int = 0, checkpoint_s: float = 10.0,
+    resume: bool = False,
+) -> list[dict[str, float]]:  # fmt: skip
+    """Learn, and write a file of weights; returns the learning curve.
+
+    Args:
+        out: File of weights. Beside it lies the checkpoint, ``.checkpoint``, with the learning curve.
+        scenes: Homes to learn in.
+        episodes: How many different ones are played.
+        device: cpu or cuda.
+        compile: Fuse the operations of a step: a minute of compiling, then three times as fast; the CPU needs g++.
+        worlds: How many are stepped at once.
+        steps: Of all worlds together.
+        seed: Everything random follows from it.
+        checkpoint_s: Seconds between two of them.
+        resume: Go on from the checkpoint, to the weights that would have come out uninterrupted.
+    """
+    torch.manual_seed(seed)
+    env = h3data.make(
+        "social_nav", scenes=scenes, num_envs=worlds, device=device, dtype=torch.float32, observations=OBSERVATIONS,
+        episodes=episodes, episodes_seed=seed, compile=compile,
+    )  # fmt: skip
+    x = flat(env.reset(seed=seed)[0])
+    learner = Learner(x.shape[1]).to(device)
+    optimizer = torch.optim.Adam(learner.parameters(), RATE)
+    dice = torch.Generator(device).manual_seed(seed)
+    checkpoint, curve = out.with_suffix(".checkpoint"), []
+    if resume:
+        kept = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        learner.load_state_dict(kept["learner"])
+        optimizer.load_state_dict(kept["optimizer"])
+        dice.set_state(kept["dice"])
+        x, curve = kept["x"].to(device), kept["curve"]
+        for mine, theirs in zip(env.play.tensors(), kept["play"], strict=True):
+            mine.copy_(theirs)
+    size, first, began, saved = worlds * ROLLOUT, len(curve), time.time(), 0.0
+    rounds = max(steps // size, 1)
+    for done in range(first + 1, rounds + 1):
+        optimizer.param_groups[0]["lr"] = RATE * (1 - (done - 1) / rounds)
+        with torch.no_grad():
+            seen, x = roll_out(env, learner, dice, x)
+            add_advantages(seen, learner, x)
+        learn(seen, learner, optimizer, dice)
+        total = {name: float(seen[name].sum()) for name in ("begins", "reward", "follows", "terminated", "ended")}
+        moves, ends = size - total["begins"], max(total["ended"], 1.0)
+        means = total["reward"] / moves, total["follows"] / moves, total["terminated"] / ends
+        curve.append({"steps": done * size, **dict(zip(("reward", "followed", "collided"), means, strict=True))})
+        if time.time() - saved > checkpoint_s or done == rounds:
+            saved, left = time.time(), (time.time() - began) / (done - first) * (rounds - done) / 60
+            print(*(f"{name} {figure:.3g}" for name, figure in curve[-1].items()), f"{left:.1f} min left", sep="  ")
+            kept = {"learner": learner.state_dict(), "optimizer": optimizer.state_dict(), "dice": dice.get_state()}
+            with part_file(checkpoint) as part:
+                torch.save({**kept, "x": x, "play": list(env.play.tensors()), "curve": curve}, part)
+    norm = {"mean": learner.mean.cpu(), "scale": learner.scale().cpu()}
+    save_network(from_torch(learner.actor, task="social_nav", observations=OBSERVATIONS, **norm), out)
+    return curve
+
+
+if __name__ == "__main__":
+    tyro.cli(train)
