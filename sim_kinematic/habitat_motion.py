@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from h3data.kernels import kernel
 from h3data.scene._surface import try_step
 
@@ -26,16 +24,14 @@ def slide_as_habitat(surface, x, root_y, z, heading, goal, offsets, touch, rules
     """
     c, s = math.cos(heading), math.sin(heading)
     goal_c, goal_s = math.cos(goal[2]), math.sin(goal[2])
-    start, end = np.empty(3), np.empty(3)
-    start[1] = end[1] = root_y
     worst, along_x, along_z = -1.0, 0.0, 0.0
     for offset in offsets:
-        start[0], start[2] = x + c * offset, z - s * offset
-        end[0], end[2] = goal[0] + goal_c * offset, goal[1] - goal_s * offset
-        reached = try_step(surface, start, end, rules[2])
-        short = math.hypot(reached[0] - end[0], reached[2] - end[2])
+        start_x, start_z = x + c * offset, z - s * offset
+        end_x, end_z = goal[0] + goal_c * offset, goal[1] - goal_s * offset
+        reached_x, _, reached_z = try_step(surface, start_x, root_y, start_z, end_x, root_y, end_z, rules[2])
+        short = math.hypot(reached_x - end_x, reached_z - end_z)
         if short > worst:
-            worst, along_x, along_z = short, reached[0] - start[0], reached[2] - start[2]
+            worst, along_x, along_z = short, reached_x - start_x, reached_z - start_z
     if worst <= touch:
         return goal[0], goal[1], goal[2], False
     if not rules[0] or (goal[2] != heading and not rules[1]):

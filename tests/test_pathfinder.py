@@ -20,6 +20,7 @@ from test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
 
 from h3data.errors import InputError
 from h3data.interop.navmesh import read_navmesh
+from h3data.scene._surface import REACH_M, Surface, contains, height, nearest
 from h3data.scene.freespace_build import build_from_walkable
 from h3data.scene.navmesh import free_space_from_navmesh
 from h3data.scene.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
@@ -308,6 +309,49 @@ def test_no_step_leaves_the_floor_or_its_island(u, v, dx, dz):
     assert np.linalg.norm(np.cross(stopped - start, end - start)) <= 1e-5 * (1 + np.linalg.norm(end - start)) ** 2
     way = LineString([start[::2], stopped[::2]])
     assert way.length == 0 or way.difference(finder.free_space.polygon.buffer(1e-5)).length == 0
+
+
+def nearest_of_all(surface: Surface, point: np.ndarray, island: int) -> tuple[int, list[float]]:
+    """What `nearest` says, by looking at every polygon."""
+    x, y, z = point
+    best, found, at = np.inf, -1, [np.nan] * 3
+    for p in range(len(surface.island)):
+        low, high = surface.box[p, :3], surface.box[p, 3:]
+        if (low > point + REACH_M).any() or (high < point - REACH_M).any() or island not in (-1, surface.island[p]):
+            continue
+        if contains(surface, p, x, z):
+            h = height(surface, p, x, z)
+            d, here = max(abs(h - y) - surface.climb[0], 0.0) ** 2, [x, h, z]
+        else:
+            a = surface.corner[surface.start[p] : surface.start[p + 1], ::2]
+            edge, off = np.roll(a, -1, axis=0) - a, point[::2] - a
+            t = ((off * edge).sum(-1) / (edge * edge).sum(-1)).clip(0, 1)
+            beside = a + t[:, None] * edge
+            k = np.argmin(((beside - point[::2]) ** 2).sum(-1))
+            h = height(surface, p, *beside[k])
+            d, here = ((beside[k] - point[::2]) ** 2).sum() + (h - y) ** 2, [beside[k, 0], h, beside[k, 1]]
+        if d < best - 1e-12:
+            best, found, at = d, p, here
+    return found, at
+
+
+@pytest.mark.parametrize("finder", [maze, ring, storeys])
+def test_the_nearest_polygon_is_the_one_that_a_look_at_all_of_them_finds(finder):
+    surface = finder().surface
+    low, high = surface.box[:, :3].min(0) - 2.5, surface.box[:, 3:].max(0) + 2.5
+    rng = np.random.default_rng(0)
+    far = missed = 0
+    above = rng.permutation(surface.corner)[:30] + np.array([0, 0.48, 0])
+    for point in np.concatenate([rng.uniform(low, high, (120, 3)), above]):
+        island = int(rng.integers(-1, surface.island.max() + 1))
+        found, *at = nearest(surface, *point, island)
+        expected, there = nearest_of_all(surface, point, island)
+        assert (found < 0) == (expected < 0)
+        np.testing.assert_allclose(at, there, atol=1e-9)
+        missed += found < 0
+        far += found >= 0 and not contains(surface, found, point[0], point[2])
+    assert missed > 5
+    assert far > 20
 
 
 def test_steps_slide_along_walls_and_stop_at_them():

@@ -18,6 +18,8 @@ SEARCH_SLACK_M = 0.001
 """A step looks this much beyond the circle around start and end, as Detour's moveAlongSurface."""
 TOUCH_M = 1e-6
 """A point this near to an edge is in the polygons of both sides."""
+SQUARE_SLACK = 1e-9
+"""Room for rounding [m2] where polygons are left out that are too far away to be nearest."""
 ON_WALL_M = 1e-9
 """A point this near to a wall lies on it."""
 ANGLE_EPS = 1e-9
@@ -67,12 +69,12 @@ class Surface(NamedTuple):
     """Length in space [m]."""
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _cross(ax: float, az: float, bx: float, bz: float) -> float:
     return ax * bz - az * bx
 
 
-@kernel()
+@kernel(error_model="numpy")
 def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
     """Whether (x, z) is in a polygon, its border included."""
     first, last = surface.start[polygon], surface.start[polygon + 1]
@@ -85,29 +87,29 @@ def contains(surface: Surface, polygon: int, x: float, z: float) -> bool:
     return True
 
 
-@kernel()
+@kernel(error_model="numpy")
 def height(surface: Surface, polygon: int, x: float, z: float) -> float:
     """Height [m] of the ground of a polygon at (x, z), of the triangle that contains it best."""
     best = -np.inf
     y = surface.corner[surface.start[polygon], 1]
+    triangle = surface.triangle
     for t in range(surface.triangle_start[polygon], surface.triangle_start[polygon + 1]):
-        a, b, c = surface.triangle[t, 0], surface.triangle[t, 1], surface.triangle[t, 2]
-        area = _cross(b[0] - a[0], b[2] - a[2], c[0] - a[0], c[2] - a[2])
-        if area == 0.0:
+        ax, az, bx, bz = triangle[t, 0, 0], triangle[t, 0, 2], triangle[t, 1, 0], triangle[t, 1, 2]
+        cx, cz = triangle[t, 2, 0], triangle[t, 2, 2]
+        area = _cross(bx - ax, bz - az, cx - ax, cz - az)
+        if area == 0.0 or best >= 0.0:  # no break: numba then counts references for all arrays of the surface
             continue
-        v = _cross(x - a[0], z - a[2], c[0] - a[0], c[2] - a[2]) / area
-        w = _cross(b[0] - a[0], b[2] - a[2], x - a[0], z - a[2]) / area
+        v = _cross(x - ax, z - az, cx - ax, cz - az) / area
+        w = _cross(bx - ax, bz - az, x - ax, z - az) / area
         u = 1.0 - v - w
         inside = min(u, v, w)
         if inside > best:
             best = inside
-            y = u * a[1] + v * b[1] + w * c[1]
-        if inside >= 0.0:
-            break
+            y = u * triangle[t, 0, 1] + v * triangle[t, 1, 1] + w * triangle[t, 2, 1]
     return y
 
 
-@kernel()
+@kernel(error_model="numpy")
 def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) -> float:
     """Where on the segment a-b, 0 to 1, the point nearest to (x, z) is."""
     dx, dz = bx - ax, bz - az
@@ -117,62 +119,90 @@ def _on_segment(x: float, z: float, ax: float, az: float, bx: float, bz: float) 
     return min(max(((x - ax) * dx + (z - az) * dz) / square, 0.0), 1.0)
 
 
-@kernel()
+@kernel(error_model="numpy")
+def _nearest_edge(corner: NDArray, first: int, last: int, x: float, z: float) -> tuple[float, float, float]:
+    """(square of the distance on the floor [m2], x, z) of the point nearest to (x, z) on a polygon's border."""
+    near, qx, qz = np.inf, x, z
+    ax, az = corner[last - 1, 0], corner[last - 1, 2]
+    for s in range(first, last):
+        bx, bz = corner[s, 0], corner[s, 2]
+        t = _on_segment(x, z, ax, az, bx, bz)
+        ex, ez = ax + t * (bx - ax), az + t * (bz - az)
+        d = (x - ex) ** 2 + (z - ez) ** 2
+        if d < near:
+            near, qx, qz = d, ex, ez
+        ax, az = bx, bz
+    return near, qx, qz
+
+
+@kernel(error_model="numpy")
+def _outside(value: float, low: float, high: float) -> float:
+    """How far a number is from an interval, 0 inside."""
+    return max(low - value, value - high, 0.0)
+
+
+@kernel(error_model="numpy")
+def _box_square(box: NDArray, polygon: int, x: float, y: float, z: float) -> float:
+    """Square of the distance [m2] to the box of a polygon; infinity where that does not touch the box of `REACH_M`."""
+    dx = _outside(x, box[polygon, 0], box[polygon, 3])
+    dy = _outside(y, box[polygon, 1], box[polygon, 4])
+    dz = _outside(z, box[polygon, 2], box[polygon, 5])
+    if dx > REACH_M[0] or dy > REACH_M[1] or dz > REACH_M[2]:
+        return np.inf
+    return dx * dx + dy * dy + dz * dz
+
+
+@kernel(error_model="numpy")
 def nearest(surface: Surface, x: float, y: float, z: float, island: int) -> tuple[int, float, float, float]:
     """(polygon, x, y, z) of the point of the surface nearest to a point, polygon -1: none in reach. As Detour's
-    findNearestPoly: polygons whose box touches the box of `REACH_M`; straight above or below counts less the climb.
+    findNearestPoly: polygons whose box touches the box of `REACH_M`; straight above or below counts less the climb; of
+    equals the first.
 
-    With ``island`` >= 0 only its polygons count.
+    With ``island`` >= 0 only its polygons count. First comes what is straight below or above, then rings of buckets around
+    it, as far as there may be something nearer.
     """
+    best, found, fx, fy, fz = np.inf, -1, np.nan, np.nan, np.nan
     if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-        return -1, np.nan, np.nan, np.nan
-    climb = surface.climb[0]
-    i = int(np.floor(min(max((x - surface.bucket[0]) / surface.bucket[2], -1.0), 1e6)))
-    j = int(np.floor(min(max((z - surface.bucket[1]) / surface.bucket[2], -1.0), 1e6)))
-    if 0 <= i < surface.bucket_count.shape[0] and 0 <= j < surface.bucket_count.shape[1]:
-        first = surface.bucket_first[i, j]
-        for k in range(first, first + surface.bucket_count[i, j]):
+        return found, fx, fy, fz
+    rows, columns = surface.bucket_count.shape
+    left, low, size = surface.bucket[0], surface.bucket[1], surface.bucket[2]
+    i = int(np.floor(min(max((x - left) / size, -1.0), rows)))
+    j = int(np.floor(min(max((z - low) / size, -1.0), columns)))
+    if 0 <= i < rows and 0 <= j < columns:
+        for k in range(surface.bucket_first[i, j], surface.bucket_first[i, j] + surface.bucket_count[i, j]):
             p = surface.bucket_polygon[k]
             if (island < 0 or surface.island[p] == island) and contains(surface, p, x, z):
                 h = height(surface, p, x, z)
-                if abs(h - y) <= climb:
+                d = max(abs(h - y) - surface.climb[0], 0.0) ** 2
+                if d == 0.0:
                     return p, x, h, z
-    best, found, fx, fy, fz = np.inf, -1, np.nan, np.nan, np.nan
-    for p in range(len(surface.island)):
-        box = surface.box[p]
-        if box[0] > x + REACH_M[0] or box[1] > y + REACH_M[1] or box[2] > z + REACH_M[2]:
-            continue
-        if box[3] < x - REACH_M[0] or box[4] < y - REACH_M[1] or box[5] < z - REACH_M[2]:
-            continue
-        if island >= 0 and surface.island[p] != island:
-            continue
-        if contains(surface, p, x, z):
-            h = height(surface, p, x, z)
-            d = max(abs(h - y) - climb, 0.0)
-            if d * d < best:
-                best, found, fx, fy, fz = d * d, p, x, h, z
-            continue
-        near, qx, qz = np.inf, x, z
-        last = surface.start[p + 1]
-        ax, az = surface.corner[last - 1, 0], surface.corner[last - 1, 2]
-        for s in range(surface.start[p], last):
-            bx, bz = surface.corner[s, 0], surface.corner[s, 2]
-            t = _on_segment(x, z, ax, az, bx, bz)
-            ex, ez = ax + t * (bx - ax), az + t * (bz - az)
-            d = (x - ex) ** 2 + (z - ez) ** 2
-            if d < near:
-                near, qx, qz = d, ex, ez
-            ax, az = bx, bz
-        if near >= best:
-            continue
-        h = height(surface, p, qx, qz)
-        d = near + (h - y) ** 2
-        if d < best:
-            best, found, fx, fy, fz = d, p, qx, h, qz
+                if d < best and _box_square(surface.box, p, x, y, z) < np.inf:
+                    best, found, fx, fy, fz = d, p, x, h, z
+    for ring in range(int(REACH_M[0] / size) + 3):
+        if ring > 1 and ((ring - 1) * size) ** 2 > best + SQUARE_SLACK:
+            break
+        for r in range(max(i - ring, 0), min(i + ring + 1, rows)):
+            gap = _outside(x, left + r * size, left + (r + 1) * size) ** 2
+            for c in range(max(j - ring, 0), min(j + ring + 1, columns)):
+                inner = max(abs(r - i), abs(c - j)) < ring
+                if inner or gap + _outside(z, low + c * size, low + (c + 1) * size) ** 2 > best + SQUARE_SLACK:
+                    continue
+                for k in range(surface.bucket_first[r, c], surface.bucket_first[r, c] + surface.bucket_count[r, c]):
+                    p = surface.bucket_polygon[k]
+                    counts = island < 0 or surface.island[p] == island
+                    nearer = _box_square(surface.box, p, x, y, z) < best + SQUARE_SLACK
+                    if not (counts and nearer) or contains(surface, p, x, z):
+                        continue
+                    near, qx, qz = _nearest_edge(surface.corner, surface.start[p], surface.start[p + 1], x, z)
+                    if near <= best:
+                        h = height(surface, p, qx, qz)
+                        d = near + (h - y) ** 2
+                        if d < best or (d == best and p < found):
+                            best, found, fx, fy, fz = d, p, qx, h, qz
     return found, fx, fy, fz
 
 
-@kernel()
+@kernel(error_model="numpy")
 def slide(
     surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float, rise: float
 ) -> tuple[int, float, float]:
@@ -180,6 +210,8 @@ def slide(
     there: the target itself, or a point of the walls around. As Detour's moveAlongSurface, whose circle has the length of
     the way in space as diameter: a target that is ``rise`` [m] above the floor widens it (Habitat's base action does).
     """
+    if contains(surface, polygon, tx, tz):
+        return polygon, tx, tz
     visited = np.empty(VISITED_MAX, np.int32)
     visited[0] = polygon
     count = 1
@@ -216,7 +248,7 @@ def slide(
     return found, fx, fz
 
 
-@kernel()
+@kernel(error_model="numpy")
 def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: float) -> tuple[int, float, float]:
     """(polygon, x, z) where a straight way from (x, z) to the target ends: there, or at the first wall. As in habitat-sim, a
     wall that it starts on counts, even where it leads away from the wall."""
@@ -249,18 +281,19 @@ def straight(surface: Surface, polygon: int, x: float, z: float, tx: float, tz: 
     return p, x + reached * dx, z + reached * dz
 
 
-@kernel()
-def try_step(surface: Surface, start: NDArray, end: NDArray, sliding: bool) -> NDArray:
-    """Where a step from start [3] to end [3] ends [3]: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
-    out = start.copy()
-    p, x, y, z = nearest(surface, start[0], start[1], start[2], -1)
-    q = nearest(surface, end[0], end[1], end[2], -1)[0]
+@kernel(error_model="numpy")
+def try_step(
+    surface: Surface, x: float, y: float, z: float, tx: float, ty: float, tz: float, sliding: bool
+) -> tuple[float, float, float]:
+    """Where a step from (x, y, z) to (tx, ty, tz) ends: PathFinder::tryStep of habitat-sim (spec/habitat.md 1.3)."""
+    p, nx, ny, nz = nearest(surface, x, y, z, -1)
+    q = nearest(surface, tx, ty, tz, -1)[0]
     if p < 0 or q < 0 or surface.island[p] != surface.island[q]:
-        return out
+        return x, y, z
     if sliding:
-        last, fx, fz = slide(surface, p, x, z, end[0], end[2], end[1] - y)
+        last, fx, fz = slide(surface, p, nx, nz, tx, tz, ty - ny)
     else:
-        last, fx, fz = straight(surface, p, x, z, end[0], end[2])
+        last, fx, fz = straight(surface, p, nx, nz, tx, tz)
     fy = height(surface, last, fx, fz)
     other = nearest(surface, fx, fy, fz, -1)[0]
     if other < 0 or surface.island[other] != surface.island[p]:  # on an edge of another island: 0.1 mm into ours
@@ -270,11 +303,10 @@ def try_step(surface: Surface, start: NDArray, end: NDArray, sliding: bool) -> N
         if length > 0.0:
             fx += 1e-4 * mx / length
             fz += 1e-4 * mz / length
-    out[0], out[1], out[2] = fx, fy, fz
-    return out
+    return fx, fy, fz
 
 
-@kernel()
+@kernel(error_model="numpy")
 def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> tuple[float, NDArray]:
     """Distance [m] on the floor to the nearest wall that is reached without crossing another, and its point [3];
     ``radius`` and NaN when there is none within it. As Detour's findDistanceToWall."""
@@ -309,7 +341,7 @@ def wall(surface: Surface, polygon: int, x: float, z: float, radius: float) -> t
     return best, hit
 
 
-@kernel()
+@kernel(error_model="numpy")
 def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> int:
     """Polygon that a point stands on, -1: none: at most ``delta`` above or below, at most 1 cm beside it."""
     p, nx, ny, nz = nearest(surface, x, y, z, -1)
@@ -318,7 +350,7 @@ def navigable(surface: Surface, x: float, y: float, z: float, delta: float) -> i
     return p
 
 
-@kernel()
+@kernel(error_model="numpy")
 def island_map(surface: Surface, x0: float, z0: float, step: float, y: float, delta: float, out: NDArray) -> None:
     """Fills int32 [rows, columns] with the islands at the points (x0 + column * step, y, z0 + row * step), -1: none."""
     for i in range(out.shape[0]):

@@ -176,11 +176,11 @@ class PathFinder:
     # --- steps ----------------------------------------------------------------------------------------------------------
     def try_step(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """Where a step from start [3] to end [3] ends [3]; it slides along walls. Start itself if either is off the navmesh."""
-        return try_step(self._surface, _point(start), _point(end), True)
+        return np.array(try_step(self._surface, *_point(start), *_point(end), True))
 
     def try_step_no_sliding(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """Where a step ends [3] that stops at the first wall."""
-        return try_step(self._surface, _point(start), _point(end), False)
+        return np.array(try_step(self._surface, *_point(start), *_point(end), False))
 
     # --- walls ----------------------------------------------------------------------------------------------------------
     def closest_obstacle_surface_point(self, point: ArrayLike, max_search_radius: float = 2.0) -> HitRecord:
