@@ -84,7 +84,7 @@ def render_frame(
 
 
 def make(task: str, **options: Any) -> Any:
-    """A training environment of a task: ``make("social_nav")``, ``make("social_nav", worlds=64)`` (docs/environments.md).
+    """A training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)`` (docs/environments.md).
 
     Tasks are the entry points of the group ``h3data.tasks``, so installed packages may bring their own; ``options`` go to
     the task.

@@ -98,6 +98,11 @@ class SocialNavEnv(gymnasium.Env[Any, Any]):
         """The robot and what is around it from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
         return None if self.render_mode is None else watched(self.batch, self._observer, self._watcher)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.batch.words})"
+
+    __str__ = __repr__
+
 
 def action_space(batch: SocialNavBatch) -> gymnasium.spaces.Box:
     """Base velocity of one robot in -1..1 of its limits, [2], or [3] where it can move sideways."""

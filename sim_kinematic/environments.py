@@ -9,12 +9,11 @@ from h3data.errors import InputError
 from h3data.scene import Scene
 
 if TYPE_CHECKING:
-    from gymnasium.vector import SyncVectorEnv
-
     from sim_kinematic.env import SocialNavEnv
     from sim_kinematic.parallel_env import SocialNavParallelEnv
     from sim_kinematic.rearrange_env import RearrangeEnv
     from sim_kinematic.rearrange_parallel_env import RearrangeParallelEnv
+    from sim_kinematic.rearrange_vector_env import RearrangeVectorEnv
     from sim_kinematic.torch_env import SocialNavTorchEnv
     from sim_kinematic.vector_env import SocialNavVectorEnv
 
@@ -62,9 +61,9 @@ def rearrange(
     num_envs: int | None = None,
     agents: Sequence[str] = ("robot",),
     **options: Any,
-) -> RearrangeEnv | RearrangeParallelEnv | SyncVectorEnv:
-    """Social rearrangement: `RearrangeEnv` of a robot or, with ``agents=("human",)``, of a person; with ``num_envs`` so many of
-    them in Gymnasium's `SyncVectorEnv`; with both agents `RearrangeParallelEnv`, which has one world.
+) -> RearrangeEnv | RearrangeParallelEnv | RearrangeVectorEnv:
+    """Social rearrangement: `RearrangeEnv` of a robot or, with ``agents=("human",)``, of a person; with ``num_envs``
+    `RearrangeVectorEnv`; with both agents `RearrangeParallelEnv`, which has one world.
 
     Raises:
         InputError: scenes, agents or an option are none that we know, or both ``num_envs`` and two agents are wanted.
@@ -77,12 +76,10 @@ def rearrange(
         from sim_kinematic.rearrange_parallel_env import RearrangeParallelEnv
 
         return RearrangeParallelEnv(scenes, **options)
+    if num_envs is not None:
+        from sim_kinematic.rearrange_vector_env import RearrangeVectorEnv
+
+        return RearrangeVectorEnv(num_envs, scenes, agent=agents[0], **options)
     from sim_kinematic.rearrange_env import RearrangeEnv
 
-    if num_envs is None:
-        return RearrangeEnv(scenes, agent=agents[0], **options)
-    if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-        raise InputError(f"Expected at least 1 world (num_envs), a whole number, got {num_envs!r}.")
-    from gymnasium.vector import SyncVectorEnv
-
-    return SyncVectorEnv([lambda: RearrangeEnv(scenes, agent=agents[0], **options)] * num_envs)
+    return RearrangeEnv(scenes, agent=agents[0], **options)

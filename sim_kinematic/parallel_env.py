@@ -80,3 +80,8 @@ class SocialNavParallelEnv(PairEnv):
     def _informed(self) -> Infos:
         info = {name: array[0] for name, array in infos(self.batch).items()}
         return {agent: dict(info) for agent in self.agents}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.batch.words})"
+
+    __str__ = __repr__

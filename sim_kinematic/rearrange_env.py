@@ -126,6 +126,11 @@ class RearrangeEnv(gymnasium.Env[Any, Any]):
         """The agent and what is around it from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
         return None if self.render_mode is None else self._watcher.picture(self._stage.posed(), AGENTS[self.agent])
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.session.words})"
+
+    __str__ = __repr__
+
 
 class Hand:
     """How one agent of a session acts and what it observes, in Gymnasium's terms."""
@@ -218,4 +223,8 @@ def episode_info(session: RearrangeSession) -> dict[str, Any]:
     return {"scene": world.scene.name, "episode_seed": world.seed}
 
 
-gymnasium.register("h3data/Rearrange-v0", entry_point="sim_kinematic.rearrange_env:RearrangeEnv")
+gymnasium.register(
+    "h3data/Rearrange-v0",
+    entry_point="sim_kinematic.rearrange_env:RearrangeEnv",
+    vector_entry_point="sim_kinematic.rearrange_vector_env:RearrangeVectorEnv",
+)

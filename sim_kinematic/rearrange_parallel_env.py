@@ -91,3 +91,8 @@ class RearrangeParallelEnv(PairEnv):
     def _informed(self) -> Infos:
         choosing = self.session.choosing
         return {name: {**self._hands[name].info(), "choosing": name in choosing} for name in self.agents}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.session.words})"
+
+    __str__ = __repr__

@@ -13,6 +13,7 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.interop.scene_names import open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.environment_words import in_words
 from sim_kinematic.planners import HighLevelPolicy, TaskView, partner_policy, robot_policy
 from sim_kinematic.randomness import episode_seed, generator
 from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
@@ -80,7 +81,7 @@ class RearrangeSession:
         self.bodies = robot, human
         load_robot(robot)
         load_humanoid(human)
-        self._sources = scene_sources(scenes)
+        self._sources, self._scenes = scene_sources(scenes), scenes
         self._places: dict[int, tuple[Scene, FreeSpace]] = {}
         self._outside = Outside(interrupts_when_close)
         self._partner = partner if partner is not None else "plan_pop_4" if "robot" in agents else "complement"
@@ -94,6 +95,8 @@ class RearrangeSession:
         """Of the steps of the last `step`, added up."""
         self.steps = 0
         """How many those were."""
+        self.on_begin: Callable[[], object] = lambda: None
+        """Called when an episode has begun."""
         self._asking: Generator[Runner, Action, str] | None = None
         self._asked: Runner | None = None
 
@@ -112,6 +115,7 @@ class RearrangeSession:
         self._asking = self.play.questions(self._count)
         self._asked = next(self._asking)
         self._go_on({})
+        self.on_begin()
 
     def step(self, actions: Mapping[str, Action]) -> None:
         """Give those who are `choosing` now their actions, and go on until one of those outside is asked again, or to the end.
@@ -151,6 +155,19 @@ class RearrangeSession:
         """What an agent knows now."""
         assert self.play is not None
         return self.play.view(self.runner(agent))
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return self.in_words(1)
+
+    def in_words(self, worlds: int) -> str:
+        """What so many of them are."""
+        models = dict(zip(AGENTS, self.bodies, strict=True))
+        partner = self._partner if isinstance(self._partner, str) else "partner of its own"
+        others = {kind: f"{model} ({partner})" for kind, model in models.items() if kind not in self.agents}
+        agents = {kind: models[kind] for kind in self.agents}
+        return in_words("rearrange", self._scenes, len(self._sources), agents, beside=others, worlds=worlds)
 
     # --- inside -------------------------------------------------------------------------------------------------------
     def _go_on(self, chosen: dict[int, Action]) -> None:

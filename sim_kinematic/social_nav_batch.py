@@ -20,6 +20,7 @@ from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
+from sim_kinematic.environment_words import bar, in_words
 from sim_kinematic.predicates import is_found
 from sim_kinematic.randomness import episode_seed, generator
 from sim_kinematic.rewards import Encounter, RewardProfile, RewardStep, SocialNavReward
@@ -62,6 +63,15 @@ class Place:
     def _stands_free(self) -> Callable[[Array], bool]:
         return clear_of_furniture(self.scene, self.robot)
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether home and floor have been made."""
+        return "free" in vars(self) and "scene" in vars(self)
+
+    def make(self) -> None:
+        """Make home and floor."""
+        _ = self.scene, self.free
+
     def episode(self, seed: int) -> SocialNavWorld:
         """The episode that `SocialNavWorld.create` draws from ``seed``."""
         robot_name, human_name = self.names
@@ -102,7 +112,7 @@ class SocialNavBatch:
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
-        self.spec, self.worlds = spec, int(worlds)
+        self.spec, self.worlds, self._scenes = spec, int(worlds), scenes
         self.robot, self.human = load_robot(robot), load_humanoid(human)
         self.places = tuple(
             Place(source=source, spec=spec, robot=self.robot, human=self.human, names=(robot, human))
@@ -155,11 +165,13 @@ class SocialNavBatch:
         if not self.episodes:
             fresh = np.ones(self.worlds, np.bool_)
         rows = np.flatnonzero(fresh)
-        drawn = []
-        for w in rows:  # all of them first: when one fails, no world has changed
-            seed, index = int(seeds[w]), int(indices[w])
-            k = int(generator(seed, "scene", step=index).integers(len(self.places)))
-            drawn.append((k, self.places[k].episode(episode_seed(seed, index))))
+        runs = [(int(seeds[w]), int(indices[w])) for w in rows]
+        chosen = [int(generator(seed, "scene", step=index).integers(len(self.places))) for seed, index in runs]
+        self._make_places(chosen)
+        drawn = [  # all of them first: when one fails, no world has changed
+            (k, self.places[k].episode(episode_seed(seed, index)))
+            for k, (seed, index) in zip(chosen, runs, strict=True)
+        ]
         if not self.episodes:
             self.episodes = [episode for _, episode in drawn]
             self._walkers = [_walker(episode) for episode in self.episodes]
@@ -180,6 +192,25 @@ class SocialNavBatch:
         self.start.put(rows, begun)
         worth = self.rewards.reset(self._encounter(), where=fresh)
         self.success[fresh] |= worth.success[fresh]
+
+    def _make_places(self, chosen: Sequence[int]) -> None:
+        """Make the homes that are not there yet; a bar says how far it is."""
+        missing = [k for k in dict.fromkeys(chosen) if not self.places[k].is_ready]
+        if not missing:
+            return
+        with bar("homes", len(missing), "home") as made:
+            for k in missing:
+                self.places[k].make()
+                made.update()
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        robot, human = self.places[0].names
+        agents, beside = {"robot": robot}, {"human": human}
+        if self._driven:
+            agents, beside = agents | beside, {}
+        return in_words("social_nav", self._scenes, len(self.places), agents, beside=beside, worlds=self.worlds)
 
     def step(self, actions: ArrayLike, human_actions: ArrayLike | None = None) -> RewardStep:
         """Move all worlds one step and say what that was worth.

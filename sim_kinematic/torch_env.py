@@ -17,6 +17,7 @@ from torch import Tensor
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import Scene
+from sim_kinematic.environment_words import in_words
 from sim_kinematic.sensors import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
 from sim_kinematic.spec import SocialNavSpec
 from sim_kinematic.torch_graph import can_fuse, captured, fused
@@ -110,6 +111,7 @@ class SocialNavTorchEnv:
         self.num_envs, self.device = int(num_envs), _checked_device(device)
         rules = spec or TRAINING
         bodies = {"robot": robot, "human": human}
+        self._models = robot, human
         if not isinstance(episodes, EpisodeBank):
             episodes = EpisodeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, **bodies)
         self.bank = episodes
@@ -266,7 +268,12 @@ class SocialNavTorchEnv:
         return gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
 
     def __repr__(self) -> str:
-        return f"SocialNavTorchEnv({self.num_envs} worlds, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"
+        robot, human = self._models
+        what = in_words(
+            "social_nav", self.bank.scenes, len(self.bank.scenes), {"robot": robot}, beside={"human": human},
+            worlds=self.num_envs,
+        )  # fmt: skip
+        return f"SocialNavTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"
 
 
 def _checked_device(device: torch.device | str) -> torch.device:

@@ -105,6 +105,11 @@ class SocialNavVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info |= episodes(self.batch)
         return self._observer.observe(), np.where(going, worth.reward, 0.0), terminated, truncated, _masked(info)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.batch.words})"
+
+    __str__ = __repr__
+
 
 def _masked(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Gymnasium's form: beside each array, under ``_name``, in which worlds it holds, here in all."""

@@ -3,6 +3,8 @@ people."""
 
 from __future__ import annotations
 
+import io
+import sys
 from functools import partial
 from typing import Any
 
@@ -12,6 +14,8 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data.render import look_at, pinhole
+from h3data.scene import HomeSpec, build_home
+from sim_kinematic import environment_words
 from sim_kinematic.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.env import SocialNavEnv
 from sim_kinematic.observations import STATES
@@ -262,3 +266,58 @@ def test_the_view_follows_the_agent_and_stays_on_its_side(options: dict[str, Any
     np.testing.assert_array_equal(env.render(), first)
     assert first.shape == (480, 640, 3)
     assert h3data.make("rearrange", scenes=HOME, **options).render() is None
+
+
+# --- in words -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            {"task": "social_nav"},
+            "SocialNavEnv(social_nav, scene small:1, robot quad_arm beside human female_0, 1 world)",
+        ),
+        (
+            {"task": "social_nav", "num_envs": 64, "scenes": "h3-homes/train"},
+            "SocialNavVectorEnv(social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds)",
+        ),
+        (
+            {"task": "social_nav", "agents": ("robot", "human"), "scenes": ["small:1", "small:2"]},
+            "SocialNavParallelEnv(social_nav, 2 scenes of small:1, small:2, robot quad_arm and human female_0, 1 world)",
+        ),
+        (
+            {"task": "rearrange", "robot": "quad_arm", "human": "male_2"},
+            "RearrangeEnv(rearrange, scene small:1, robot quad_arm beside human male_2 (plan_pop_4), 1 world)",
+        ),
+        (
+            {"task": "rearrange", "agents": ("human",), "num_envs": 3, "scenes": "small"},
+            "RearrangeVectorEnv(rearrange, 4 scenes of small, human female_0 beside robot quad_arm (complement), 3 worlds)",
+        ),
+        (
+            {"task": "rearrange", "agents": ("robot", "human"), "scenes": [f"small:{k}" for k in range(5)]},
+            "RearrangeParallelEnv(rearrange, 5 scenes of small:0, small:1, small:2, ..., robot quad_arm and human female_0, "
+            "1 world)",
+        ),
+    ],
+    ids=lambda value: value.partition("(")[0] if isinstance(value, str) else "",
+)
+def test_environments_say_what_they_are(options: dict[str, Any], words: str) -> None:
+    env = h3data.make(**{"scenes": HOME, **options})
+    assert repr(env) == str(env) == words
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange"])
+def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in (1, 2)]
+
+    def told(*, terminal: bool) -> str:
+        stderr = io.StringIO()
+        monkeypatch.setattr(stderr, "isatty", lambda: terminal)
+        monkeypatch.setattr(sys, "stderr", stderr)
+        h3data.make(task, scenes=scenes, num_envs=4).reset(seed=3)
+        return stderr.getvalue()
+
+    assert told(terminal=False) == ""
+    monkeypatch.setattr(environment_words, "SILENT_S", 1e9)
+    assert told(terminal=True) == ""
+    monkeypatch.setattr(environment_words, "SILENT_S", 0.0)
+    assert {"social_nav": "homes", "rearrange": "episodes"}[task] in told(terminal=True)

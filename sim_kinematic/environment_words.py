@@ -1,0 +1,52 @@
+"""What training environments say of themselves: in a few words (``repr``), and by a bar while homes and episodes are made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from h3data.scene import Scene
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+SILENT_S = 1.0
+"""A bar is shown of what takes longer, and where stderr is a terminal."""
+LISTED = 3
+"""So many scenes of a list are named."""
+
+
+def in_words(
+    task: str, scenes: str | Scene | Sequence[str | Scene], count: int, agents: Mapping[str, str], *,
+    beside: Mapping[str, str] | None = None, worlds: int = 1,
+) -> str:  # fmt: skip
+    """``social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds``.
+
+    Args:
+        task: Its name.
+        scenes: As the environment was given them.
+        count: How many these are.
+        agents: Those who act: models by kind.
+        beside: Those whom a policy moves.
+        worlds: W.
+    """
+    who = " and ".join(f"{kind} {model}" for kind, model in agents.items())
+    others = " and ".join(f"{kind} {model}" for kind, model in (beside or {}).items())
+    return (
+        f"{task}, {_scenes(scenes, count)}, {who}{' beside ' + others if others else ''}, {worlds} "
+        f"world{'s' if worlds > 1 else ''}"
+    )
+
+
+def _scenes(scenes: str | Scene | Sequence[str | Scene], count: int) -> str:
+    listed = [scenes] if isinstance(scenes, str | Scene) else list(scenes)
+    names = [scene.name if isinstance(scene, Scene) else scene for scene in listed]
+    named = ", ".join(names[:LISTED]) + (", ..." if len(names) > LISTED else "")
+    return f"scene {named}" if count == 1 else f"{count} scenes of {named}"
+
+
+def bar(what: str, total: int, unit: str) -> tqdm:
+    """A bar on stderr that goes away in the end; `SILENT_S` says when it is shown."""
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, unit=unit, delay=SILENT_S, disable=None, leave=False)
