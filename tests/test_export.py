@@ -383,8 +383,10 @@ def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:
 
 # --- the command ------------------------------------------------------------------------------------------------------
 TARGETS = {
-    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "csv": "tables", "lerobot": "lerobot", "robomimic": "d.hdf5",
+    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "foxglove": "e.mcap", "csv": "tables", "lerobot": "lerobot",
+    "robomimic": "d.hdf5",
 }  # fmt: skip
+NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf"}
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:
@@ -404,8 +406,8 @@ def log(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_writes_once_and_again_only_by_force(
     to: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if to == "robomimic":
-        pytest.importorskip("h5py")
+    if to in NEEDS:
+        pytest.importorskip(NEEDS[to], reason=f'needs the extra: pip install "h3data[{to}]"')
     out = tmp_path / "new" / TARGETS[to]
     arguments: list[str | Path] = ["export", log, "--to", to, "-o", out]
     assert run_json(capsys, *arguments)["to"] == to
@@ -419,8 +421,8 @@ def test_the_command_writes_once_and_again_only_by_force(
 def test_recordings_without_agents_and_places_that_cannot_be_written(
     to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if to == "robomimic":
-        pytest.importorskip("h5py")
+    if to in NEEDS:
+        pytest.importorskip(NEEDS[to], reason=f'needs the extra: pip install "h3data[{to}]"')
     log, learns = tmp_path / "boxes.mcap", to in ("lerobot", "robomimic")
     write_mcap(boxes(), log)
     answer = run_json(capsys, "export", log, "--to", to, "-o", tmp_path / TARGETS[to], code=2 if learns else 0)
@@ -439,6 +441,10 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
         (["--to", "robomimic", "-o", tmp_path / "a.npz"], ".hdf5"),
         (["--to", "csv", "-o", tmp_path / "t", "--agent", "robot"], "--agent"),
         (["--to", "csv", "-o", tmp_path / "t", "--light"], "--light"),
+        (["--to", "lerobot", "-o", tmp_path / "t", "--assets", tmp_path], "--assets"),
+        (["--to", "gltf", "-o", tmp_path / "a.glb", "--camera", "orbit"], "--camera"),
+        (["--to", "foxglove", "-o", tmp_path / "a.bag"], ".mcap"),
+        (["--to", "foxglove", "-o", tmp_path / "a.mcap", "--camera", "nowhere"], "nowhere"),
         (["--to", "lerobot", "-o", tmp_path / "l", "--agent", "nobody"], "nobody"),
     ):
         assert words in run_json(capsys, "export", log, *more, code=2)["error"]

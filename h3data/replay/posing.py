@@ -20,6 +20,7 @@ from h3data.interop.gfx_agents import HUMAN_ROOT_HEIGHT_M
 from h3data.interop.glb_write import Influences
 from h3data.interop.posed_parts import PosedCamera, PosedPart, Skeleton
 from h3data.interop.skinned_meshes import SkinnedMesh
+from h3data.recording import Body
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import camera_names, camera_track
 from h3data.replay.replay import LinkTrack, PersonTrack, Replay, RigTrack
@@ -30,23 +31,24 @@ _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi 
 _GENERIC_CAMERAS = ("top_down", "top_down_orthographic", "orbit", "third_person")
 
 
-def posed_parts(replay: Replay) -> list[PosedPart]:
-    """One part for each of `Replay.drawables`, in their order."""
+def posed_parts(replay: Replay, steps: NDArray[np.integer] | None = None) -> list[PosedPart]:
+    """One part for each of `Replay.drawables`, in their order, posed at ``steps`` (all by default)."""
+    steps = np.arange(len(replay)) if steps is None else steps
     bodies = {body.name: body for body in replay.recording.bodies}
     parts = []
     for drawable, track in zip(replay.drawables, replay.tracks, strict=True):
         body, scale, skeleton = bodies.get(drawable.name), np.ones(3), None
         if isinstance(track, LinkTrack):
-            body, poses = None, _poses(replay.link_track(track.agent, track.link))
+            body, poses = None, _poses(replay.link_track(track.agent, track.link, steps))
         elif isinstance(track, PersonTrack):
             body = None
-            base = replay.recording.agent_column(track.agent, "base_pose").astype(np.float64)
-            poses, skeleton = pose_multiply(base, _ROOT_OF_PERSON), _skeleton_of_person(replay, track.agent)
+            base = replay.recording.agent_column(track.agent, "base_pose")[steps].astype(np.float64)
+            poses, skeleton = pose_multiply(base, _ROOT_OF_PERSON), _skeleton_of_person(replay, track.agent, steps)
         else:
             assert body is not None
-            poses, scale = _poses_of_body(replay, body.moving, body.pose), body.scale.astype(np.float64)
+            poses, scale = _poses_of_body(replay, body, steps), body.scale.astype(np.float64)
             if isinstance(track, RigTrack):
-                skeleton = _skeleton_of_rig(replay, track, poses, scale)
+                skeleton = _skeleton_of_rig(replay, track, steps, poses, scale)
         parts.append(
             PosedPart(
                 name=drawable.name, mesh=drawable.mesh, poses=poses, scale=scale, semantic_id=drawable.semantic_id,
@@ -77,10 +79,10 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
     return cameras
 
 
-def _poses_of_body(replay: Replay, moving: int, pose: NDArray[np.float32]) -> Array:
-    if moving < 0:
-        return pose.astype(np.float64)[None]
-    return replay.recording.columns["object_pose"][:, moving].astype(np.float64)
+def _poses_of_body(replay: Replay, body: Body, steps: NDArray[np.integer]) -> Array:
+    if body.moving < 0:
+        return body.pose.astype(np.float64)[None]
+    return replay.recording.columns["object_pose"][steps, body.moving].astype(np.float64)
 
 
 def _poses(matrices: Array) -> Array:
@@ -90,39 +92,40 @@ def _poses(matrices: Array) -> Array:
     return poses
 
 
-def _skeleton_of_person(replay: Replay, agent: int) -> Skeleton:
+def _skeleton_of_person(replay: Replay, agent: int, steps: NDArray[np.integer]) -> Skeleton:
     body = replay.model(agent)
     assert isinstance(body, Humanoid)
     mesh: PersonMesh = body.lod if replay.detail is False else body.full
     return Skeleton(
         names=body.joint_names,
         parents=body.parents,
-        poses=_poses(replay.joint_matrices(agent, np.arange(len(replay)))),
+        poses=_poses(replay.joint_matrices(agent, steps)),
         inverse_bind=np.asarray(body.inverse_bind, np.float64),
         influences=_influences(mesh.joints, mesh.weights),
     )
 
 
-def _skeleton_of_rig(replay: Replay, track: RigTrack, roots: Array, scale: Array) -> Skeleton:
+def _skeleton_of_rig(
+    replay: Replay, track: RigTrack, steps: NDArray[np.integer], roots: Array, scale: Array
+) -> Skeleton:
     """The joints as `h3data.interop.skinned_meshes` moves them, and one more for parts that no skin moves.
 
     There a vertex of the file goes to root F rigid(root)^-1 bone_j inverse_bind_j v, with ``root`` scaled and F the file's
     axes; here meshes are F v, so B_j = inverse_bind_j F^-1, brought to unit scale.
     """
     skin: SkinnedMesh = track.skin
-    steps = len(replay)
     size = float(scale[0]) * float(np.cbrt(np.linalg.det(skin.to_metres[:3, :3])))
     if not np.allclose(scale, scale[0]):
         raise SceneError(f"A skinned body with a scale that is not uniform cannot be exported: {track.body.name!r}.")
     frame = skin.to_metres.copy()
     frame[:3, :3] /= size / float(scale[0])
-    rigid = np.broadcast_to(pose_to_matrix(roots), (steps, 4, 4))
-    bones = pose_to_matrix(replay.recording.columns[track.column].astype(np.float64))
+    rigid = np.broadcast_to(pose_to_matrix(roots), (len(steps), 4, 4))
+    bones = pose_to_matrix(replay.recording.columns[track.column][steps].astype(np.float64))
     local = np.linalg.inv(np.nan_to_num(rigid) + np.where(np.isnan(rigid), np.eye(4), 0))[:, None] @ bones
     local[:, :, :3, 3] *= size
     of_bone = {name: number for number, name in enumerate(track.bones)}
     names = (*skin.joint_names, "rest of the body")
-    still = np.broadcast_to(np.eye(4), (steps, 4, 4))
+    still = np.broadcast_to(np.eye(4), (len(steps), 4, 4))
     joints = np.stack([local[:, of_bone[n]] if n in of_bone else still for n in skin.joint_names] + [still], 1)
     unbound = np.array([n not in of_bone for n in names])
     binds = np.concatenate([np.where(unbound[:-1, None, None], np.eye(4), skin.inverse_bind), np.eye(4)[None]])

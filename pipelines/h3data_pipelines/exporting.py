@@ -21,9 +21,10 @@ from h3data_pipelines.command import (
     open_episode,
     remove_dataset,
 )
+from h3data_pipelines.drawing import core_count
 from h3data_pipelines.episode_sources import EpisodeSource, find_episodes
 
-Format = Literal["gfx-replay", "gltf", "lerobot", "robomimic", "csv"]
+Format = Literal["gfx-replay", "gltf", "foxglove", "lerobot", "robomimic", "csv"]
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,13 @@ class Export:
     """Write recordings as files of other programs; docs/export.md says what each of them keeps.
 
     gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it. gltf: one animated .glb for three.js and
-    Blender. csv: a folder of tables and NumPy arrays. lerobot and robomimic: demonstrations to learn from, of one or many
-    recordings.
+    Blender. foxglove: an .mcap of standard messages for Foxglove and Lichtblick. csv: a folder of tables and NumPy arrays.
+    lerobot and robomimic: demonstrations to learn from, of one or many recordings.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
         h3data export out/demo/episode.mcap --to gltf -o episode.glb
+        h3data export ds#3 --to foxglove --camera robot_arm -o episode.foxglove.mcap
         h3data export ds#3 --to csv -o tables/
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
         h3data export ds/ --to robomimic -o demos.hdf5
@@ -47,21 +49,28 @@ class Export:
     to: Format
     """What to write."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The file (gfx-replay, gltf, robomimic) or folder (csv, lerobot)."""
+    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot)."""
     agent: str | None = None
     """Whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
     assets: tuple[Path, ...] = ()
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     light: bool = False
     """Take the light meshes of people (3,000 vertices instead of 19,000), for gfx-replay and gltf."""
+    camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Draw what this camera sees at every step, for foxglove: a name as in rerender, or a .toml or .json file; may be given
+    several times."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         if self.agent is not None and self.to not in ("lerobot", "robomimic"):
             raise InputError(f"--agent is for lerobot and robomimic; {self.to} holds everybody. Leave it out.")
-        if (self.light or self.assets) and self.to not in ("gfx-replay", "gltf"):
-            raise InputError(f"--light and --assets are for gfx-replay and gltf; {self.to} holds no meshes.")
+        if self.light and self.to not in ("gfx-replay", "gltf"):
+            raise InputError(f"--light is for gfx-replay and gltf, not for {self.to}. Leave it out.")
+        if self.assets and self.to not in ("gfx-replay", "gltf", "foxglove"):
+            raise InputError(f"--assets is for gfx-replay, gltf and foxglove; {self.to} holds no meshes.")
+        if self.camera and self.to != "foxglove":
+            raise InputError(f"--camera is for foxglove, not for {self.to}. Hint: h3data rerender draws pictures.")
         text, data = _WRITERS[self.to](self)
         return Outcome(text=text, data={"to": self.to, "out": str(self.out), **data})
 
@@ -111,6 +120,31 @@ def _posed(options: Export, recording: Recording) -> tuple[list[Any], list[Any],
     return posed_parts(replay), posed_cameras(replay), sorted(replay.missing)
 
 
+def _foxglove(options: Export) -> tuple[str, dict[str, Any]]:
+    from h3data.interop.foxglove_write import FoxgloveCamera, write_foxglove
+    from h3data.replay import Replay, camera_track
+    from h3data.replay.posing import posed_parts
+
+    recording = open_episode(options.recording)
+    claim_file(options.out, force=options.force)
+    replay = Replay(recording, assets=options.assets, detail=False)
+    tracks = [camera_track(replay, name) for name in options.camera]
+    frames = replay.frames(tracks, range(len(recording) if tracks else 0), threads=core_count())
+    shown = tqdm(frames, total=len(recording), desc="render", unit="frame", disable=None if tracks else True)
+    made = write_foxglove(
+        recording,
+        lambda steps: posed_parts(replay, steps),
+        options.out,
+        cameras=[FoxgloveCamera(camera=track.camera, poses=track.poses) for track in tracks],
+        pictures=((step, [image["rgb"] for image in images]) for step, images in shown),
+    )
+    size = made.path.stat().st_size
+    text = f"{made.path}: {made.messages} messages on {len(made.topics)} topics, {made.frames} frames, {_size(size)}"
+    data = {"messages": made.messages, "topics": list(made.topics), "frames": made.frames, "bytes": size}
+    missing = sorted(replay.missing)
+    return text + _missing_note(missing, "are marked placeholders"), {**data, "missing": missing}
+
+
 def _csv(options: Export) -> tuple[str, dict[str, Any]]:
     from h3data.interop.csv_tables import write_csv_tables
 
@@ -146,6 +180,7 @@ def _robomimic(options: Export) -> tuple[str, dict[str, Any]]:
 _WRITERS: dict[Format, Callable[[Export], tuple[str, dict[str, Any]]]] = {
     "gfx-replay": _gfx_replay,
     "gltf": _gltf,
+    "foxglove": _foxglove,
     "csv": _csv,
     "lerobot": _lerobot,
     "robomimic": _robomimic,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.metrics import find_agents
 from h3data.metrics.social_nav import following_rows, l2_distance
+from h3data.recording.log_lines import LogLine, log_lines
 from h3data.recording.records import Recording
 from h3data_viewers.rerun_sink import Sink
 
@@ -146,29 +147,16 @@ def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
     """Log events and skills as text below ``log/``; returns whether there are any. ``ends``: the end is one, too."""
     import rerun as rr
 
-    lines: dict[str, list[tuple[int, str, str]]] = {}
-    for e in recording.events:
-        who = recording.agents[e.agent].name if 0 <= e.agent < len(recording.agents) else ""
-        text = " ".join(part for part in (who, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
-        level = "WARN" if "collision" in e.kind or "fail" in e.kind else "INFO"
-        lines.setdefault("events", []).append((e.step, text, level))
-    for s in recording.skills:
-        who = recording.agents[s.agent].name if 0 <= s.agent < len(recording.agents) else "?"
-        what = f"{who}: {s.name}({s.target})"
-        lines.setdefault("skills", []).append((s.start_step, what, "INFO"))
-        if s.outcome in ("failed", "aborted"):
-            end = f"{what} {s.outcome}" + (f": {s.reason}" if s.reason else "")
-            lines.setdefault("skills", []).append((s.end_step, end, "WARN"))
+    lines = log_lines(recording)
     if ends:
         why = str(recording.episode.info.get("ended", ""))
-        lines.setdefault("events", []).append(
-            (len(recording), "the recording ends" + (f" ({why})" if why else ""), "INFO")
-        )
-    for name, group in lines.items():
-        group.sort(key=lambda line: line[0])
-        steps = np.clip([line[0] for line in group], 0, len(recording) if ends else max(len(recording) - 1, 0))
-        columns = rr.TextLog.columns(text=[line[1] for line in group], level=[line[2] for line in group])
-        sink.columns(f"log/{name}", steps, columns)
+        lines.append(LogLine("events", len(recording), "the recording ends" + (f" ({why})" if why else "")))
+    last = len(recording) if ends else max(len(recording) - 1, 0)
+    for source in dict.fromkeys(line.source for line in lines):
+        group = [line for line in lines if line.source == source]
+        levels = ["WARN" if line.warning else "INFO" for line in group]
+        columns = rr.TextLog.columns(text=[line.text for line in group], level=levels)
+        sink.columns(f"log/{source}", np.clip([line.step for line in group], 0, last), columns)
     return bool(lines)
 
 

@@ -1,0 +1,59 @@
+"""The tree of frames of a recording: who hangs on whom, and which of them moved since they were last told of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from h3data.geometry import Array, pose_inverse, pose_multiply, quat_from_axis_angle
+
+ROOT, WORLD = "map", "world"
+"""The root has +Z up, as viewers of these messages want it; the recording's world, +Y up, hangs in it."""
+_WORLD_IN_ROOT = np.concatenate([np.zeros(3), quat_from_axis_angle([1.0, 0, 0], np.pi / 2)])
+_MOVED = 1e-6
+"""A frame is told of again when a coordinate [m] or quaternion component differs by more from what was told last."""
+_WHOLE_NS = 1_000_000_000
+"""All frames are told of so often: who jumps in time sees them soon."""
+
+
+class FrameTree:
+    """Frames by index, each in the world or in one that was added before."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self._parents: list[int] = []
+        self._told = np.zeros((0, 7))
+        self._whole_ns: int | None = None
+
+    def add(self, name: str, parent: int = -1) -> int:
+        """A new frame; -1 = in the world. Its name gets a number if it is taken."""
+        taken, unique, number = {ROOT, WORLD, *self.names}, name, 1
+        while unique in taken:
+            number += 1
+            unique = f"{name}_{number}"
+        self.names.append(unique)
+        self._parents.append(parent)
+        return len(self.names) - 1
+
+    def local(self, world: Array) -> Array:
+        """pose7 of all frames in their parents, from those in the world; both [T, F, 7], NaN where there is none."""
+        out, parents = world.copy(), np.array(self._parents, np.intp)
+        hung = np.flatnonzero(parents >= 0)
+        out[:, hung] = pose_multiply(pose_inverse(world[:, parents[hung]]), world[:, hung])
+        return out
+
+    def news(self, time_ns: int, local: Array) -> tuple[list[tuple[str, str, Array]], bool]:
+        """``(parent, child, pose7)`` of the frames that have moved, out of their poses [F, 7]; of all that are there at
+        the first call and once a second, and whether this is such a call."""
+        there = np.isfinite(local).all(1)
+        whole = self._whole_ns is None or time_ns - self._whole_ns >= _WHOLE_NS
+        if whole:
+            self._whole_ns = time_ns
+            self._told = np.full(local.shape, np.nan)
+        with np.errstate(invalid="ignore"):
+            moved = there & ~(np.abs(local - self._told) <= _MOVED).all(1)
+        self._told[moved] = local[moved]
+        found = [(ROOT, WORLD, _WORLD_IN_ROOT)] if whole else []
+        for k in np.flatnonzero(moved).tolist():
+            parent = self._parents[k]
+            found.append((WORLD if parent < 0 else self.names[parent], self.names[k], local[k]))
+        return found, whole

@@ -1,0 +1,129 @@
+"""Foxglove's standard messages as this package fills them (needs the extra ``h3data[foxglove]``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointState_pb2 import JointState
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.ModelPrimitive_pb2 import ModelPrimitive
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from h3data.geometry import Array, pose_multiply
+from h3data.render.camera import Camera
+
+_TURN = np.array([0, 0, 0, -np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+"""Viewers of these messages have +Z up and turn glTF models by 90 degrees about x; this turns them back."""
+_TAG_M = 0.18
+
+
+def stamp(time_ns: int) -> Timestamp:
+    """A time since 1970."""
+    return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
+
+
+def transforms(time_ns: int, frames: Sequence[tuple[str, str, Array]]) -> FrameTransforms:
+    """``(parent, child, pose7 of the child in its parent)`` of some frames."""
+    at = stamp(time_ns)
+    return FrameTransforms(
+        transforms=[
+            FrameTransform(
+                timestamp=at,
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_vector(pose),
+                rotation=_turn(pose),
+            )
+            for parent, child, pose in frames
+        ]
+    )
+
+
+def model(glb: bytes, pose: Array, scale: Array) -> ModelPrimitive:
+    """A GLB whose own frame, scaled, has a pose7 in the frame of its entity."""
+    across, up, along = scale
+    size = Vector3(x=across, y=along, z=up)  # axes after the viewer's turn
+    return ModelPrimitive(pose=_pose(pose_multiply(pose, _TURN)), scale=size, data=glb, media_type="model/gltf-binary")
+
+
+def entity(
+    time_ns: int, frame: str, name: str, *, models: Sequence[ModelPrimitive] = (), texts: Sequence[TextPrimitive] = ()
+) -> SceneEntity:
+    """A thing that moves with a frame."""
+    return SceneEntity(timestamp=stamp(time_ns), frame_id=frame, id=name, frame_locked=True, models=models, texts=texts)
+
+
+def name_tag(text: str, height_m: float) -> TextPrimitive:
+    """A text above the origin of its entity, turned to whoever looks."""
+    above = np.array([0, height_m, 0, 0, 0, 0, 1])
+    return TextPrimitive(pose=_pose(above), billboard=True, font_size=_TAG_M, color=Color(a=1), text=text)
+
+
+def scene_update(entities: Sequence[SceneEntity]) -> SceneUpdate:
+    """Show these things."""
+    return SceneUpdate(entities=entities)
+
+
+def scene_cleared(time_ns: int) -> SceneUpdate:
+    """Hide everything of the topic."""
+    return SceneUpdate(deletions=[SceneEntityDeletion(timestamp=stamp(time_ns), type=SceneEntityDeletion.ALL)])
+
+
+def pose_in_frame(time_ns: int, frame: str, pose: Array) -> PoseInFrame:
+    """A pose7 in a frame."""
+    return PoseInFrame(timestamp=stamp(time_ns), frame_id=frame, pose=_pose(pose))
+
+
+def joint_states(time_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointStates:
+    """Positions of a robot's joints [rad or m]."""
+    joints = [JointState(name=name, position=at) for name, at in zip(names, positions, strict=True)]
+    return JointStates(timestamp=stamp(time_ns), joints=joints)
+
+
+def log(time_ns: int, source: str, text: str, *, warning: bool = False) -> Log:
+    """A line for the log panel."""
+    level = Log.Level.WARNING if warning else Log.Level.INFO
+    return Log(timestamp=stamp(time_ns), level=level, name=source, message=text)
+
+
+def calibration(time_ns: int, frame: str, camera: Camera) -> CameraCalibration:
+    """An undistorted pinhole camera."""
+    k = np.asarray(camera.intrinsics, np.float64)
+    return CameraCalibration(
+        timestamp=stamp(time_ns), frame_id=frame, width=camera.width, height=camera.height, K=k.ravel(),
+        R=np.eye(3).ravel(), P=np.hstack([k, np.zeros((3, 1))]).ravel(),
+    )  # fmt: skip
+
+
+def video_frame(time_ns: int, frame: str, packet: bytes) -> CompressedVideo:
+    """One picture of an H.264 stream."""
+    return CompressedVideo(timestamp=stamp(time_ns), frame_id=frame, data=packet, format="h264")
+
+
+def _pose(pose: Array) -> Pose:
+    return Pose(position=_vector(pose), orientation=_turn(pose))
+
+
+def _vector(pose: Array) -> Vector3:
+    x, y, z = pose[:3].tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _turn(pose: Array) -> Quaternion:
+    x, y, z, w = pose[3:].tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)

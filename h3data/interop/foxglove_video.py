@@ -1,0 +1,46 @@
+"""Pictures as H.264 packets of an endless stream: no container, each packet one picture, key frames that stand alone."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+
+KEY_FRAMES = 30
+"""Pictures from one key frame to the next: whoever jumps in time waits for one."""
+_CRF = 23
+
+
+class PictureStream:
+    """Encodes the pictures of one camera, in their order; without B-frames, so that each gives its packet at once."""
+
+    def __init__(self, width: int, height: int) -> None:
+        import av
+
+        self._size = (height, width)
+        codec: Any = av.CodecContext.create("libx264", "w")
+        codec.width, codec.height = width + width % 2, height + height % 2
+        codec.pix_fmt, codec.time_base = "yuv420p", Fraction(1, 30)
+        codec.options = {
+            "preset": "ultrafast", "tune": "zerolatency", "crf": str(_CRF),
+            "x264-params": f"keyint={KEY_FRAMES}:scenecut=0:bframes=0:repeat-headers=1:annexb=1:mbtree=0:threads=1",
+        }  # fmt: skip
+        self._codec = codec
+        self._count = 0
+
+    def packet(self, rgb: NDArray[np.uint8]) -> bytes:
+        """One picture [H, W, 3] in sRGB as an Annex B packet; odd sizes are padded to even ones."""
+        import av
+
+        if rgb.shape != (*self._size, 3) or rgb.dtype != np.uint8:
+            expected = f"uint8 {[*self._size, 3]}"
+            raise InputError(f"Expected a picture of {expected}, got {rgb.dtype} {list(rgb.shape)}.")
+        even = np.pad(rgb, ((0, self._size[0] % 2), (0, self._size[1] % 2), (0, 0)), mode="edge")
+        frame = av.VideoFrame.from_ndarray(even, format="rgb24").reformat(format="yuv420p")
+        frame.pts = self._count
+        self._count += 1
+        return b"".join(bytes(packet) for packet in self._codec.encode(frame))

@@ -1,0 +1,36 @@
+"""What happened in a recording, told in lines of text for the logs of viewers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from h3data.recording.records import Recording
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """One line."""
+
+    source: Literal["events", "skills"]
+    step: int
+    text: str
+    warning: bool = False
+
+
+def log_lines(recording: Recording) -> list[LogLine]:
+    """A line for each event, for the begin of each skill, and for the end of one that did not succeed; by step."""
+    names = [agent.name for agent in recording.agents]
+    lines = []
+    for e in recording.events:
+        who = names[e.agent] if 0 <= e.agent < len(names) else ""
+        text = " ".join(part for part in (who, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
+        lines.append(LogLine("events", e.step, text, "collision" in e.kind or "fail" in e.kind))
+    for s in recording.skills:
+        who = names[s.agent] if 0 <= s.agent < len(names) else "?"
+        what = f"{who}: {s.name}({s.target})"
+        lines.append(LogLine("skills", s.start_step, what))
+        if s.outcome in ("failed", "aborted"):
+            reason = f": {s.reason}" if s.reason else ""
+            lines.append(LogLine("skills", s.end_step, f"{what} {s.outcome}{reason}", warning=True))
+    return sorted(lines, key=lambda line: line.step)
