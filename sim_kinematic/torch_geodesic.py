@@ -31,6 +31,10 @@ DETOUR_M = 0.02
 """A node over which the way is so much longer counts 1 / e as much for its direction."""
 
 
+_PER_FLOOR = ("shift", "scale", "top", "stride", "first", "table_first", "size", "step", "clearance")
+"""Fields with a row for each floor."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lattices:
     """Lattices of R floors, each with a margin without nodes, and all their tables one after the other."""
@@ -89,8 +93,8 @@ class Lattices:
         """The lattice of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
         if len(self.step) == 1:
             return self
-        kept = {"rows": self.rows, "table": self.table}
-        return Lattices(**kept, **{name: t[place] for name, t in vars(self).items() if name not in kept})
+        rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
+        return Lattices(rows=self.rows, table=self.table, **rows)
 
 
 class Way(NamedTuple):

@@ -38,6 +38,10 @@ class Floor(Protocol):
     def cell_m(self) -> float: ...
 
 
+_PER_FLOOR = ("shift", "scale", "top", "last", "stride", "first", "cell")
+"""Fields with a row for each floor."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Grids:
     """Signed distance grids of R floors (or of one for each of R worlds) as one table."""
@@ -85,7 +89,7 @@ class Grids:
         """The grid of each world, by the numbers of their floors [W]; with one floor, that floor for all."""
         if len(self.cell) == 1:
             return self
-        rows = {n: t[place] for n, t in vars(self).items() if n not in ("table", "zero")}
+        rows = {name: getattr(self, name)[place] for name in _PER_FLOOR}
         return Grids(table=self.table, zero=self.zero, **rows)
 
 
