@@ -105,7 +105,7 @@ def train(
     """Learn, and write a file of weights; returns the learning curve.
 
     Args:
-        out: File of weights. Beside it lies the checkpoint, ``.checkpoint``, with the learning curve.
+        out: File of weights. Beside it lie the learning curve, ``.csv``, and the checkpoint, ``.checkpoint``.
         scenes: Homes to learn in.
         episodes: How many different ones are played.
         device: cpu or cuda.
@@ -145,13 +145,17 @@ def train(
         total = {name: float(seen[name].sum()) for name in ("begins", "reward", "follows", "terminated", "ended")}
         moves, ends = size - total["begins"], max(total["ended"], 1.0)
         means = total["reward"] / moves, total["follows"] / moves, total["terminated"] / ends
-        curve.append({"steps": done * size, **dict(zip(("reward", "followed", "collided"), means, strict=True))})
+        curve.append({"step": done * size, **dict(zip(("reward", "followed", "collided"), means, strict=True))})
         if time.time() - saved > checkpoint_s or done == rounds:
             saved, left = time.time(), (time.time() - began) / (done - first) * (rounds - done) / 60
             print(*(f"{name} {figure:.3g}" for name, figure in curve[-1].items()), f"{left:.1f} min left", sep="  ")
             kept = {"learner": learner.state_dict(), "optimizer": optimizer.state_dict(), "dice": dice.get_state()}
             with part_file(checkpoint) as part:
                 torch.save({**kept, "x": x, "play": list(env.play.tensors()), "curve": curve}, part)
+            with part_file(out.with_suffix(".csv")) as part:
+                part.write_text(
+                    "".join(",".join(map(str, line)) + "\n" for line in [curve[0], *(r.values() for r in curve)])
+                )
     norm = {"mean": learner.mean.cpu(), "scale": learner.scale().cpu()}
     save_network(from_torch(learner.actor, task="social_nav", observations=OBSERVATIONS, **norm), out)
     return curve

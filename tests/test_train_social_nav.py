@@ -52,6 +52,9 @@ def test_it_learns_and_its_weights_play(example: dict[str, Any], bank: EpisodeBa
     curve = run(example, tmp_path / "net.npz", bank, rounds=30)
     reward = np.array([row["reward"] for row in curve])
     assert len(curve) == 30
+    written = np.genfromtxt(tmp_path / "net.csv", delimiter=",", names=True)
+    assert written.dtype.names == ("step", "reward", "followed", "collided")
+    np.testing.assert_array_equal(written["reward"], reward)
     assert reward[-6:].mean() > reward[:2].mean() + 0.4
     network = load_network(tmp_path / "net.npz")
     assert network.observations == example["OBSERVATIONS"]
