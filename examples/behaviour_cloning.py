@@ -10,6 +10,8 @@ from h3data.recording import Dataset, WindowDataset
 
 HISTORY, HORIZON = 4, 8
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 torch.manual_seed(0)
 windows = WindowDataset(
     Dataset(sys.argv[1]),  # e.g. of: h3data generate social_nav --episodes 50 -o ds/

@@ -31,6 +31,8 @@ NAMES = ("third_person", "robot_arm", "human_head", "orbit", "top_down", "top_do
 OUTPUTS = ("rgb", "depth", "instance", "semantic", "normal", "triangle")
 WIDTH, MOST_HEIGHT, LABEL, PAPER = 236, 200, 16, (250, 250, 248)
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 replay = h3data.Replay(h3data.open(sys.argv[1]), detail=True)
 step = int(sys.argv[3]) if len(sys.argv) > 3 else len(replay) // 2
 stage = Stage(replay)

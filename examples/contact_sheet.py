@@ -13,6 +13,8 @@ HOMES, COLUMNS = {"small": 9, "medium": 8, "large": 3}, 5
 CELL_W, CELL_H, LABEL_H = 330, 440, 26
 LIMIT_BYTES = 900_000
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 cells = []
 for preset, count in HOMES.items():
     for seed in range(count):

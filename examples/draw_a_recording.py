@@ -8,6 +8,8 @@ import h3data
 from h3data.render import look_at, pinhole, write_png
 from h3data.replay import CameraTrack
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 recording = h3data.open(sys.argv[1])
 replay = h3data.Replay(recording)
 robot = replay.at(len(replay) // 2).agents["robot"]["base_pose"]

@@ -9,6 +9,8 @@ from h3data.interop.motion_recording import motion_recording
 from h3data.render import VideoWriter
 from h3data.replay import Replay, follow_camera
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 body = load_humanoid(sys.argv[3] if len(sys.argv) > 3 else "female_1")
 motion = retarget(read_motion(sys.argv[1]), body)  # AMASS, Habitat, BVH or an imported .npz
 print(motion, foot_report(motion, body), sep="\n")

@@ -12,6 +12,8 @@ from h3data_pipelines.drawing import draw_trajectories
 
 HEIGHT = 420
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 replay = h3data.Replay(h3data.open(sys.argv[1]))
 step = int(sys.argv[3]) if len(sys.argv) > 3 else len(replay) // 2
 tracks = [camera_track(replay, name) for name in ("third_person", "robot_arm", "top_down")]

@@ -72,3 +72,13 @@ def test_behaviour_cloning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     errors = [float(line.rpartition(" ")[2]) for line in capsys.readouterr().out.splitlines()[1:]]
     assert len(errors) == 3
     assert errors[2] < errors[0]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["behaviour_cloning", "cameras_picture", "contact_sheet", "draw_a_recording", "play_a_motion", "readme_picture"],
+)
+def test_without_arguments_they_say_what_they_want(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["x"])
+    with pytest.raises(SystemExit, match=f"Usage: python examples/{name}.py"):
+        runpy.run_path(str(EXAMPLES / f"{name}.py"))

@@ -24,7 +24,7 @@ from h3data.recording import (
     storage,
     write_mcap,
 )
-from h3data.recording.storage import RemotePath, place
+from h3data.recording.storage import RemotePath, masked, place
 from h3data_pipelines.cli import main
 
 
@@ -217,3 +217,38 @@ def test_commands_take_uris(s3: str, tmp_path: Path, capsys: pytest.CaptureFixtu
         assert main(command) == 2
         assert "only be written locally" in capsys.readouterr().err
     assert not Path("s3:").exists()
+
+
+# --- credentials ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("s3://me:hush@bucket/ds#3", "s3://me:***@bucket/ds#3"),
+        ("no s3:/me:hush@bucket/ds, which pathlib shortened", "no s3:/me:***@bucket/ds, which pathlib shortened"),
+        ("abfs://:hush@account/ds and s3://a:hush@b", "abfs://:***@account/ds and s3://a:***@b"),
+        ("s3://b/ds?region=x&secret_key=hush&y=1", "s3://b/ds?region=x&secret_key=***&y=1"),
+        ("s3://bucket/a@b:c", "s3://bucket/a@b:c"),
+        ("s3://bucket/12:30@home", "s3://bucket/12:30@home"),
+        ("C:/me and you@home", "C:/me and you@home"),
+    ],
+)
+def test_credentials_are_not_shown(text: str, shown: str) -> None:
+    assert masked(text) == shown
+
+
+def test_errors_about_uris_do_not_show_their_credentials(capsys: pytest.CaptureFixture[str]) -> None:
+    path = place("s3://me:hush@bucket/ds?secret_key=hush")
+    assert isinstance(path, RemotePath)
+    assert "hush" in path.uri
+    assert "hush" not in f"{path} {path!r} {path / 'meta'}"
+    for uri in ("ftp://me:hush@host/ds", "mock://me:hush@host/nowhere", "mock://me:hush@host/nowhere#3"):
+        for command in (
+            ["metrics", uri],
+            ["view", uri, "-o", "x.rrd"],
+            ["generate", "wander", "--scenes", uri, "-o", uri],
+        ):
+            assert main([*command, "--json"]) == 2
+            out, error = capsys.readouterr()
+            assert "hush" not in out + error
+            assert "***" in error
+    assert place(path.uri) == path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.records import Recording
-from h3data.recording.storage import AnyPath, RemotePath, open_binary, place
+from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, place
 
 if TYPE_CHECKING:
     from h3data.recording.dataset import Dataset
@@ -40,9 +40,9 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         found, folder = path.exists(), path.is_dir()
     except OSError as error:
         raise InputError(f"The path cannot be read ({error.strerror or error}): {path}") from error
-    root, _, number = str(path).rpartition("#")
+    root, _, number = (path.uri if isinstance(path, RemotePath) else str(path)).rpartition("#")
     if not found and root and number.isdecimal():
-        return _episode(open_recording(place(root)), int(number), root)
+        return _episode(open_recording(place(root)), int(number), masked(root))
     if not found:
         part = path.with_name(path.name + ".part")
         hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""

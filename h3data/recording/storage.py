@@ -23,6 +23,10 @@ from h3data.errors import InputError
 SCHEMES = ("s3", "gs", "gcs", "abfs", "abfss", "hdfs", "viewfs", "mock", "file")
 """What pyarrow.fs opens; ``mock`` is memory of this process, for tests."""
 _CHUNK = 8 << 20
+_SECRET = re.compile(
+    r"([a-z][a-z0-9+.-]*:/{1,2}[^/\s:@]*:)[^\s@]+(?=@)|([?&][^=&\s]*(?:secret|key|token|password|sas)[^=&\s]*=)[^&\s#]+",
+    re.I,
+)
 _URI = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/(?P<double>/?)(?P<rest>.*)", re.DOTALL)
 
 
@@ -40,8 +44,16 @@ class RemotePath:
     """Authority (bucket) and path, without a slash at the end."""
     query: str = ""
 
-    def __str__(self) -> str:
+    @property
+    def uri(self) -> str:
+        """All of it, credentials too: to open it again, never to be shown."""
         return f"{self.scheme}://{self.path}" + (f"?{self.query}" if self.query else "")
+
+    def __str__(self) -> str:
+        return masked(self.uri)
+
+    def __repr__(self) -> str:
+        return f"RemotePath({str(self)!r})"
 
     def __truediv__(self, name: str | PurePath) -> RemotePath:
         return self._at(f"{self.path}/{PurePosixPath(name)}")
@@ -148,6 +160,11 @@ class RemotePath:
 AnyPath = Path | RemotePath
 
 
+def masked(text: str) -> str:
+    """``text`` with ``***`` in place of the passwords and keys of URIs in it."""
+    return _SECRET.sub(lambda found: f"{found[1] or found[2]}***", text)
+
+
 def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
     """A path or URI as a `Path` or `RemotePath`; ``file://`` is local. A `Path` made of a URI, which lost a slash, is one too.
 
@@ -162,13 +179,13 @@ def place(path: str | os.PathLike[str] | RemotePath) -> AnyPath:
         return Path(path)
     scheme, rest = found["scheme"].lower(), found["rest"]
     if scheme not in SCHEMES:
-        raise InputError(f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {text}")
+        raise InputError(f"Expected a path or a URI of {', '.join(SCHEMES)}, got {scheme}://: {masked(text)}")
     if scheme == "file":
         return Path("/" + rest.lstrip("/"))
     where, _, query = rest.partition("?")
     where = where.strip("/")
     if not where:
-        raise InputError(f"A URI needs a bucket or folder: {text}")
+        raise InputError(f"A URI needs a bucket or folder: {masked(text)}")
     return RemotePath(scheme, where, query)
 
 
@@ -222,4 +239,4 @@ def _filesystem(scheme: str, authority: str, query: str) -> tuple[Any, str]:
     try:
         return pafs.FileSystem.from_uri(uri)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"The storage cannot be opened ({error}): {uri}") from None
+        raise InputError(masked(f"The storage cannot be opened ({error}): {uri}")) from None

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from h3data.errors import H3DataError
+from h3data.recording.storage import masked
 from h3data_pipelines.bench import Bench
 from h3data_pipelines.bodies import BODIES
 from h3data_pipelines.command import Command, Group
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 0
     except (H3DataError, OSError, MemoryError) as error:
-        message = _message(error)
+        message = masked(_message(error))
         sys.stderr.write(f"error: {message}\n")
         if "--json" in args:
             _print(json.dumps({"error": message}))
