@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from h3data.interop.array_pickle import PickledArray, unpickle_arrays
+from h3data.interop.plain_values import PlainValues
 
-_UNFOLD = 64
-"""How many values may come out of one byte: more only happens where a file refers to one list again and again."""
-_DEPTH = 100
+
+class _EpisodeValues(PlainValues):
+    of = "an episode"
 
 
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
@@ -33,7 +34,7 @@ def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
         raise FormatError(f"idx_to_name: Expected names by index: {path}")
     if not isinstance(episodes, list) or not all(isinstance(episode, dict) for episode in episodes):
         raise FormatError(f"all_eps: Expected a list of objects: {path}")
-    plain = _Plain(_UNFOLD * len(data))
+    plain = _EpisodeValues(data)
     return [_resolved(episode, k, names, transforms, plain, path) for k, episode in enumerate(episodes)]
 
 
@@ -51,7 +52,7 @@ def _transforms(value: Any, path: Path) -> NDArray[Any]:
 
 
 def _resolved(
-    episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], plain: _Plain, path: Path
+    episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], plain: PlainValues, path: Path
 ) -> msgspec.Raw:
     """The episode with names and matrices in place of their indices."""
     where = f"all_eps[{index}]"
@@ -82,36 +83,3 @@ def _inside(at: Any, size: int) -> int:
     if type(at) is not int or not 0 <= at < size:
         raise IndexError(f"there is no transform {at}, all_transforms has {size}")
     return at
-
-
-class _Plain:
-    """Turns what the unpickler built into lists, dicts, numbers and strings that JSON can hold."""
-
-    def __init__(self, budget: int) -> None:
-        self.budget = budget
-
-    def __call__(self, value: Any, depth: int = 0) -> Any:
-        self.budget -= value.array.size if isinstance(value, PickledArray) else 1
-        if self.budget < 0 or depth > _DEPTH:
-            raise ValueError("it unfolds to far more than the file holds")
-        if isinstance(value, PickledArray):
-            if value.array.dtype.hasobject:
-                raise TypeError("an array of objects does not belong into an episode")
-            if value.array.dtype.kind == "f" and not np.isfinite(value.array).all():
-                raise ValueError("an array holds NaN or infinity")
-            return value.array.tolist()
-        if isinstance(value, dict):
-            return {_key(key): self(entry, depth + 1) for key, entry in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [self(entry, depth + 1) for entry in value]
-        if isinstance(value, float) and not np.isfinite(value):
-            raise ValueError("a number is NaN or infinity")
-        if value is None or type(value) in (bool, int, float, str):
-            return value
-        raise TypeError(f"a {type(value).__name__} does not belong into an episode")
-
-
-def _key(key: Any) -> str:
-    if type(key) not in (str, int):
-        raise TypeError(f"a key is a {type(key).__name__}")
-    return str(key)

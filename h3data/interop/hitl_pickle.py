@@ -6,19 +6,16 @@ Stand-ins take their place: they keep what the file says and do nothing with it.
 
 from __future__ import annotations
 
-import math
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.errors import FormatError
-from h3data.interop.array_pickle import PickledArray, unpickle_arrays
-
-_UNFOLD = 64
-"""How many values may come out of one byte: more only happens where a file refers to one list again and again."""
-_DEPTH = 100
+from h3data.interop.array_pickle import unpickle_arrays
+from h3data.interop.plain_values import PlainValues
 
 
 class _Fixed:
@@ -100,34 +97,27 @@ def unpickle_log(data: bytes, path: Path) -> Any:
     """
     content = unpickle_arrays(data, path, also=_ALSO)
     try:
-        return _Plain(_UNFOLD * len(data))(content)
+        return _LogValues(data)(content)
     except (TypeError, ValueError) as fault:
         raise FormatError(f"The pickle does not hold a log ({fault}): {path}") from None
 
 
-class _Plain:
-    def __init__(self, budget: int) -> None:
-        self.budget = budget
+class _LogValues(PlainValues):
+    """NaN becomes None, as in the JSON form of these logs; stand-ins become what they hold."""
 
-    def __call__(self, value: Any, depth: int = 0) -> Any:
-        self.budget -= value.array.size if isinstance(value, PickledArray) else 1
-        if self.budget < 0 or depth > _DEPTH:
-            raise ValueError("it unfolds to far more than the file holds")
-        if isinstance(value, float) and not math.isfinite(value):
-            return None
-        if isinstance(value, str):
-            value.encode()  # refuses halves of surrogate pairs, which no file of ours could hold
-        if value is None or type(value) in (bool, int, float, str):
-            return value
-        if isinstance(value, PickledArray):
-            plain = not value.array.dtype.hasobject and np.isfinite(value.array).all()
-            return value.array.tolist() if plain else self(value.array.tolist(), depth + 1)
+    of = "a log"
+
+    def key(self, key: Any, depth: int) -> str:
+        return str(self(key, depth))
+
+    def array(self, array: NDArray[Any], depth: int) -> Any:
+        plain = not array.dtype.hasobject and np.isfinite(array).all()
+        return array.tolist() if plain else self(array.tolist(), depth + 1)
+
+    def not_finite(self, value: float) -> None:
+        del value
+
+    def other(self, value: Any, depth: int) -> Any:
         if isinstance(value, _Config):
             return self(value.content, depth + 1)
-        if isinstance(value, _Datetime):
-            return value.text
-        if isinstance(value, dict):
-            return {str(self(key, depth + 1)): self(entry, depth + 1) for key, entry in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [self(entry, depth + 1) for entry in value]
-        raise TypeError(f"a {type(value).__name__.strip('_')} does not belong into a log")
+        return value.text if isinstance(value, _Datetime) else super().other(value, depth)
