@@ -17,7 +17,7 @@ from h3data.files import part_file
 from sim_kinematic.network import from_torch, save_network
 
 OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
-ROLLOUT, EPOCHS, MINIBATCH = 64, 3, 2048  # steps in each world, times they are learned from, samples at once
+ROLLOUT, EPOCHS = 64, 3  # steps in each world, times they are learned from
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.002, 1e-3
 
 
@@ -53,7 +53,7 @@ class Learner(nn.Module):
 
 
 def flat(observation: dict[str, Tensor]) -> Tensor:
-    return torch.cat([observation[name] for name in OBSERVATIONS], 1)
+    return torch.cat(list(observation.values()), 1)
 
 
 def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tuple[dict[str, Tensor], Tensor]:
@@ -80,12 +80,14 @@ def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor) -> N
     seen |= {"gain": gain, "return": gain + value[:-1]}
 
 
-def learn(seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, dice: torch.Generator) -> None:
-    """Some epochs with the clipped objective. A step that begins an episode takes no action, so it teaches nothing."""
+def learn(
+    seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam, dice: torch.Generator, size: int
+) -> None:  # fmt: skip
+    """Some epochs, ``size`` samples at once. A step that begins an episode takes no action, so nothing is learned from it."""
     samples = {name: rows[~seen["begins"]] for name, rows in seen.items()}
     samples["gain"] = (samples["gain"] - samples["gain"].mean()) / samples["gain"].std()
     for _ in range(EPOCHS):
-        for k in torch.randperm(len(samples["x"]), generator=dice, device=dice.device).split(MINIBATCH):
+        for k in torch.randperm(len(samples["x"]), generator=dice, device=dice.device).split(size):
             x, gain, chosen = samples["x"][k], samples["gain"][k], learner.policy(samples["x"][k])
             ratio = (chosen.log_prob(samples["action"][k]).sum(1) - samples["log_prob"][k]).exp()
             worth = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
@@ -99,8 +101,8 @@ def learn(seen: dict[str, Tensor], learner: Learner, optimizer: torch.optim.Adam
 
 def train(
     out: Path = Path("follower.npz"), *, scenes: str = "h3-homes/train", episodes: int = 1024, device: str = "cpu",
-    compile: bool = False, worlds: int = 1024, steps: int = 40_000_000, seed: int = 0, checkpoint_s: float = 10.0,
-    resume: bool = False,
+    compile: bool = False, worlds: int = 1024, minibatch: int = 2048, steps: int = 40_000_000, seed: int = 0,
+    observations: tuple[str, ...] = OBSERVATIONS, checkpoint_s: float = 10.0, resume: bool = False,
 ) -> list[dict[str, float]]:  # fmt: skip
     """Learn, and write a file of weights; returns the learning curve.
 
@@ -111,14 +113,16 @@ def train(
         device: cpu or cuda.
         compile: Fuse the operations of a step: a minute of compiling, then three times as fast; the CPU needs g++.
         worlds: How many are stepped at once.
+        minibatch: So many samples are learned from at once; more worlds want more of them.
         steps: Of all worlds together.
         seed: Everything random follows from it.
+        observations: What the robot is shown (docs/environments.md).
         checkpoint_s: Seconds between two of them.
         resume: Go on from the checkpoint, to the weights that would have come out uninterrupted.
     """
     torch.manual_seed(seed)
     env = h3data.make(
-        "social_nav", scenes=scenes, num_envs=worlds, device=device, dtype=torch.float32, observations=OBSERVATIONS,
+        "social_nav", scenes=scenes, num_envs=worlds, device=device, dtype=torch.float32, observations=observations,
         episodes=episodes, episodes_seed=seed, compile=compile,
     )  # fmt: skip
     x = flat(env.reset(seed=seed)[0])
@@ -134,20 +138,23 @@ def train(
         x, curve = kept["x"].to(device), kept["curve"]
         for mine, theirs in zip(env.play.tensors(), kept["play"], strict=True):
             mine.copy_(theirs)
-    size, first, began, saved = worlds * ROLLOUT, len(curve), time.time(), 0.0
+    size, first, began, saved = worlds * ROLLOUT, len(curve), 0.0, 0.0
     rounds = max(steps // size, 1)
     for done in range(first + 1, rounds + 1):
         optimizer.param_groups[0]["lr"] = RATE * (1 - (done - 1) / rounds)
         with torch.no_grad():
             seen, x = roll_out(env, learner, dice, x)
             add_advantages(seen, learner, x)
-        learn(seen, learner, optimizer, dice)
+        learn(seen, learner, optimizer, dice, minibatch)
         total = {name: float(seen[name].sum()) for name in ("begins", "reward", "follows", "terminated", "ended")}
         moves, ends = size - total["begins"], max(total["ended"], 1.0)
         means = total["reward"] / moves, total["follows"] / moves, total["terminated"] / ends
         curve.append({"step": done * size, **dict(zip(("reward", "followed", "collided"), means, strict=True))})
-        if time.time() - saved > checkpoint_s or done == rounds:
-            saved, left = time.time(), (time.time() - began) / (done - first) * (rounds - done) / 60
+        now = time.time()
+        if done == first + 1:
+            began = now  # compiling took longer than all that comes
+        if (now - saved > checkpoint_s and now > began) or done == rounds:
+            saved, left = now, (now - began) / max(done - first - 1, 1) * (rounds - done) / 60
             print(*(f"{name} {figure:.3g}" for name, figure in curve[-1].items()), f"{left:.1f} min left", sep="  ")
             kept = {"learner": learner.state_dict(), "optimizer": optimizer.state_dict(), "dice": dice.get_state()}
             with part_file(checkpoint) as part:
@@ -157,7 +164,7 @@ def train(
                     "".join(",".join(map(str, line)) + "\n" for line in [curve[0], *(r.values() for r in curve)])
                 )
     norm = {"mean": learner.mean.cpu(), "scale": learner.scale().cpu()}
-    save_network(from_torch(learner.actor, task="social_nav", observations=OBSERVATIONS, **norm), out)
+    save_network(from_torch(learner.actor, task="social_nav", observations=observations, **norm), out)
     return curve
 
 

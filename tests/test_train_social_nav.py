@@ -37,14 +37,14 @@ def bank() -> EpisodeBank:
 def example() -> dict[str, Any]:
     """The names in the example, with small rollouts."""
     names = runpy.run_path(str(EXAMPLE))
-    names["train"].__globals__.update(ROLLOUT=ROLLOUT, MINIBATCH=256)
+    names["train"].__globals__["ROLLOUT"] = ROLLOUT
     return names
 
 
 def run(
     example: dict[str, Any], out: Path, bank: EpisodeBank, *, rounds: int, **options: Any
 ) -> list[dict[str, float]]:
-    options = {"checkpoint_s": 1e9, **options}
+    options = {"checkpoint_s": 1e9, "minibatch": 256, **options}
     return example["train"](out, episodes=bank, worlds=WORLDS, steps=rounds * WORLDS * ROLLOUT, **options)
 
 
