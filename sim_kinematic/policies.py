@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -138,8 +139,7 @@ def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float 
         return Command(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
     commands = np.vstack([[(1.0, turn, _steps_to_turn(error, spec), 1.0)], _STEERING])
-    nobody = np.full((STEER_STEPS, 2), np.inf)
-    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, nobody, look_steps=STEER_STEPS)
+    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=STEER_STEPS)
     left, off = _way_left(view.free, goal, ends.xz, ends.heading)
     forward, turn = commands[np.argmin(left + TURN_COST_M * off), :2].tolist()
     return Command(min(gap, forward), turn, "follow" if view.met else "find")
@@ -148,11 +148,13 @@ def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float 
 def _back_up(view: View, spec: BaseSpec, gap: float) -> Command:
     """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
     backward, turn, error = _straight_back(view, spec, gap)
-    commands = np.vstack([[(backward, turn, _steps_to_turn(error, spec), 0.0)], _BACKING])
+    straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
     walk = _expected_walk(view)
-    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=ESCAPE_STEPS)
-    if ends.gap_m[0] >= MARGIN_M:
+    trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
+    if trial(straight, walk).gap_m[0] >= MARGIN_M:
         return Command(backward, turn, "back_up")
+    commands = np.concatenate([straight, _BACKING])
+    ends = trial(commands, walk)
     dx, dz = (walk[-1] - ends.xz).T
     error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))
     best = np.argmin(ROOM_COST * np.maximum(MARGIN_M - ends.gap_m, 0.0) + TURN_COST_M / 2 * error)
@@ -163,10 +165,9 @@ def _way_left(
     free: FreeSpace, goal: NDArray[np.float64], xz: NDArray[np.float64], heading: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Length of the shortest path to ``goal`` from places [N, 2] [m], and by how much headings [N] differ from its [rad]."""
-    field = free.distance_field(goal)
-    direction = field.direction(xz)
+    left, direction = free.distance_field(goal).distance_and_direction(xz)
     error = np.abs(wrap_angle(np.arctan2(-direction[:, 1], direction[:, 0]) - heading))
-    return field.distance(xz), np.nan_to_num(error, nan=np.pi)
+    return left, np.nan_to_num(error, nan=np.pi)
 
 
 def sampling_expert(view: View, spec: BaseSpec) -> Command:

@@ -36,15 +36,19 @@ class DistanceField:
 
     def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Length [...] [m] of the shortest path from points [..., 2] to the nearest goal; inf where there is none."""
-        return self._at(points, max_snap_m)[..., 0]
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
 
     def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Unit vector [..., 2] in which the shortest path sets out from points [..., 2]: minus the gradient of `distance`.
 
         NaN where there is no path, zero in a goal. Points off the free area are moved to it first.
         """
-        return self._at(points, max_snap_m)[..., 1:]
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[1]
 
-    def _at(self, points: ArrayLike, max_snap_m: float) -> NDArray[np.float64]:
+    def distance_and_direction(
+        self, points: ArrayLike, *, max_snap_m: float = SNAP_M
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`distance` [...] and `direction` [..., 2] at once, for the price of one."""
         graph, corner, goals = self.space.graph, self.corner, self.goals
-        return each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
+        both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
+        return both[..., 0], both[..., 1:]
