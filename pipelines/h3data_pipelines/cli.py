@@ -24,6 +24,7 @@ from h3data_pipelines.evaluating import Evaluate
 from h3data_pipelines.exporting import Export
 from h3data_pipelines.generate import Generate
 from h3data_pipelines.importing import Import
+from h3data_pipelines.informing import Info
 from h3data_pipelines.measuring import Metrics
 from h3data_pipelines.motion import MOTION
 from h3data_pipelines.parsing import parse
@@ -44,6 +45,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "import": Import,
     "export": Export,
     "rerender": Rerender,
+    "info": Info,
     "metrics": Metrics,
     "sql": Sql,
     "view": View,
