@@ -27,7 +27,8 @@ from sim_kinematic.collision import (
     distance,
     shapes_from_capsules,
 )
-from sim_kinematic.collision.shapes import bounding_sphere, fcl_geometry, shape_bounds
+from sim_kinematic.collision.agent_contact import segment_square
+from sim_kinematic.collision.shapes import bounding_capsule, bounding_sphere, fcl_geometry, shape_bounds
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 NO_MESH = Mesh(
@@ -400,6 +401,40 @@ def test_agents_far_apart_never_reach_fcl():
     pair.update(0, np.stack([at([0, 1.0, 0]), at([0.4, 1.3, 0])]))
     assert pair.collides()
     assert {c.index_b for c in pair.contacts()} >= {0}
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["skew", "parallel", "point", "points", "crossing"]))
+def test_distance_of_segments_is_what_a_search_finds(seed, kind):
+    rng = np.random.default_rng(seed)
+    p, q, r, s = rng.uniform(-1, 1, (4, 3))
+    if kind == "parallel":
+        s = r + (q - p) * rng.uniform(-2, 2)
+    if kind in ("point", "points"):
+        q = p
+    if kind == "points":
+        s = r
+    if kind == "crossing":
+        s = 2 * (p + rng.uniform(0, 1) * (q - p)) - r
+    assert np.sqrt(segment_square(p, q, r, s)) == pytest.approx(segment_distance(p, q, r, s), abs=2e-5)
+    assert segment_square(p, q, r, s) == pytest.approx(segment_square(s, r, q, p), abs=1e-12)
+
+
+@given(st.integers(0, 10**6))
+def test_bounding_capsules_hold_their_shapes(seed):
+    rng = np.random.default_rng(seed)
+    pose = np.concatenate([rng.normal(size=3), quat_from_axis_angle(rng.normal(size=3), rng.uniform(-3, 3))])
+    for shape in (
+        Box(pose=pose, half_extents=rng.uniform(0.1, 1, 3)),
+        Cylinder(pose=pose, radius=0.4, half_height=0.7),
+        Capsule(start=rng.normal(size=3), end=rng.normal(size=3), radius=0.3),
+        Hull(points=rng.normal(size=(9, 3))),
+    ):
+        start, end, radius = bounding_capsule(shape)
+        body, ball = MovingShapes([shape]), MovingShapes([sphere(0.05)])
+        for point in start + rng.normal(size=(20, 3)):
+            ball.set_transforms([at(point)])
+            away = np.sqrt(segment_square(start, end, point, point))
+            assert away < radius + 0.051 or not collide(body, ball)
 
 
 @given(st.integers(0, 10**6))

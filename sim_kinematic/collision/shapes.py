@@ -106,6 +106,24 @@ def bounding_sphere(shape: Shape) -> tuple[NDArray[np.float64], float]:
     return center, float(np.hypot(shape.radius, shape.half_height))
 
 
+def bounding_capsule(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Ends [3] of the axis and radius [m] of a capsule around a shape, in the shape's asset frame: a box's along its longest
+    side, a hull's a ball."""
+    if isinstance(shape, Capsule):
+        return np.asarray(shape.start, np.float64), np.asarray(shape.end, np.float64), float(shape.radius)
+    if isinstance(shape, Hull):
+        center, radius = bounding_sphere(shape)
+        return center, center, radius
+    if isinstance(shape, Box):
+        half = np.asarray(shape.half_extents, np.float64)
+        axis = np.where(np.arange(3) == np.argmax(half), half, 0.0)
+        radius = float(np.linalg.norm(half - axis))
+    else:
+        axis, radius = np.array([0.0, shape.half_height, 0.0]), float(shape.radius)
+    start, end = transform_points(pose_to_matrix(np.asarray(shape.pose, np.float64)), np.stack([-axis, axis]))
+    return start, end, radius
+
+
 def shape_bounds(shape: Shape, matrix: ArrayLike) -> NDArray[np.float64]:
     """Lower and upper corner [2, 3] [m] of a shape under a 4x4 matrix, which may scale it; tight for boxes and hulls, and
     for round shapes unless the scale is uneven."""
