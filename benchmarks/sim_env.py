@@ -1,7 +1,8 @@
 """Training environments: CPU seconds of this process, everything warm, the median of some rounds of random actions.
 
 Person and robot touch now and then, so resets are in the figures. Pictures are the arm camera's depth and the ids that the
-humanoid detector reads, 224 x 171.
+humanoid detector reads, 224 x 171. In rearrangement drawing an episode takes longest, so resets are apart there: steps are
+those of one episode, 1/30 s each; of the upper layer all that its random choices take.
 """
 
 from __future__ import annotations
@@ -9,12 +10,16 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable
 from statistics import median
+from time import process_time
 
 import numpy as np
 
 from benchmarks.sim import cpu_s
 from sim_kinematic.env import SocialNavEnv
 from sim_kinematic.observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
+from sim_kinematic.rearrange_env import RearrangeEnv
+from sim_kinematic.rearrange_episode import RearrangeSpec
+from sim_kinematic.rearrange_observations import PAPER_SENSES, STATE_SENSES
 from sim_kinematic.vector_env import SocialNavVectorEnv
 
 Emit = Callable[[str, float, str], None]
@@ -38,6 +43,42 @@ def run(emit: Emit) -> None:
     for _ in range(RESETS):
         single.reset()
     emit("sim.reset_growth_mb", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024, "MiB")
+    _rearrange(emit)
+
+
+def _rearrange(emit: Emit) -> None:
+    """Emits ``sim.rearrange_env.*``."""
+    endless = RearrangeSpec(max_steps=10**6, end_on_collision=False)
+    rng = np.random.default_rng(0)
+    for name, senses in {
+        "state": STATE_SENSES,
+        "depth": PAPER_SENSES,
+        "depth_detector": (*PAPER_SENSES, "humanoid_detector"),
+        "depth_rgb": (*PAPER_SENSES, "arm_rgb"),
+    }.items():
+        env = RearrangeEnv(HOME, level="low", partner="both", observations=senses, spec=endless)
+        env.reset(seed=0)
+        actions = rng.uniform(-1, 1, (100, 10))
+        seconds = median(cpu_s(lambda env=env, actions=actions: [env.step(a) for a in actions]) for _ in range(5))
+        emit(f"sim.rearrange_env.low_{name}_steps_per_cpu_s", len(actions) / seconds, "steps/s")
+    for name, senses in {"state": STATE_SENSES, "depth": PAPER_SENSES}.items():
+        env = RearrangeEnv(HOME, partner="both", observations=senses)
+        steps = choices = seconds = 0.0
+        for seed in range(10):
+            _, info = env.reset(seed=seed)
+            over = False
+            while not over:
+                chosen = int(rng.choice(np.flatnonzero(info["action_mask"])))
+                begun = process_time()
+                _, _, terminated, truncated, info = env.step(chosen)
+                seconds += process_time() - begun
+                steps, choices, over = steps + info["steps"], choices + 1, terminated or truncated
+        emit(f"sim.rearrange_env.high_{name}_steps_per_cpu_s", steps / seconds, "steps/s")
+        emit(f"sim.rearrange_env.high_{name}_choices_per_cpu_s", choices / seconds, "choices/s")
+    watched = RearrangeEnv(HOME, render_mode="rgb_array")
+    watched.reset(seed=0)
+    emit("sim.rearrange_env.render_ms", 1e3 * median(cpu_s(watched.render) for _ in range(20)), "ms")
+    emit("sim.rearrange_env.reset_ms", 1e3 * median(cpu_s(watched.reset) for _ in range(20)), "ms")
 
 
 def _vector(worlds: int, steps: int, observations: tuple[str, ...]) -> float:

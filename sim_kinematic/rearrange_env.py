@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.scene import Scene
 from sim_kinematic.agent_pictures import Limits, picture_names
@@ -145,7 +144,6 @@ class Hand:
         if level == "low" and agent != "robot":
             raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
         self._session, self._stage, self._agent, self._level = session, stage, agent, level
-        self._robot = load_robot(session.bodies[0])
         self.choices = choices(session.spec.objects, robot=agent == "robot")
         self._set = ObservationSet(
             observations, _limits(session, agent), _body(session, agent), agent=AGENTS[agent], depth_size=depth_size,
@@ -155,7 +153,7 @@ class Hand:
         self.action_space: gymnasium.Space[Any] = (
             gymnasium.spaces.Discrete(len(self.choices))
             if level == "high"
-            else gymnasium.spaces.Box(-1.0, 1.0, (len(arm_columns(self._robot)) + 3,), np.float32)
+            else gymnasium.spaces.Box(-1.0, 1.0, (len(arm_columns(session.robot)) + 3,), np.float32)
         )
 
     def chosen(self, action: ArrayLike) -> Action:
@@ -165,7 +163,7 @@ class Hand:
             InputError: it is none.
         """
         if self._level == "low":
-            return Action(CONTROL, command=tuple(checked_command(action, self._robot).tolist()))
+            return Action(CONTROL, command=tuple(checked_command(action, self._session.robot).tolist()))
         number = np.asarray(action)
         if number.shape != () or number.dtype.kind not in "iu" or not 0 <= number < len(self.choices):
             raise InputError(f"Expected the number of an action, 0 to {len(self.choices) - 1}, got {action!r}.")
@@ -203,12 +201,12 @@ def seen_by(session: RearrangeSession, agent: str) -> tuple[str, ...]:
 
 def _limits(session: RearrangeSession, agent: str) -> dict[str, Limits]:
     """Spaces of those that are no pictures."""
-    arm = len(arm_columns(load_robot(session.bodies[0]))) if agent == "robot" else 0
+    arm = len(arm_columns(session.robot)) if agent == "robot" else 0
     return limits(objects=session.spec.objects, arm=arm)
 
 
 def _body(session: RearrangeSession, agent: str) -> Body:
-    return load_robot(session.bodies[0]) if agent == "robot" else load_humanoid(session.bodies[1])
+    return session.robot if agent == "robot" else session.human
 
 
 def ends(session: RearrangeSession) -> tuple[bool, bool]:

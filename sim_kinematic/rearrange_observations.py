@@ -9,6 +9,7 @@ hand, as Habitat's sensors of the same names (spec/habitat.md 2.5), or in the ag
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -159,6 +160,7 @@ def observe(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float3
 
 def exact(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """The named observations as they are, each [n]."""
+    view = view._replace(hand=cache(view.hand))  # several sensors ask for it
     return {name: np.asarray(SENSES[name].of(view), np.float64).ravel() for name in names}
 
 

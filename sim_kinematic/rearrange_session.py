@@ -79,8 +79,7 @@ class RearrangeSession:
         self.spec = spec or RearrangeSpec()
         self.agents = tuple(agents)
         self.bodies = robot, human
-        load_robot(robot)
-        load_humanoid(human)
+        self.robot, self.human = load_robot(robot), load_humanoid(human)
         self._sources, self._scenes = scene_sources(scenes), scenes
         self._places: dict[int, tuple[Scene, FreeSpace]] = {}
         self._outside = Outside(interrupts_when_close)
@@ -132,7 +131,7 @@ class RearrangeSession:
         for number, action in chosen.items():
             self.play.objects.why_not(number, action)
             if action.skill == CONTROL:
-                checked_command(action.command, load_robot(self.bodies[0]))
+                checked_command(action.command, self.robot)
         self.reward, self.steps = 0.0, 0
         self._go_on(chosen)
 

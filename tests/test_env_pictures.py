@@ -18,12 +18,13 @@ from h3data.scene import HomeSpec, build_home
 from sim_kinematic import environment_words
 from sim_kinematic.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import STATES
+from sim_kinematic.observations import STATES, Observer
 from sim_kinematic.parallel_env import SocialNavParallelEnv
 from sim_kinematic.rearrange_env import RearrangeEnv
 from sim_kinematic.rearrange_observations import HABITAT_SENSES, PAPER_SENSES, SENSES
 from sim_kinematic.rearrange_parallel_env import RearrangeParallelEnv
 from sim_kinematic.sensors import depth_with_noise, with_noise
+from sim_kinematic.social_nav_batch import SocialNavBatch
 from sim_kinematic.vector_env import SocialNavVectorEnv
 
 HOME = "small:1"
@@ -57,19 +58,30 @@ def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
 
 
 def test_the_detectors_agree_and_see_the_person() -> None:
-    env = SocialNavEnv(HOME, observations=tuple(DETECTORS))
-    found = np.zeros(0)
-    env.reset(seed=5)
-    for _ in range(150):
-        seen = env.step(np.array([0.0, 0.5]))[0]  # it looks round
+    batch = SocialNavBatch(HOME)
+    observer = Observer(batch, tuple(DETECTORS))
+    batch.begin(5, 0)
+    (robot,), (person,), free = batch.state.robots, batch.state.people, batch.episodes[0].free
+    rng, found = np.random.default_rng(2), []
+    while (
+        len(found) < 12
+    ):  # somebody 1.5 to 2.5 m away in plain sight, straight ahead and then more and more to the side
+        a, b = free.sample(rng, 2)
+        gap = np.hypot(*(a - b))
+        if not 1.5 < gap < 2.5 or free.geodesic(a, b) > gap + 1e-9:
+            continue
+        robot.xz[0], person.xz[0] = a, b
+        robot.heading[0] = np.arctan2(-(b - a)[1], (b - a)[0]) + 0.12 * len(found)
+        seen = {name: array[0] for name, array in observer.observe().items()}
         mask, box = seen["humanoid_mask"], seen["humanoid_box"]
-        assert seen["humanoid_detector"] == (mask.sum() > 1000)
+        found.append(seen["humanoid_detector"][0])
+        assert found[-1] == (mask.sum() > 1000)
         assert set(np.unique(mask)) <= {0.0, 1.0}
         if box.any():
             rows, columns = np.flatnonzero(mask.any((1, 2))), np.flatnonzero(mask.any((0, 2)))
             assert box.sum() == (rows[-1] - rows[0]) * (columns[-1] - columns[0])
-        found = np.append(found, seen["humanoid_detector"])
-    assert 0 < found.sum() < len(found)
+    assert found[0] == 1
+    assert found[-1] == 0
 
 
 @pytest.fixture(scope="module")
@@ -192,9 +204,15 @@ def test_collisions_are_felt(task: str) -> None:
     env.reset(seed=4)
     action = np.zeros(env.action_space.shape, np.float32)
     action[0] = 1.0
-    felt = [env.step(action)[0]["collision"][0] for _ in range(90)]
-    assert felt[0] == 0
-    assert felt[-1] == 1  # at a wall by now
+    felt = []
+    for _ in range(90):
+        seen, _, terminated, _, info = env.step(action)
+        contact = info["robot_contact"] if task == "social_nav" else env.session.play.state.robots[0].contact[0]
+        assert seen["collision"].tolist() == [contact, terminated]
+        felt.append(contact)
+        if terminated:
+            break
+    assert 0 < sum(felt) < len(felt)
 
 
 # --- noise --------------------------------------------------------------------------------------------------------------
