@@ -14,11 +14,12 @@ from statistics import median
 
 import numpy as np
 
-from h3data.bodies import load_robot
+from h3data.bodies import load_humanoid, load_robot
 from h3data.replay import Replay
 from h3data.replay.cameras import camera_track
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.bench import Bench, measure, process_pool
+from sim_kinematic.arm_room import draw_arms
 from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import ArmSpec, BaseSpec, SocialNavSpec
@@ -67,10 +68,10 @@ def run(emit: Emit) -> None:
 
 
 def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:
-    """Steps per CPU second of all worlds together: robots drive, humans walk; nothing else."""
+    """Steps per CPU second of all worlds together: robots drive, humans walk and draw their arms in; nothing else."""
     spec = SocialNavSpec(robot=base or BaseSpec())
     rng = np.random.default_rng(0)
-    robot, person = RobotState.zeros(worlds), HumanState.zeros(worlds)
+    robot, person, human = RobotState.zeros(worlds), HumanState.zeros(worlds), load_humanoid("female_0")
     robot.xz[:], person.xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
     actions = rng.uniform(-1, 1, (64, worlds, 2))
     goals = np.stack([free.sample(rng, worlds) for _ in range(64)])
@@ -78,6 +79,7 @@ def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None
     def go(count: int) -> None:
         for k in range(count):
             walk_humans(person, goals[(k // 30) % 64], spec.human)
+            draw_arms(person, free, human, spec.human.arms)
             drive_robots(robot, free, actions[(k // 10) % 64], spec.robot)
 
     go(10)

@@ -15,10 +15,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import Robot
+from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.arm_room import draw_arms
 from sim_kinematic.cast import Member, cast_of, draw_places
 from sim_kinematic.collision import AgentContacts
 from sim_kinematic.contact import clear_of_furniture, clip_reach, robot_reach
@@ -114,9 +115,11 @@ class AgentWorlds:
                     f"Expected finite actions of {member.name}, shape {[state.worlds, width]}, got shape {list(row.shape)}"
                     f"{'' if np.isfinite(row).all() else ' with numbers that are not finite'}."
                 )
-        for own, row in zip(state.agents, rows, strict=True):
+        for member, own, row in zip(self.cast, state.agents, rows, strict=True):
             if isinstance(own, HumanState):
                 walk_humans(own, row, self.spec.human)
+                if isinstance(member.body, Humanoid):
+                    draw_arms(own, self.free, member.body, self.spec.human.arms)
             else:
                 drive_robots(own, self.free, row, self.spec.robot)
         self.touching = self._touching()

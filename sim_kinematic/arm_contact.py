@@ -39,7 +39,7 @@ class ArmContact:
         """``scenery`` saves building the collision world of the scene again."""
         self._robot = robot
         self._scenery = scenery or FclScene(scene)
-        self._links = _arm_links(robot)
+        self._links = arm_links(robot)
         self._arm = MovingShapes([shape for k in self._links for shape in robot.links[k].shapes])
         self._link_of = [k for k in self._links for _ in robot.links[k].shapes]
         self._held: dict[tuple[int, ...], MovingShapes] = {}
@@ -93,7 +93,7 @@ def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, ste
     ]
 
 
-def _arm_links(robot: Robot) -> list[int]:
+def arm_links(robot: Robot) -> list[int]:
     """The links that an arm joint moves, and what hangs on them."""
     moved = {int(robot.joint_links[c]) for c in arm_columns(robot)}
     links: list[int] = []

@@ -35,23 +35,28 @@ class RobotHumanContact:
         """Bases farther apart than this on the floor [m] cannot touch."""
 
     def touching(
-        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float
-    ) -> bool:
-        """Whether they touch: base poses [7], and the frame of the clip that the person plays."""
-        at = np.array([clip]), np.array([phase]), np.array([blend])
+        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float,
+        arms: tuple[float, float] = (0.0, 0.0),
+    ) -> bool:  # fmt: skip
+        """Whether they touch: base poses [7], the frame of the clip that the person plays, and how far her arms are drawn
+        in."""
+        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms])
         return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
 
     def touching_many(
         self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: NDArray, phase: NDArray,
-        blend: NDArray,
+        blend: NDArray, arms: NDArray | None = None,
     ) -> NDArray[np.bool_]:  # fmt: skip
-        """Whether they touch in each of N cases, [N]: base poses [N, 7], frames [N] of clips. Poses the people together."""
+        """Whether they touch in each of N cases, [N]: base poses [N, 7], frames [N] of clips, arms [N, 2]. Poses the people
+        together."""
         gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
         near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
         result = np.zeros(len(gap), np.bool_)
         if not len(near):
             return result
-        start, end, _ = _clip_capsules(self._human, clip[near], phase[near], blend[near], human_base[near])
+        start, end, _ = _clip_capsules(
+            self._human, clip[near], phase[near], blend[near], human_base[near], None if arms is None else arms[near]
+        )
         bases = pose_to_matrix(robot_base[near].astype(np.float64))
         for n, base, starts, ends in zip(near, bases, start, end, strict=True):
             self._pair.update(0, base @ self._shapes_at)
@@ -110,7 +115,8 @@ def clip_reach(human: Humanoid) -> float:
 
 
 def _clip_capsules(
-    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None]
-) -> tuple[Array, Array, Array]:
+    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None],
+    arms: NDArray | None = None,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [T or 1, 7]."""
-    return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend)))
+    return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))

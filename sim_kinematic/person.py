@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from h3data.bodies import JOINT_INDEX, Humanoid
+from h3data.bodies.arms import draw_in
 from h3data.bodies.reach import BaseMotion, Hand, ReachPoses, ReachResult, hand_points, reach, reach_poses, reacher
 from h3data.errors import InputError
 from h3data.geometry import (
@@ -37,6 +38,8 @@ from h3data.geometry import (
     quat_rotate,
     wrap_angle,
 )
+from h3data.scene import FreeSpace
+from sim_kinematic.arm_room import HANDS, draw_arms
 from sim_kinematic.spec import STEP_S, WalkerSpec
 from sim_kinematic.state import HumanState
 from sim_kinematic.step import walk_humans
@@ -98,10 +101,12 @@ class Person:
 
     def __init__(
         self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
-        spec: WalkerSpec = PERSON_SPEC,
+        spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None,
     ) -> None:  # fmt: skip
-        """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name."""
-        self.body, self.spec = body, spec
+        """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name. ``free`` is the
+        map, by which she draws in her arms where ``spec.arms`` says how."""
+        self.body, self.spec, self.free = body, spec, free
+        self._drawn = HumanState.zeros(1)
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
         self.held: dict[Hand, _Held] = {}
         self.base = np.array(base_pose, np.float64)
@@ -141,6 +146,7 @@ class Person:
     def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
         """Put a palm at a world position [3] at once; where it cannot be, as near as it gets, and the result says so."""
         result = reach(self.body, self.seen(position), hand)
+        self._drawn.arms[0, HANDS.index(hand)] = 0.0
         self._pose(result.quats, result.pelvis, hand)
         return result
 
@@ -312,8 +318,13 @@ class Person:
         self._pose(quats[0], pelvis[0], None)
 
     def _pose(self, quats: Array, pelvis: Array, moving: Hand | None) -> None:
-        """Take a pose; arms that hold something and do not move keep carrying it."""
+        """Take a pose, with arms drawn in where there is little room; arms that hold something and do not move keep
+        carrying it."""
         quats = quats.copy()
+        if self.free is not None and self.spec.arms is not None:
+            self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
+            draw_arms(self._drawn, self.free, self.body, self.spec.arms, busy=moving)
+            draw_in(quats[None], self._drawn.arms)
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)

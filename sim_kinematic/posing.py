@@ -45,7 +45,7 @@ def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mp
         clip = body.clip_for_speed(WalkerSpec().speed_mps if speed_mps is None else speed_mps)
         stands = state.blend == 0  # the first clip stands: cheaper than a walk of no weight
         phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
-        posture = body.clip_pose(np.where(stands, 0, clip), phase, blend)
+        posture = body.clip_pose(np.where(stands, 0, clip), phase, blend, arms=state.arms)
         return body.joint_matrices(base, *posture)
     raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.")
 

@@ -25,7 +25,7 @@ from sim_kinematic.randomness import generator
 from sim_kinematic.reach_room import reach_room
 from sim_kinematic.rewards import REARRANGE_REWARDS
 from sim_kinematic.social_nav import Starts, draw_starts
-from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands, robot_stands
 from sim_kinematic.waypoint_human import sharp_corners
 
@@ -73,7 +73,7 @@ class RearrangeSpec:
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     robot: BaseSpec = field(default_factory=BaseSpec)
-    human: WalkerSpec = field(default_factory=WalkerSpec)
+    human: WalkerSpec = HOME_WALKER
 
     def __post_init__(self) -> None:
         if self.reward not in REARRANGE_REWARDS:

@@ -61,6 +61,7 @@ def recorded_world(recording: Recording) -> RearrangeWorld:
     try:
         rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
         rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
+        rules.setdefault("human", {})  # as in the paper
         spec = msgspec.convert(rules, RearrangeSpec)
         goals = msgspec.convert(info["goals"], list[_Goal])
         starts = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]

@@ -195,7 +195,10 @@ class RecordedHuman:
         if lacks:
             raise InputError(f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.")
         base, *self._motion = (recording.columns[n] for n in names)
-        if not all(np.isfinite(array).all() for array in (base, *self._motion)):
+        self._arms = recording.columns.get(f"agent_{HUMAN}.motion_arms", np.zeros((len(recording), 2), np.float32))
+        if self._arms.shape != (len(recording), 2):
+            raise InputError(f"Expected agent_{HUMAN}.motion_arms [T, 2], got shape {list(self._arms.shape)}.")
+        if not all(np.isfinite(array).all() for array in (base, self._arms, *self._motion)):
             raise InputError("The person's track must be finite at every step.")
         clips = len(world.human.clips)
         if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
@@ -212,7 +215,9 @@ class RecordedHuman:
         state.distance[0] += float(np.hypot(*(self._xz[step] - state.xz[0])))
         state.xz[0], state.heading[0] = self._xz[step], self._heading[step]
         clip, phase, blend = (array[step] for array in self._motion)
-        return Posture(int(clip), float(phase), float(blend))
+        state.arms[0] = self._arms[step]
+        left, right = self._arms[step].tolist()
+        return Posture(int(clip), float(phase), float(blend), (left, right))
 
 
 def _policy(recording: Recording, policy: str | Policy | None) -> tuple[str, Policy]:

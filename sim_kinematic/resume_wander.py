@@ -57,7 +57,7 @@ def _simulated(recording: Recording, *, until: int, steps: int) -> tuple[dict[st
     names = [f"agent_{k}.action" for k in robots]
     require(recording, info=("spec", "starts"), columns=names)
     try:
-        spec = msgspec.convert(info["spec"], SocialNavSpec)
+        spec = msgspec.convert({"human": {}, **info["spec"]}, SocialNavSpec)
         starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
     except msgspec.ValidationError as fault:
         raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None

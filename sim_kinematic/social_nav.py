@@ -17,6 +17,7 @@ from h3data.errors import SceneError
 from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.arm_room import draw_arms
 from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
 from sim_kinematic.oracle import oracle_min_steps
 from sim_kinematic.policies import ROBOT_SKILLS, Policy, View, policy_by_name, policy_name
@@ -142,11 +143,13 @@ def simulate_social_nav(
 
 
 class Posture(NamedTuple):
-    """What the person's body does: the clip that she plays, her place in it (0..1), and its weight over standing."""
+    """What the person's body does: the clip that she plays, her place in it (0..1), its weight over standing, and how far her
+    arms are drawn in."""
 
     clip: int
     phase: float
     blend: float
+    arms: tuple[float, float] = (0.0, 0.0)
 
 
 class Human(Protocol):
@@ -189,9 +192,11 @@ class ScriptedHuman(WaypointHuman):
         """As `Human.advance`."""
         del step  # she remembers where she goes
         walk_humans(state, self.target(state.xz[0])[None], self.spec)
+        draw_arms(state, self.free, self._world.human, self.spec.arms)
         since = state.distance[0] - state.set_off[0]
         phase = motion_phase(self._world, self._clip, since)
-        return Posture(self._clip, float(phase), float(np.float32(state.blend[0])))
+        left, right = state.arms[0].astype(np.float32).tolist()
+        return Posture(self._clip, float(phase), float(np.float32(state.blend[0])), (left, right))
 
 
 def play(
@@ -240,6 +245,8 @@ def play(
                 human_heading=person.heading[0],
                 human_distance=person.distance[0] - person.set_off[0],
                 human_blend=person.blend[0],
+                human_left_arm=person.arms[0, 0],
+                human_right_arm=person.arms[0, 1],
                 human_skill=HUMAN_SKILLS.index("walk" if person.distance[0] > walked else "turn"),
                 human_goal=human.goal,
                 human_leg=human.leg,

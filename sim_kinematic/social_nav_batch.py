@@ -19,6 +19,7 @@ from h3data.geometry import Array, ground_pose
 from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.scene_sets import SceneSource
+from sim_kinematic.arm_room import draw_arms
 from sim_kinematic.contact import RobotHumanContact, clear_of_furniture
 from sim_kinematic.environment_words import bar, in_words
 from sim_kinematic.predicates import is_found
@@ -238,6 +239,7 @@ class SocialNavBatch:
             part = self.state if alone else self.state.take(rows)
             if walks is not None:
                 self.human_contact[rows] = self._drive_people(part.people[0], free, walks[rows])
+            draw_arms(part.people[0], free, self.human, self.spec.human.arms)
             drive_robots(part.robots[0], free, moves[rows], self.spec.robot)
             if not alone:
                 self.state.put(rows, part)
@@ -316,6 +318,7 @@ class SocialNavBatch:
             ground_pose(robot.xz[rows], robot.heading[rows], floor).astype(np.float32),
             ground_pose(person.xz[rows], person.heading[rows], floor).astype(np.float32),
             np.full(len(rows), self.clip), _recorded(phase), _recorded(person.blend[rows]),
+            _recorded(person.arms[rows]),
         )  # fmt: skip
 
     def _encounter(self) -> Encounter:

@@ -63,6 +63,8 @@ class Step(NamedTuple):
     human_heading: float
     human_distance: float
     human_blend: float
+    human_left_arm: float
+    human_right_arm: float
     human_skill: int
     human_goal: int
     human_leg: int
@@ -81,6 +83,7 @@ def columns_of(world: SocialNavWorld, clip: int, first: int, steps: list[Step]) 
     human_xz = np.stack([of["human_x"], of["human_z"]], -1)
     apart = human_xz - robot_xz
     floor = world.free.floor_y
+    arms = np.stack([of["human_left_arm"], of["human_right_arm"]], -1).astype(np.float32)
     return {
         "time_ns": np.arange(first + 1, first + n + 1, dtype=np.int64) * STEP_NS,
         "agent_0.base_pose": ground_pose(robot_xz, of["robot_heading"], floor).astype(np.float32),
@@ -92,6 +95,7 @@ def columns_of(world: SocialNavWorld, clip: int, first: int, steps: list[Step]) 
         "agent_1.motion_id": np.full(n, clip, np.int32),
         "agent_1.motion_phase": motion_phase(world, clip, of["human_distance"]),
         "agent_1.motion_blend": of["human_blend"].astype(np.float32),
+        **({"agent_1.motion_arms": arms} if world.spec.human.arms is not None else {}),
         "agent_1.grasp_body": np.full(n, -1, np.int32),
         "agent_1.skill": of["human_skill"].astype(np.int32),
         "sim.human_goal": of["human_goal"].astype(np.int32),

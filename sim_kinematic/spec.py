@@ -56,6 +56,27 @@ class BaseSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ArmRoomSpec:
+    """When a person draws an arm in (`sim_kinematic.arm_room`). Distances are beyond her half width with both arms in, which
+    is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
+
+    free_m: float = 0.08
+    """An arm swings freely where so much more room than that is at her side,"""
+    tight_m: float = 0.02
+    """and is wholly drawn in where there is only so much more."""
+    aside_m: float = 0.12
+    """Where the line runs along which this is measured, to the side of her middle."""
+    within_m: float = 0.3
+    """So far ahead and behind, what is near counts in full,"""
+    fade_m: float = 0.5
+    """and over so much more it counts less and less."""
+    step_m: float = 0.1
+    """The line is looked at in steps of this length."""
+    rate: float = 0.12
+    """So much of the way in or out an arm goes in one step at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
     """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
 
@@ -67,6 +88,14 @@ class WalkerSpec:
     """A way point counts as reached within this distance. She lands on it exactly; more would cut the next corner."""
     blend_s: float = 0.2
     """Time to go over between standing and walking."""
+    clearance_m: float = 0.0
+    """Her way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
+    arms: ArmRoomSpec | None = None
+    """How she draws her arms in beside walls and furniture; None: they swing whatever is there."""
+
+
+HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
+"""A person of our own episodes: as the paper's, but she keeps clear of walls and furniture where there is room."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +114,7 @@ class SocialNavSpec:
     agent_height_m: float = 1.41
     """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
     robot: BaseSpec = BaseSpec()
-    human: WalkerSpec = WalkerSpec()
+    human: WalkerSpec = HOME_WALKER
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,13 +85,16 @@ class HumanState(_Arrays):
     """What `distance` was when she last set off from standing [m]: there the cycle began anew; shape [W]."""
     blend: NDArray[np.float64]
     """0 = standing, 1 = walking, shape [W]."""
+    arms: NDArray[np.float64]
+    """How far the left and the right arm are drawn in, 0..1, shape [W, 2]."""
 
     @classmethod
     def zeros(cls, worlds: int) -> HumanState:
         """Standing at the origin."""
         return cls(
-            xz=np.zeros((worlds, 2)), **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")}
-        )
+            xz=np.zeros((worlds, 2)), arms=np.zeros((worlds, 2)),
+            **{n: np.zeros(worlds) for n in ("heading", "distance", "set_off", "blend")},
+        )  # fmt: skip
 
 
 AgentState = RobotState | HumanState

@@ -35,7 +35,7 @@ class RobotTensors(NamedTuple):
 
 
 class HumanTensors(NamedTuple):
-    """One person of each world; the fields are those of `HumanState`."""
+    """One person of each world; the fields are those of `HumanState`, but arms, which always swing here."""
 
     xz: Tensor
     heading: Tensor

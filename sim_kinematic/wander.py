@@ -182,6 +182,8 @@ def _row(worlds: AgentWorlds, actions: Sequence[NDArray[np.float64]]) -> dict[st
             row[at + "motion_id"] = np.int32(clip)
             row[at + "motion_phase"] = walking_phase(member.body, clip, own)[0].astype(np.float32)
             row[at + "motion_blend"] = own.blend[0].astype(np.float32)
+            if worlds.spec.human.arms is not None:
+                row[at + "motion_arms"] = own.arms[0].astype(np.float32)
         row[at + "grasp_body"] = np.int32(-1)
     if worlds.pairs:
         gaps = [np.hypot(*(state.agents[a].xz[0] - state.agents[b].xz[0])) for a, b in worlds.pairs]

@@ -24,6 +24,13 @@ ARC_TURN_MAX = 1.75
 """Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
 MIN_WALK_M = 1.5
 """A new goal nearer than this is drawn again: standing about is not following practice."""
+ASIDE_STEP_M = 0.02
+"""A way point is moved away from what is near in steps of this length."""
+AHEAD_M = 0.2
+"""Goals that she draws are so much farther from everything than `WalkerSpec.clearance_m`: she may run at a wall there, hands
+first."""
+APART_M = 0.15
+"""Way points are not moved nearer together than this: short legs mean turning on the spot."""
 
 
 @dataclass
@@ -57,7 +64,7 @@ class WaypointHuman:
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
-        self._path = sharp_corners(self.free, self.free.path(position, goal))
+        self._path = walking_path(self.free, position, goal, self.spec)
         self.leg = 1
 
     def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -67,7 +74,50 @@ class WaypointHuman:
         walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= MIN_WALK_M))
         # a home with nothing that far away: the farthest point there is
         pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
-        return candidates[pick]
+        clearance = self.spec.clearance_m
+        return aside(self.free, candidates[pick], clearance + AHEAD_M) if clearance else candidates[pick]
+
+
+def walking_path(
+    free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
+) -> NDArray[np.float64]:
+    """Way points [K, 2] of a person from ``start`` to ``goal``: the shortest path with sharp corners, each of them kept
+    ``spec.clearance_m`` away from walls and furniture as far as there is room."""
+    return with_room(free, sharp_corners(free, free.path(start, goal)), spec.clearance_m)
+
+
+def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
+    """The path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
+
+    A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
+    as the straight ways to both its neighbours stay free.
+    """
+    roomy = path.copy()
+    for k in range(1, len(path) - 1):
+        for share in (1.0, 0.5, 0.25):
+            moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
+            ends = roomy[k - 1], path[k + 1]
+            apart = all(np.hypot(*(moved - end)) >= APART_M for end in ends)
+            if apart and all(_sees(free, end, moved) for end in ends):
+                roomy[k] = moved
+                break
+    return roomy
+
+
+def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
+    """A point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
+    here, room = point, float(free.signed_distance(point))
+    while room < clearance_m:
+        away = free.gradient(here)
+        length = float(np.hypot(*away))
+        if length < 1e-6:
+            break
+        there = here + away / length * min(ASIDE_STEP_M, clearance_m - room)
+        wider = float(free.signed_distance(there))
+        if wider < room + 1e-3:
+            break
+        here, room = there, wider
+    return here
 
 
 def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:

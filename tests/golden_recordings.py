@@ -1,6 +1,6 @@
 """Write the stored recordings of older format versions: ``python tests/golden_recordings.py <version> <commit>`` for each of
 
-    1.0 2879968^    1.1 63d0670^    1.2 71e00bd
+    1.0 2879968^    1.1 63d0670^    1.2 71e00bd    1.3 cd1147a
 
 run from the repository's root. It checks the commit out beside, lets its code write one log and one dataset of
 `recording()`, and packs both. Never write one again with newer code: that is what the tests compare with.

@@ -26,7 +26,7 @@ from h3data.recording import (
 )
 from h3data.recording.tables import record_table
 
-VERSIONS = ("1.0", "1.1", "1.2")
+VERSIONS = ("1.0", "1.1", "1.2", "1.3")
 
 
 @pytest.fixture(params=VERSIONS)
@@ -70,7 +70,7 @@ def test_an_old_dataset_is_continued_as_what_it_is(old):
     assert recordings_equal(other, dataset.recording(1)) == []
     kinds = {str(pq.read_schema(p).field("state_hash").type) for p in (old / "dataset/data").rglob("*.parquet")}
     version = dataset.schema.version
-    assert kinds == {"int64" if version == "1.2" else "uint64"}, (
+    assert kinds == {"int64" if version in ("1.2", "1.3") else "uint64"}, (
         "one kind in all files, or LeRobot and DuckDB could not read them together"
     )
 

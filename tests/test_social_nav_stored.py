@@ -138,7 +138,7 @@ def test_rules_come_with_the_episode() -> None:
     episode = drawn_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=77, near_m=0.9))
     assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
-    assert rules_of(bare) == SocialNavSpec(max_steps=77)
+    assert rules_of(bare) == SocialNavSpec(max_steps=77, human=WalkerSpec())  # as in the paper
     assert world_of(bare, open_scene(HOME)).human_name == "female_0"
     assert world_of(episode, open_scene(HOME), human="male_0").human_name == "male_0"
     for rules in ({"near_m": "x"}, {"max_steps": 0}, {"human": {"speed_mps": -1}}, {"human": {"speed_mps": 1e9}}):

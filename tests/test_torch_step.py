@@ -108,7 +108,7 @@ def test_odd_ways_give_the_walk_of_the_kernel(place: Any, goal: Any, heading: fl
     human.xz[:], human.heading[:], human.blend[:], human.distance[:] = place, heading, blend, 3.0
     walked = walk_humans(HumanTensors.of(human, "cpu", torch.float64), doubles([goal]), WalkerSpec())
     kernels.walk_humans(human, np.array([goal]), WalkerSpec())
-    for tensor, array in zip(walked, human.arrays(), strict=True):
+    for tensor, array in ((tensor, getattr(human, name)) for name, tensor in walked._asdict().items()):
         np.testing.assert_allclose(tensor, array, rtol=0, atol=1e-9)
 
 

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.bodies.arms import draw_in
 from h3data.bodies.motion import (
     Clip,
     ClipTable,
@@ -128,14 +129,19 @@ class Humanoid:
         return nearest_clip(self.clips, speed_mps)
 
     def clip_pose(
-        self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
+        self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, arms: ArrayLike | None = None,
+        ground: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
         ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.motion.sample_clips`: blend 0 stands, 1 is the clip.
+        ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.arms`).
         ``ground`` [T, 2]: height of the floor under the left and the right foot, relative to the root [m].
         """
-        return sample_clips(self._clip_table, motion_id, phase, blend, ground)
+        quats, pelvis = sample_clips(self._clip_table, motion_id, phase, blend, ground)
+        if arms is not None:
+            draw_in(quats, arms)
+        return quats, pelvis
 
     def walk_pose(
         self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None

@@ -16,6 +16,8 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 ``agent_<i>.motion_id``   int32 [T]     clip that drives a humanoid, an index into ``Agent.motion_names``
 ``agent_<i>.motion_phase`` float32 [T]  position in the clip, 0..1
 ``agent_<i>.motion_blend`` float32 [T]  0 = standing pose, 1 = the clip
+``agent_<i>.motion_arms`` float32 [T,2] how far the left and the right arm are drawn in: 0 = as in the clip, 1 = close to
+                                        the body; optional
 ``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
@@ -37,7 +39,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
 STEP_NS = 33_333_333

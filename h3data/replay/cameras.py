@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix
-from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
+from h3data.render import OPENGL_TO_OPENCV, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
-from h3data.replay.chase import held, third_person, third_person_at
+from h3data.replay.chase import held, third_person
 from h3data.replay.replay import CameraTrack, Replay
 
 
@@ -60,14 +60,6 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     found = _mounted(replay, name_or_file)
     assert found is not None
     return found
-
-
-def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
-    """`camera_track` at one step; negative steps count from the end. For one picture this may be much faster."""
-    row = replay.row(step)
-    if name_or_file == "third_person" and replay.recording.agents:
-        return third_person_at(replay, row)
-    return camera_track(replay, name_or_file).at(row)
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:

@@ -278,6 +278,7 @@ class Replay:
             columns[prefix + "motion_id"][steps],
             columns[prefix + "motion_phase"][steps],
             columns[prefix + "motion_blend"][steps],
+            arms=columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None,
         )
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
 

@@ -6,7 +6,7 @@ import json as jsonlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -102,10 +102,12 @@ class Demo:
         from h3data.recording import RecordingWriter
         from h3data.scene import HomeSpec, build_home
         from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-        from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+        from sim_kinematic.spec import HOME_WALKER, SocialNavSpec
 
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
-        spec = SocialNavSpec(max_steps=self.steps, spawn_distance_m=4.0, human=WalkerSpec(speed_mps=self.human_speed))
+        spec = SocialNavSpec(
+            max_steps=self.steps, spawn_distance_m=4.0, human=replace(HOME_WALKER, speed_mps=self.human_speed)
+        )
         world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
         with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
             simulate_social_nav(

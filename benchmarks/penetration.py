@@ -1,0 +1,91 @@
+"""How deep people and robots are in walls and furniture, by FCL, in one episode of each task in each home of
+``h3-homes/test``.
+
+For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
+deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
+``walking`` is any part while the hands reach for nothing. `sim_kinematic.penetration` says what depth is.
+
+    python -m benchmarks penetration
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
+from h3data.recording import Recording
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.penetration import penetrations
+from sim_kinematic.rearrange import simulate_rearrange
+from sim_kinematic.rearrange_episode import RearrangeWorld
+from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.wander import simulate_wander
+
+Emit = Callable[[str, float, str], None]
+DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
+BODIES = ("female_0", "male_1", "female_2", "male_2")
+WANDERERS = "robot,human,male_1"
+WANDER_STEPS = 600
+
+
+def run(emit: Emit) -> None:
+    """Emits ``penetration.<task>.<kind>.<part>.*``."""
+    for task, episodes in (("social_nav", _social_nav), ("rearrange", _rearrange), ("wander", _wander)):
+        found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+        for recording in episodes():
+            for kind, part, depth in _depths(recording):
+                found.setdefault((kind, part), []).append(depth)
+        for (kind, part), parts in found.items():
+            depth = np.concatenate(parts)
+            if part != "any" and depth.max() <= DEPTHS_M["2mm"]:
+                continue
+            name = f"penetration.{task}.{kind}.{part}"
+            for label, limit in DEPTHS_M.items():
+                emit(f"{name}.over_{label}", 100 * float((depth > limit).mean()), "% of steps")
+            emit(f"{name}.worst", 1000 * float(depth.max()), "mm")
+            emit(f"{name}.steps", len(depth), "steps")
+
+
+def _depths(recording: Recording) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    """Kind of agent, part, and its depths [T] [m]."""
+    for found in penetrations(recording):
+        agent = recording.agents[found.agent]
+        yield agent.kind, "any", found.depth_m.max(1)
+        yield agent.kind, "arm", found.depth_m[:, found.arm].max(1)
+        codes = recording.columns.get(f"agent_{found.agent}.skill")
+        if agent.kind == "human" and codes is not None:
+            reaches = np.isin(codes, [k for k, name in enumerate(agent.skill_names) if name in ("pick", "place")])
+            yield agent.kind, "walking", found.depth_m[~reaches].max(1)
+        for part, depth in zip(found.parts, found.depth_m.T, strict=True):
+            yield agent.kind, part.replace(" ", "_"), depth
+
+
+def _homes() -> Iterator[tuple[int, Scene, FreeSpace]]:
+    rules = SocialNavSpec()
+    for seed, named in enumerate(named_scenes("h3-homes/test")):
+        yield seed, open_scene(named.source), open_free_space(named.source, rules.agent_radius_m, rules.agent_height_m)
+
+
+def _social_nav() -> Iterator[Recording]:
+    rules = SocialNavSpec(end_on_collision=False)
+    for seed, scene, free in _homes():
+        human = BODIES[seed % len(BODIES)]
+        yield simulate_social_nav(SocialNavWorld.create(scene, seed=seed, spec=rules, free=free, human=human))
+
+
+def _rearrange() -> Iterator[Recording]:
+    for seed, scene, free in _homes():
+        try:
+            yield simulate_rearrange(RearrangeWorld.create(scene, seed=seed, free=free), solo_steps=1)
+        except SceneError:  # no room for the task in this home
+            continue
+
+
+def _wander() -> Iterator[Recording]:
+    for seed, scene, free in _homes():
+        yield simulate_wander(scene, WANDERERS, seed=seed, steps=WANDER_STEPS, free=free)
