@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.render import Output
-from h3data.replay import Replay, camera_track
+from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
     from h3data.interop.habitat_dataset import SceneDataset
@@ -79,7 +79,8 @@ def render_frame(
     """
     replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets)
     row = replay.row(step)
-    track = camera_track(replay, camera)
+    seen_from = camera_at(replay, camera, row)
+    track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
 
 

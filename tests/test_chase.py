@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from h3data.errors import InputError
 from h3data.interop import AssetLibrary, read_gfx_replay, read_hitl_episode, read_hitl_log
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
-from h3data.replay import Replay, camera_track
+from h3data.replay import Replay, camera_at, camera_track
 from h3data.replay.replay import CameraTrack
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
@@ -154,3 +155,30 @@ def test_a_lone_person_is_followed_without_meshes() -> None:
     pixels, depth = track.at(5).project([[0.0, 1.25, 0.0]])
     np.testing.assert_allclose(pixels, [[320, 240]], atol=2)
     assert 2 < depth[0] < 3
+
+
+def test_one_step_alone_is_that_of_the_whole_track() -> None:
+    way = np.cumsum(np.full((150, 2), (0.03, 0.01)), axis=0)
+    way[60:] += (5.0, 2.0)  # a cut
+    post = box("post", (1.5, 1, 1.4), (0.5, 3, 0.5))
+    replay = robot_among((post, box("wall", (8.0, 1.5, 0), (0.1, 3, 8))), way)
+    track = camera_track(replay, "third_person")
+    for step in (0, 1, 29, 58, 59, 60, 61, 100, 149, -1):
+        alone, expected = camera_at(replay, "third_person", step), track.at(step % 150)
+        np.testing.assert_array_equal(alone.pose, expected.pose)
+        assert (alone.near, alone.name, alone.hidden_layers) == (expected.near, expected.name, expected.hidden_layers)
+    np.testing.assert_array_equal(camera_at(replay, "orbit", -1).pose, camera_track(replay, "orbit").poses[149])
+    with pytest.raises(InputError, match="no step 150"):
+        camera_at(replay, "third_person", 150)
+
+
+def test_one_step_of_a_long_recording_is_found_from_those_around_it() -> None:
+    turn = np.linspace(0, 9, 900)
+    way = np.stack([4 * np.cos(turn) + turn, 3 * np.sin(2 * turn)], axis=1)
+    posts = tuple(
+        box(f"post {k}", (x, 1, z), (0.6, 3, 0.6)) for k, (x, z) in enumerate(way[40::130] + np.array([0.9, 0.4]))
+    )
+    replay = robot_among(posts, way)
+    poses = camera_track(replay, "third_person").poses
+    for step in (0, 250, 400, 655, 899):
+        np.testing.assert_allclose(camera_at(replay, "third_person", step).pose, poses[step], atol=1e-3)

@@ -1,7 +1,7 @@
 """State of a recording at any step, posed bodies, cameras, frames."""
 
-from h3data.replay.cameras import camera_names, camera_track
+from h3data.replay.cameras import camera_at, camera_names, camera_track
 from h3data.replay.follow import follow_camera
 from h3data.replay.replay import CameraTrack, Drawable, Replay, State
 
-__all__ = ["CameraTrack", "Drawable", "Replay", "State", "camera_names", "camera_track", "follow_camera"]
+__all__ = ["CameraTrack", "Drawable", "Replay", "State", "camera_at", "camera_names", "camera_track", "follow_camera"]

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.errors import InputError
+from h3data.errors import InputError, did_you_mean
 from h3data.geometry import pose_to_matrix
-from h3data.render import OPENGL_TO_OPENCV, look_at, orthographic, pinhole
+from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
-from h3data.replay.chase import held, third_person
+from h3data.replay.chase import held, third_person, third_person_at
 from h3data.replay.replay import CameraTrack, Replay
 
 
@@ -43,7 +43,7 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
         found = _mounted(replay, name_or_file) if "/" in name_or_file else None
         if found is None:
             raise InputError(
-                f"Unknown camera {name_or_file!r}. This recording offers: {', '.join(names)}; "
+                f"Unknown camera {name_or_file!r}.{did_you_mean(name_or_file, names)} This recording offers: {', '.join(names)}; "
                 "or give a .toml or .json file."
             )
         return found
@@ -60,6 +60,14 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     found = _mounted(replay, name_or_file)
     assert found is not None
     return found
+
+
+def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
+    """`camera_track` at one step; negative steps count from the end. For one picture this may be much faster."""
+    row = replay.row(step)
+    if name_or_file == "third_person" and replay.recording.agents:
+        return third_person_at(replay, row)
+    return camera_track(replay, name_or_file).at(row)
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
