@@ -21,10 +21,6 @@ struct int4 { int x, y, z, w; };
 struct alignas(8) uint2 { unsigned x, y; };
 struct uchar4 { unsigned char x, y, z, w; };
 struct Index { unsigned x; };
-static long long clock64() {  // no time, but different each time
-    static thread_local unsigned long long state = 1;
-    return (long long)((state = state * 6364136223846793005ull + 1442695040888963407ull) >> 30);
-}
 static inline float2 make_float2(float x, float y) { return {x, y}; }
 static inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
 static inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }

@@ -62,7 +62,7 @@ class Cutouts(Struct):
 
 
 class Raster(Struct):
-    _fields_ = [("world", World), *_fields("depth words cutouts order cost")]
+    _fields_ = [("world", World), *_fields("depth words cutouts")]
 
 
 class Shade(Struct):

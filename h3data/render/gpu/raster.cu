@@ -13,8 +13,6 @@ struct Raster {
     float* depth;                // [views, height, width]; 0 = nothing
     u32* words;
     const Cutouts* cutouts;      // in memory: only what is cut out looks at it
-    const long long* order;      // [tiles * views]: which tile each block draws; null: its own number
-    int* cost;                   // [tiles * views]: what they cost this time, in 64 clock cycles
 };
 
 __device__ __forceinline__ Rect shared_rect(const Rect& r, int lane) {
@@ -23,13 +21,12 @@ __device__ __forceinline__ Rect shared_rect(const Rect& r, int lane) {
 }
 
 extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
-    long long begun = clock64();
     extern __shared__ u64 shared[];
     __shared__ int found, next, histogram[BUCKETS];
     const World& s = f.world;
     int tid = threadIdx.x, lane = tid & 31, warp = tid >> 5;
     int across = (s.width + TILE - 1) / TILE, tiles = across * ((s.height + TILE - 1) / TILE);
-    int block = f.order ? (int)f.order[blockIdx.x] : blockIdx.x, tile = block % tiles, local = block / tiles, view = s.first_view + local, world = s.world_of_view[view];
+    int tile = blockIdx.x % tiles, local = blockIdx.x / tiles, view = s.first_view + local, world = s.world_of_view[view];
     const Scene scene = s.scenes[s.scene_of_world[world]];
     const float* camera = s.cameras + CAMERA_WORDS * (size_t)view;
     u32 hidden_layers = s.hidden[view];
@@ -130,7 +127,6 @@ extern "C" __global__ void __launch_bounds__(THREADS, BLOCKS) raster(Raster f) {
         if (drawn) refresh(buffers, t, covered, lane);
     }
     __syncthreads();
-    if (tid == 0) f.cost[block] = (int)((clock64() - begun) >> 6);
     for (int i = tid; i < TILE * TILE; i += THREADS) {
         int x = i % TILE, y = i / TILE;
         if (x >= t.width || y >= t.height) continue;

@@ -29,8 +29,6 @@ _SHARED_LIMIT = 227 * 1024
 """Shared memory of a block on Hopper [bytes]; others have less, and say so."""
 _MOST_PIXELS = 2**31 - 1
 """Of a launch: the kernels count them in 32 bits."""
-_SORTED_PIXELS = 1_000_000
-"""Of a launch whose tiles are worth sorting by what they cost."""
 
 
 class GpuRenderer:
@@ -79,7 +77,6 @@ class GpuRenderer:
         self._programs: dict[Variant, Any] = {}
         self.variant = choose_variant(self.worlds, self.width, self.height)
         self._views: Views | None = None
-        self._costs: dict[tuple[int, int], torch.Tensor] = {}
         self._upload()
         self._reset()
 
@@ -334,29 +331,17 @@ class GpuRenderer:
         )  # fmt: skip
         program.launch("place", -(-count * self.packed.slots // 128), 128, world)
         raster = Raster()
-        blocks = count * -(-size[1] // self.variant.tile) * -(-size[2] // self.variant.tile)
-        cost = self._cost_of(blocks, (part.start, scale))
-        # what cost most the last time begins first, so that no multiprocessor is busy long after the others
-        order = cost.argsort(descending=True) if count * size[1] * size[2] >= _SORTED_PIXELS else None
-        raster.fill(world=world, depth=depth, words=words, cutouts=self._cutouts, order=order, cost=cost)
+        raster.fill(world=world, depth=depth, words=words, cutouts=self._cutouts)
+        tiles = -(-size[1] // self.variant.tile) * -(-size[2] // self.variant.tile)
         program.launch(
             "raster",
-            blocks,
+            tiles * count,
             self.variant.warps * 32,
             raster,
             shared_bytes=self.variant.shared_bytes(self._items),
         )
         if shaded:
             self._shader.run(program, world, depth, words, shaded)
-
-    def _cost_of(self, blocks: int, part: tuple[int, int]) -> torch.Tensor:
-        """What each block of this part of the views cost the last time."""
-        import torch
-
-        cost = self._costs.get(part)
-        if cost is None or len(cost) != blocks:
-            cost = self._costs[part] = torch.zeros(blocks, dtype=torch.int32, device=self.device)
-        return cost
 
     def _program(self) -> Any:
         if self.variant not in self._programs:

@@ -37,7 +37,7 @@ def choose_variant(worlds: int, width: int, height: int) -> Variant:
         few = Variant(8, 8, 4) if pixels < 100_000 else Variant(16, 8, 4)
         return few if pixels < 400_000 else Variant(16, 4, 8) if pixels < 2_000_000 else Variant(32, 4, 7)
     if longer <= 64:
-        return Variant(64, 6, 4)
+        return Variant(64, 8, 3)
     return Variant(32, 4, 7) if longer <= 128 else Variant(32, 3, 8)
 
 
