@@ -53,7 +53,7 @@ def cast_of(agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str 
     models = [{"robot": robot, "human": human}.get(name, name) for name in listed]
     kinds: list[Literal["robot", "human"]] = []
     for name, model in zip(listed, models, strict=True):
-        if name not in ("robot", "human") and model not in (*robots, *people) and not model.endswith(".npz"):
+        if name not in ("robot", "human") and model not in (*robots, *people) and not str(model).endswith(".npz"):
             there = ("robot", "human", *robots, *people)
             raise InputError(
                 f"Unknown agent {name!r}.{did_you_mean(name, there)} Expected one of {', '.join(there)}, or a person's "
