@@ -43,10 +43,6 @@ class AvoidanceSpec:
     """Metres of way that a metre of lacking room is worth,"""
     facing_m: float = 0.1
     """and a radian by which it looks elsewhere."""
-    detour_m: float = 1.0
-    """A way round somebody who stands leads past her at this distance,"""
-    passage_m: float = 0.75
-    """and at no point nearer than this."""
 
 
 AVOIDANCE = AvoidanceSpec()
@@ -154,34 +150,3 @@ def is_crowded(
     discs = np.array(spec.discs_m)
     gaps = [least_gap(x, z, heading, person_xz[0], person_xz[1], discs, radius) for x, z, heading in stands]
     return np.array(gaps) < spec.margin_m
-
-
-def way_round(
-    free: FreeSpace, start: NDArray, goal: NDArray, person_xz: NDArray, spec: AvoidanceSpec = AVOIDANCE
-) -> NDArray | None:
-    """A point [2] by which a path from ``start`` to ``goal`` leads round a person who stands in the way; None: she does not,
-    or there is no way round."""
-    if not np.isfinite(person_xz).all() or _passes(free.path(start, goal, max_snap_m=1.0), person_xz, spec):
-        return None
-    angles = np.arange(12) * (np.pi / 6)
-    ring = person_xz + spec.detour_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    best, least = None, math.inf
-    for point in ring[free.is_navigable(ring)]:
-        legs = [free.path(start, point, max_snap_m=1.0), free.path(point, goal, max_snap_m=1.0)]
-        length = sum(float(np.hypot(*np.diff(leg, axis=0).T).sum()) for leg in legs)
-        if length < least and all(_passes(leg, person_xz, spec) for leg in legs):
-            best, least = point, length
-    return best
-
-
-def _passes(path: NDArray, person_xz: NDArray, spec: AvoidanceSpec) -> bool:
-    """Whether a path [K, 2] keeps its distance from a person, its first half metre aside: one must get away first."""
-    if len(path) < 2:
-        return False
-    legs = np.diff(path, axis=0)
-    lengths = np.hypot(*legs.T)
-    dots = np.concatenate(
-        [np.linspace(a, b, 2 + int(n / 0.1)) for a, b, n in zip(path, path[1:], lengths, strict=False)]
-    )
-    dots = dots[np.hypot(*(dots - path[0]).T) > 0.5]
-    return not len(dots) or float(np.hypot(*(dots - person_xz).T).min()) >= spec.passage_m

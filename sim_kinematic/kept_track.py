@@ -65,6 +65,7 @@ def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step
     """From ``step`` on, a person does nothing but follow a track to its end; nobody is asked for her."""
     runner = next(r for r in play.runners if r.number == actor.number)
     actor.person.held.clear()
+    actor.yields = False
     runner.action, runner.policy = Action("wait"), _Silent()
     runner.skill, runner.ending, runner.begun = _following(actor, track, step), None, step
 

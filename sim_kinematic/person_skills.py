@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.reach import Hand, reacher
-from h3data.geometry import Array, ground_pose, heading_from_quat
+from h3data.geometry import Array, ground_pose, heading_from_quat, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.giving_way import PATIENCE_STEPS, Seen, crowds, in_the_way, round_somebody, waits
+from sim_kinematic.giving_way import NO_WAY, PATIENCE_STEPS, Seen, crowds, in_the_way, round_others, waits
 from sim_kinematic.person import Person, SkillResult
+from sim_kinematic.person import Skill as Motion
 from sim_kinematic.reach_room import ReachRoom
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import WalkerSpec
@@ -22,14 +24,25 @@ from sim_kinematic.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.step import walk_humans
 from sim_kinematic.waypoint_human import sharp_corners
 
+TURN_PATIENCE_STEPS = 10
+"""So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
 HANDS: tuple[Hand, ...] = ("right", "left")
 """In the order in which she tries them."""
 
 
+class _Posture(NamedTuple):
+    """How she stands, and what she carries."""
+
+    base: Array
+    quats: Array
+    pelvis: Array
+    objects: dict[str, Array]
+
+
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands; the left one is for what the right one cannot. She does not give way to robots (as Habitat's
-    planners), but lets other people pass."""
+    """A person with two hands; the left one is for what the right one cannot. She heeds those she sees (``others``): a person
+    with one robot sees nobody, as Habitat's planners."""
 
     person: Person
     free: FreeSpace
@@ -40,7 +53,22 @@ class PersonActor:
     room: ReachRoom | None = None
     """Looks where her body would be; None: nobody does."""
     others: tuple[Seen, ...] = ()
-    """Other people, the nearest first."""
+    """Who else is there, the nearest first."""
+    agreed: bool = False
+    """Whether all agents step aside for each other (`sim_kinematic.right_of_way.Walker`)."""
+    meets: Callable[[], bool] = field(default=lambda: False)
+    """Whether she touches somebody as she is now: then she stops where she was."""
+    way: NDArray[np.floating] = field(default_factory=lambda: NO_WAY)
+    yields: bool = True
+    aside: NDArray[np.float64] | None = None
+    hindered_by: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        self._gait = HumanState.zeros(1)
+
+    @property
+    def is_robot(self) -> bool:
+        return False
 
     @property
     def xz(self) -> NDArray:
@@ -76,10 +104,11 @@ class PersonActor:
         return self._handle(action.skill == "pick", k)
 
     def idle(self) -> None:
-        pass
+        self._stand()
 
     def _wait(self, steps: int) -> Skill:
         for _ in range(steps):
+            self._stand()
             yield
         return Ending("done")
 
@@ -96,6 +125,7 @@ class PersonActor:
             for _ in range(PATIENCE_STEPS):
                 if not len(stands) or not crowds(stands, self.others).all():
                     break
+                self._stand()
                 yield
             crowded = crowds(stands, self.others)
             k, left = nearest_stand(
@@ -106,38 +136,123 @@ class PersonActor:
             gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
         else:
             return Ending("failed", "no_room" if gets_there else "no_way")
-        for _ in self._walk(sharp_corners(self.free, self.free.path(self.xz, stands[k, :2]))[1:]):
-            self._follow()
-            yield
+        yield from self._walk(stands[k, :2])
         if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
             return Ending("failed", "stuck")
-        for _ in self.person.turn(float(stands[k, 2])):
-            self._follow()
-            yield
+        yield from self._careful(self.person.turn(float(stands[k, 2])))
         return Ending("done")
 
-    def _walk(self, path: NDArray) -> Generator[object, None, None]:
-        """Walk along floor points [N, 2] without stopping at them, turning on the spot where they turn (paper 3.1)."""
-        person, state = self.person, HumanState.zeros(1)
+    def _walk(self, goal: NDArray) -> Generator[None, None, None]:
+        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1)."""
+        path = self._path(goal)
         if len(path):
             dx, dz = path[0] - self.xz
-            yield from person.turn(float(np.arctan2(-dz, dx)))
-        state.xz[0], state.heading[0] = self.xz, self.heading
-        clip = person.body.clip_for_speed(self.spec.speed_mps)
-        walk, k, waited = person.body.clips[clip], 0, 0
+            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx))), TURN_PATIENCE_STEPS)
+        if self._gait.blend[0] == 0:
+            self._gait = self._set_off()
+        k, waited, left = 0, 0, False
         while k < len(path) and waited <= PATIENCE_STEPS:
+            left |= self.aside is not None
+            if left and self.aside is None:  # back from where she had stepped aside to
+                path, k, waited, left = self._path(goal), 0, 0, False
+                continue
+            self.way = np.vstack([self.xz[None], path[k:]])
+            if left:
+                self._stand()
+                yield
+                continue
             blocker = in_the_way(self.xz, path[k], self.others)
             if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
-                detour = round_somebody(self.free, self.xz, path[-1], blocker)
+                detour = round_others(self.free, self.xz, goal, self.others)
                 path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
             waited = 0 if blocker is None else waited + 1
-            walk_humans(state, (path[k] if blocker is None else state.xz[0])[None], self.spec)
-            person.base = ground_pose(state.xz[0], state.heading[0], self.free.floor_y)
-            phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
-            person.play(clip, float(phase), float(state.blend[0]))
+            self._pace(path[k] if blocker is None else None)
             yield
-            there = np.hypot(*(path[k] - state.xz[0])) <= self.spec.arrive_m
-            k += there and (k + 1 < len(path) or state.blend[0] == 0)
+            there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
+            k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
+
+    def _path(self, goal: NDArray) -> NDArray[np.float64]:
+        """Way points [N, 2] to a floor point [2]."""
+        return sharp_corners(self.free, self.free.path(self.xz, goal))[1:]
+
+    def _stand(self) -> None:
+        """One step of standing, or of stepping aside."""
+        if self.aside is not None and len(self.aside):
+            blocked = in_the_way(self.xz, self.aside[0], self.others) is not None
+            self._pace(None if blocked else self.aside[0])
+        elif self._gait.blend[0] > 0:
+            self._pace(None)
+
+    def _pace(self, towards: NDArray | None) -> None:
+        """One step of walking towards a floor point [2], or of coming to a stand; where she would touch somebody she does not
+        get on."""
+        person, gait, before = self.person, self._gait, self._posture()
+        if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
+            self._gait = gait = self._set_off()
+        stopped = gait.take([0])
+        clip = person.body.clip_for_speed(self.spec.speed_mps)
+        for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
+            walk_humans(gait, target[None], self.spec)
+            person.base = ground_pose(gait.xz[0], gait.heading[0], self.free.floor_y)
+            walk = person.body.clips[clip]
+            phase = walk.start_phase + (gait.distance[0] - gait.set_off[0]) / walk.stride_m
+            person.play(clip, float(phase), float(gait.blend[0]))
+            if not self.meets():
+                break
+            self._gait = gait = stopped.take([0])
+            self._take(before)
+        self._follow()
+
+    def _careful(self, motion: Motion, patience: int = PATIENCE_STEPS) -> Generator[None, None, SkillResult]:
+        """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
+        back what she has done of it, if nothing has come into her hands."""
+        before, done, holding = self._posture(), [], tuple(self.person.held)
+        while True:
+            try:
+                next(motion)
+            except StopIteration as end:
+                return end.value
+            after, blocked = self._posture(), 0
+            while self.meets():
+                self._take(before)
+                blocked += 1
+                if blocked > patience and tuple(self.person.held) == holding:
+                    yield from self._back_through(done)
+                    return SkillResult(success=False, reason="blocked")
+                self._follow()
+                yield
+                self._take(after)
+            self._follow()
+            yield
+            done.append(before)
+            before = after
+
+    def _back_through(self, done: list[_Posture]) -> Generator[None, None, None]:
+        """Take postures again, the last first."""
+        now = self._posture()
+        while done:
+            self._take(done[-1])
+            if self.meets():
+                self._take(now)
+            else:
+                now = done.pop()
+            self._follow()
+            yield
+
+    def _set_off(self) -> HumanState:
+        """Standing where she is."""
+        gait = HumanState.zeros(1)
+        gait.xz[0], gait.heading[0] = self.xz, self.heading
+        return gait
+
+    def _posture(self) -> _Posture:
+        person = self.person
+        objects = {name: pose.copy() for name, pose in person.objects.items()}
+        return _Posture(person.base.copy(), person.quats.copy(), person.pelvis.copy(), objects)
+
+    def _take(self, posture: _Posture) -> None:
+        self.person.set_pose(posture.quats, posture.pelvis, posture.base)
+        self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
 
     def _handle(self, picks: bool, k: int) -> Skill:
         """Pick or place; objects change hands in the step in which the hand is there."""
@@ -151,15 +266,15 @@ class PersonActor:
             return Ending("failed", "no_room")
         hand = able[0] if able else hands[0]
         self.person.objects[name] = self.objects.poses[k].copy()
-        skill = self.person.pick(name, hand) if picks else self.person.place(point, hand)
+        motion = self._careful(self.person.pick(name, hand) if picks else self.person.place(point, hand))
         result = SkillResult(success=False)
+        self.yields = False
         while True:
             try:
-                next(skill)
+                next(motion)
             except StopIteration as end:
                 result = end.value
                 break
-            self._follow()
             if picks and hand not in self.person.held:  # it may go away under her hand
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield

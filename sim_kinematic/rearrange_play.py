@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -15,30 +16,25 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import ground_pose
 from h3data.recording import Event, SkillSpan
-from sim_kinematic.avoidance import AVOIDANCE
-from sim_kinematic.collision import AgentContacts
-from sim_kinematic.giving_way import Seen
+from sim_kinematic.cast import kinds_of
+from sim_kinematic.encounters import AnyActor, Encounters
+from sim_kinematic.giving_way import NO_WAY
 from sim_kinematic.person import Frame, Person
 from sim_kinematic.person_skills import PersonActor
 from sim_kinematic.planners import HighLevelPolicy, TaskView
-from sim_kinematic.posing import body_shapes, shape_frames
 from sim_kinematic.reach_room import reach_room
-from sim_kinematic.rearrange_episode import RearrangeWorld
+from sim_kinematic.rearrange_episode import PAIR, RearrangeWorld
 from sim_kinematic.rearrange_log import RearrangeLog, Row, body_indices
 from sim_kinematic.rewards import REARRANGE_REWARDS
+from sim_kinematic.right_of_way import RightOfWay
 from sim_kinematic.robot_skills import RobotActor
 from sim_kinematic.skills import CONTROL, SKILLS, Action, Ending, Objects, Skill
-from sim_kinematic.spec import STEP_S
 from sim_kinematic.state import NOBODY, WorldState
 
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
-VELOCITY_STEPS = 3
-"""Over so many steps the robot measures how fast the person walks."""
-CONTACT_GATE_M = 2.0
-"""Bases farther apart than this on the floor cannot touch, arms stretched out."""
 CHOICES = 9
 """So many skills that end at once an agent may choose in one step, then it does nothing."""
 
@@ -49,7 +45,7 @@ class Runner:
 
     number: int
     """Of the agent, as in the state and in the recording."""
-    actor: RobotActor | PersonActor
+    actor: AnyActor
     policy: HighLevelPolicy
     log: RearrangeLog | None
     names: tuple[str, ...]
@@ -95,6 +91,7 @@ class Runner:
 
     def _end(self, step: int, ending: Ending) -> None:
         self.skill, self.ending = None, ending
+        self.actor.way, self.actor.yields = NO_WAY, True
         self.write(step, ending.outcome, ending.reason)
 
     def write(self, step: int, outcome: str, reason: str) -> None:
@@ -123,8 +120,6 @@ class RearrangePlay:
     """How many are over."""
     reward: float = 0.0
     """Of the last step."""
-    touching: list[tuple[int, int]] = field(default_factory=list)
-    """Pairs of agents that touch now."""
 
     def __post_init__(self) -> None:
         world = self.world
@@ -149,8 +144,13 @@ class RearrangePlay:
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
         self.runners = [Runner(actor.number, actor, self.policies[actor.number], self.log, names) for actor in acts]
-        self.tracks = [[actor.xz.copy()] for actor in self.actors]
-        self.contacts = AgentContacts(*(body_shapes(member.body) for member in world.cast))
+        self.encounters = Encounters(world.cast, self.actors)
+        # a robot gives way to a person by itself, and she to nobody, as Habitat's
+        alone = len(self.actors) == 1 or kinds_of(world.cast) == PAIR
+        self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
+        for actor in self.actors:
+            actor.agreed = not alone
+            actor.meets = partial(self.encounters.meets, actor)
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.places.copy()
@@ -164,7 +164,7 @@ class RearrangePlay:
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
-        person = Person(body, base, objects, spec=spec.human, free=world.free)
+        person = Person(body, base, objects, spec=spec.human)
         return PersonActor(person, world.free, spec.human, self.objects, number, room)
 
     def run(self, progress: Callable[[int], object] | None = None) -> str:
@@ -182,16 +182,18 @@ class RearrangePlay:
         spec = self.world.spec
         for self.step in range(spec.max_steps):
             held = self.objects.held_by.copy()
+            if self.right_of_way is not None:
+                self.right_of_way.update([number for number in held.tolist() if number != NOBODY])
             for runner in self.runners:
-                self._show_others(runner.actor)
+                self.encounters.show(runner.actor)
+                runner.actor.hindered_by = frozenset()
                 yield from runner.act(self.step, self.view)
-            for track, actor in zip(self.tracks, self.actors, strict=True):
-                track.append(actor.xz.copy())
+                self.encounters.moved(runner.number)
+            self.encounters.end_step()
             self._write_people()
             self.before, self.places = self.places, np.array([[*a.xz, a.heading] for a in self.actors])
             self.at_goal = self._at_goal()
             frames = {person.number: person.person.frame() for person in self.people}
-            self.touching = self._touching(frames)
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
             if self.log is not None:
@@ -213,55 +215,17 @@ class RearrangePlay:
     @property
     def collision(self) -> bool:
         """Whether agents touch now."""
-        return bool(self.touching)
-
-    def _nearest(self, number: int) -> int:
-        """The agent nearest to another, -1 if it is alone."""
-        me = self.actors[number]
-        others = [actor for actor in self.actors if actor is not me]
-        return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number if others else -1
-
-    def _show_others(self, me: RobotActor | PersonActor) -> None:
-        """An agent sees who else is there and how they move: a robot everybody, people each other, and robots too where
-        there are more than two agents. A person with one robot goes on as Habitat's."""
-        seen = []
-        for other, track in zip(self.actors, self.tracks, strict=True):
-            is_robot = isinstance(other, RobotActor)
-            if other is me or (is_robot and isinstance(me, PersonActor) and len(self.actors) == 2):
-                continue
-            # people act first, then robots, each in the order of their numbers
-            moved = (not is_robot and isinstance(me, RobotActor)) or other.number < me.number
-            recent = [*track[-VELOCITY_STEPS:], other.xz.copy()] if moved else track[-VELOCITY_STEPS - 1 :]
-            velocity = (recent[-1] - recent[0]) / (STEP_S * max(len(recent) - 1, 1))
-            long = np.stack(track[-AVOIDANCE.still_steps :])
-            settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
-            seen.append(Seen(other.number, recent[-1], velocity, settled, is_robot))
-        me.others = tuple(sorted(seen, key=lambda other: float(np.hypot(*(other.xz - me.xz)))))
+        return bool(self.encounters.touching)
 
     def _write_people(self) -> None:
         """People move by their skills; the state says where they are."""
         for own, person in zip(self.state.people, self.people, strict=True):
             own.xz[0], own.heading[0] = person.xz, person.heading
 
-    def _touching(self, frames: dict[int, Frame]) -> list[tuple[int, int]]:
-        """Pairs of agents that touch in what is recorded, in float32."""
-        near = [
-            (a.number, b.number) for a, b in combinations(self.actors, 2) if np.hypot(*(a.xz - b.xz)) <= CONTACT_GATE_M
-        ]
-        for number in sorted({number for pair in near for number in pair}):
-            actor, body = self.actors[number], self.world.cast[number].body
-            if isinstance(actor, RobotActor):
-                posed = actor.robot.link_matrices(_stored(actor.pose)[None], _stored(actor.joints)[None])
-            else:
-                frame = frames[number]
-                posed = actor.person.body.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
-            self.contacts.update(number, shape_frames(body, posed)[0])
-        return [pair for pair in near if self.contacts.collides(*pair)]
-
     def view(self, runner: Runner) -> TaskView:
         """What an agent knows now."""
-        me, other = self.actors[runner.number], self._nearest(runner.number)
-        track = self.tracks[other] if other >= 0 else [np.full(2, np.nan)]
+        me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
+        track = self.encounters.tracks[other] if other >= 0 else [np.full(2, np.nan)]
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         ahead, aside = _seen(me.xz, me.heading, other_xz)
         a, b = self.world.spec.near_m
@@ -321,15 +285,10 @@ class RearrangePlay:
                 self.log.event(Event(step=self.step, agent=was, kind="place", target=name, detail=where))
             elif was != now:
                 self.log.event(Event(step=self.step, agent=now, kind="pick", target=name))
-        for a, b in self.touching:
+        for a, b in self.encounters.touching:
             self.log.event(Event(step=self.step, agent=a, kind="collision", target=self.world.cast[b].name))
         if success:
             self.log.event(Event(step=self.step, agent=-1, kind="success"))
-
-
-def _stored(values: Array) -> Array:
-    """As float32 gives it back."""
-    return values.astype(np.float32).astype(np.float64)
 
 
 def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:

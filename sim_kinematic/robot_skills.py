@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from h3data.bodies import Robot, solve_ik
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance import AVOIDANCE, is_crowded, keep_clear, way_round
-from sim_kinematic.giving_way import ROBOTS, Seen, avoided
+from sim_kinematic.avoidance import is_crowded, keep_clear
+from sim_kinematic.giving_way import NO_WAY, Seen, avoided, room_to_pass, round_others
 from sim_kinematic.manipulation import arm_columns, grip_objects, move_arms, robot_hands
 from sim_kinematic.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.spec import STEP_S, ArmSpec, BaseSpec
@@ -24,17 +24,13 @@ from sim_kinematic.step import drive_robots
 STUCK_STEPS = 60
 """A base that has not come nearer to where it wants to be for so long gives up."""
 LOOKS_ROUND = (10, 40)
-"""After so many steps without progress it looks for a way round a person who stands in the way,"""
+"""After so many steps without progress it looks for a way round those who stand,"""
 DETOURS = 3
-"""at most so often on one way,"""
+"""at most so often on one way;"""
 VIA_M = 0.25
-"""which it has taken when it is this near to the point beside her."""
-TIGHT = replace(AVOIDANCE, detour_m=0.75, passage_m=0.63)
-"""Past somebody who stands in a narrow place."""
-ASIDE_FROM_M, ASIDE_CLEAR_M = 2.0, 0.45
-"""Who waits goes this far away from a person, to a place with so much free floor round it,"""
-ASIDE_RINGS_M = (0.75, 1.5, 2.5, 3.5)
-"""so far from where it is."""
+"""it is at a point of it when it is this near."""
+PASSING_M = (0.4, 0.1)
+"""Room that it leaves beside them, the less where there is no more."""
 ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
 APPROACH_M = 0.1
 """The robot's hand comes to an object from so far above it and lifts it as high."""
@@ -72,6 +68,14 @@ class RobotActor:
     """Whether its base keeps clear of the others (`keep_clear`), whatever the skill."""
     others: tuple[Seen, ...] = ()
     """Who else is there, the nearest first."""
+    agreed: bool = False
+    """Whether all agents step aside for each other (`sim_kinematic.right_of_way.Walker`)."""
+    meets: Callable[[], bool] = field(default=lambda: False)
+    """Whether it touches somebody as it is now: then it stops where it was."""
+    way: NDArray[np.floating] = field(default_factory=lambda: NO_WAY)
+    yields: bool = True
+    aside: NDArray[np.float64] | None = None
+    hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
     """What the base was last told, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
@@ -86,6 +90,10 @@ class RobotActor:
     def state(self) -> RobotState:
         """Its own part of the state of one world."""
         return self.objects.state.robots[self.number]
+
+    @property
+    def is_robot(self) -> bool:
+        return True
 
     @property
     def xz(self) -> NDArray:
@@ -149,35 +157,29 @@ class RobotActor:
         return Ending("done")
 
     def _wait(self, steps: int) -> Skill:
-        """Stand, out of the way of a person who is near."""
-        goal = self._aside()
+        """Stand, out of the way of others."""
+        goal = None if self.agreed else room_to_pass(self.free, self.xz, self.others)
         for _ in range(steps):
-            if goal is None or float(np.hypot(*(goal - self.xz))) < VIA_M:
+            if self.aside is not None:
+                self._step_aside()
+            elif goal is None or float(np.hypot(*(goal - self.xz))) < VIA_M:
                 self._step(0.0, 0.0)
             else:
-                towards = self._waypoint(goal)
-                error = self._error_to(towards)
-                self._step(self._no_faster_than(towards, error), self._turn(error), towards)
+                self._drive(self._waypoint(goal))
             yield
         return Ending("done")
 
-    def _aside(self) -> NDArray | None:
-        """The nearest place [2] in which a person who is near has room to pass; None: nobody is, or there is none."""
-        people = [
-            other for other in self.others if not other.is_robot and np.hypot(*(other.xz - self.xz)) < ASIDE_FROM_M
-        ]
-        if not people:
-            return None
-        angles = np.arange(16) * (np.pi / 8)
-        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        places = np.concatenate([self.xz + radius * ring for radius in ASIDE_RINGS_M])
-        places = places[self.free.signed_distance(places) >= ASIDE_CLEAR_M]
-        if not len(places):
-            return None
-        ways = self.free.geodesic(np.broadcast_to(self.xz, places.shape), places, max_snap_m=1.0)
-        hers = self.free.geodesic(np.broadcast_to(people[0].xz, places.shape), places, max_snap_m=1.0)
-        fits = np.isfinite(ways) & (hers >= ASIDE_FROM_M) & (ways < hers)
-        return places[fits][np.argmin(ways[fits])] if fits.any() else None
+    def _step_aside(self) -> None:
+        """One step of doing so, or of standing there."""
+        if self.aside is not None and len(self.aside):
+            self._drive(self.aside[0])
+        else:
+            self._step(0.0, 0.0)
+
+    def _drive(self, towards: NDArray, most: float = 1.0) -> None:
+        """One step towards a floor point [2], at most at this share of the speed."""
+        error = self._error_to(towards)
+        self._step(min(self._no_faster_than(towards, error), most), self._turn(error), towards)
 
     def _control(self, command: tuple[float, ...]) -> Skill:
         """One step by base velocity, arm joints and grip; it gives way to nobody."""
@@ -199,24 +201,29 @@ class RobotActor:
         if not np.isfinite(left):
             return Ending("failed", "no_way")
         goal, best, since, detours = stands[k, :2], np.inf, 0, 0
-        via: NDArray | None = None  # where to pass somebody who stands in the way
+        via = NO_WAY  # round those who stand in the way
         while since <= STUCK_STEPS:
-            if since in LOOKS_ROUND and detours < DETOURS and self.others and not self.others[0].velocity.any():
-                via = self._way_round(goal, self.others[0].xz)
-                best, detours = (best, detours) if via is None else (np.inf, detours + 1)
-            if via is not None and np.hypot(*(via - self.xz)) < VIA_M:
-                via, best = None, np.inf
-            left = float(self.free.geodesic(self.xz, goal if via is None else via, max_snap_m=1.0))
-            if via is None and (left <= ARRIVED_M or (left <= NEARLY_M and since > LOOKS_ROUND[0])):
+            if self.aside is not None:
+                self._step_aside()
+                yield
+                best, since, via = np.inf, 0, NO_WAY
+                continue
+            if since in LOOKS_ROUND and detours < DETOURS and self.others:
+                found = round_others(self.free, self.xz, goal, self.others, self.base.disc_radius_m, PASSING_M)
+                if found is not None:
+                    via, best, detours = found[:-1], np.inf, detours + 1
+            if len(via) and np.hypot(*(via[0] - self.xz)) < VIA_M:
+                via, best = via[1:], np.inf
+            self.way = np.vstack([self.xz, *(via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)), goal])
+            left = float(self.free.geodesic(self.xz, via[0] if len(via) else goal, max_snap_m=1.0))
+            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and since > LOOKS_ROUND[0])):
                 error = self._error_to(point[[0, 2]])
                 if abs(error) < FACING_RAD:
                     return Ending("done")
                 self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
             else:
-                towards = self._waypoint(goal if via is None else via)
-                error = self._error_to(towards)
-                self._step(min(self._no_faster_than(towards, error), left / self._stride_m), self._turn(error), towards)
+                self._drive(self._waypoint(via[0] if len(via) else goal), left / self._stride_m)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
@@ -224,20 +231,11 @@ class RobotActor:
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
         """At which stands it would be too near to somebody, [N]: 1 within its margin, 2 where they would touch."""
         crowded = np.zeros(len(stands), np.int64)
-        for other in self.others:
-            spec = ROBOTS if other.is_robot else AVOIDANCE
-            for margin in (spec.margin_m, spec.still_margin_m):
-                near = is_crowded(self.base, stands, other.xz, replace(spec, margin_m=margin))
-                crowded = np.maximum(crowded, near * (1 if margin == spec.margin_m else 2))
+        for other in avoided([other for other in self.others if not other.steps_aside]):
+            for level, margin in ((1, other.spec.margin_m), (2, other.spec.still_margin_m)):
+                near = is_crowded(self.base, stands, other.xz, replace(other.spec, margin_m=margin))
+                crowded = np.maximum(crowded, near * level)
         return crowded
-
-    def _way_round(self, goal: NDArray, other_xz: NDArray) -> NDArray | None:
-        """A point [2] past somebody who stands in the way, with less room where there is little."""
-        for spec in (AVOIDANCE, TIGHT):
-            via = way_round(self.free, self.xz, goal, other_xz, spec)
-            if via is not None:
-                return via
-        return None
 
     @property
     def _stride_m(self) -> float:
@@ -312,7 +310,7 @@ class RobotActor:
         return over.joint_pos, at
 
     def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
-        self.arm_goal = posture
+        self.arm_goal, self.yields = posture, False
         while np.any(self.joints[self._arm] != posture[self._arm]):
             self._step(0.0, 0.0, heed=False)
             yield
@@ -326,20 +324,31 @@ class RobotActor:
         return [o._replace(settled=o.settled and self.objects.held(o.number) < 0) for o in self.others]
 
     def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
-        """One step of base and arm; what is held follows."""
+        """One step of base and arm; what is held follows. Where it would touch somebody it does not get on."""
         self.command = forward, turn
         if self.avoids and heed:
             aim = self.xz if towards is None else towards
             self.command = keep_clear(
-                self.free, self.base, self.xz.copy(), self.heading, self.command, aim, avoided(self._seen())
+                self.free,
+                self.base,
+                self.xz.copy(),
+                self.heading,
+                self.command,
+                aim,
+                avoided(self._seen(), agreed=self.agreed),
             )
-        drive_robots(self.state, self.free, np.array([self.command]), self.base)
+        state, before = self.state, self.state.copy()
+        drive_robots(state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         way = self.arm_goal[self._arm] - self.joints[self._arm]
         far = float(np.abs(way).max())
         self.joints[self._arm] = (
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
         )
+        if self.meets():
+            state.xz[:], state.heading[:] = before.xz, before.heading
+            if self.meets():
+                state.joints[:] = before.joints
         k = self.objects.held(self.number)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])

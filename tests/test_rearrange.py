@@ -16,7 +16,7 @@ from h3data.geometry import ground_pose, pose_inverse, pose_multiply, pose_to_ma
 from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
-from sim_kinematic.avoidance import AVOIDANCE, Avoided, keep_clear, way_round
+from sim_kinematic.avoidance import AVOIDANCE, Avoided, keep_clear
 from sim_kinematic.collision import FclScene, MovingShapes, collide
 from sim_kinematic.planners import (
     PARTNERS,
@@ -292,21 +292,3 @@ def test_the_base_gives_way(free: FreeSpace) -> None:
     assert keep_clear(free, base, at, 0.0, go, ahead, [Avoided(far, np.zeros(2)), coming]) != go
     command = keep_clear(free, base, at, 0.0, (0.0, 0.0), at, [coming])
     assert command != (0.0, 0.0)  # who stands in her way steps aside
-
-
-def test_a_way_round_somebody(free: FreeSpace) -> None:
-    rng = np.random.default_rng(1)
-    found = 0
-    for a, b in zip(free.sample(rng, 60), free.sample(rng, 60), strict=True):
-        path = free.path(a, b)
-        longest = int(np.hypot(*np.diff(path, axis=0).T).argmax())
-        person = (path[longest] + path[longest + 1]) / 2
-        if min(np.hypot(*(person - a)), np.hypot(*(person - b))) < 1.2:
-            continue
-        via = way_round(free, a, b, person)
-        if via is not None:
-            found += 1
-            assert np.hypot(*(via - person)) == pytest.approx(AVOIDANCE.detour_m)
-            assert free.is_navigable(via)
-        assert way_round(free, a, b, np.array([100.0, 100.0])) is None
-    assert found
