@@ -56,7 +56,7 @@ def cast_of(agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str 
         if name not in ("robot", "human") and model not in (*robots, *people) and not str(model).endswith(".npz"):
             there = ("robot", "human", *robots, *people)
             raise InputError(
-                f"Unknown agent {name!r}.{did_you_mean(name, there)} Expected one of {', '.join(there)}, or a person's "
+                f"Unknown agent {name!r}.{did_you_mean(str(name), there)} Expected one of {', '.join(there)}, or a person's "
                 ".npz file."
             )
         kinds.append("robot" if name == "robot" or model in robots else "human")
