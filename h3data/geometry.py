@@ -107,7 +107,9 @@ def heading_from_quat(q: ArrayLike) -> Array:
 def heading_direction(heading_rad: ArrayLike) -> Array:
     """Unit forward vectors in the floor plane, ``(x, z)`` [..., 2], of headings [...]."""
     h = _floating(heading_rad)
-    return np.stack([np.cos(h), -np.sin(h)], axis=-1)
+    out = np.empty((*h.shape, 2), h.dtype)  # np.stack takes longer than cosine and sine of a few
+    out[..., 0], out[..., 1] = np.cos(h), -np.sin(h)
+    return out
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:

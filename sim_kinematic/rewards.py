@@ -6,6 +6,7 @@ Over whole recordings the same comes from `h3data.metrics` (profile ``habitat``)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from h3data.kernels import kernel
 from h3data.metrics.habitat_config import HabitatConfig
 from sim_kinematic.predicates import is_found
 from sim_kinematic.sensors import facing
@@ -36,6 +38,8 @@ class Encounter(NamedTuple):
     """They touch, shape [W]."""
     collisions: ArrayLike = 0
     """Collisions of the robot with anything since the start, shape [W] (``habitat`` only)."""
+    faces: ArrayLike | None = None
+    """`facing` of the robot towards the person, shape [W], where it is known; None: it is computed."""
     goal_xz: ArrayLike | None = None
     """The task's navigation goal, shape [W, 2] [m]; only where ``habitat`` is configured to measure to it."""
 
@@ -120,10 +124,11 @@ class SocialNavReward:
             raise InputError(
                 f"Expected places [{len(self.followed)}, 2] of robots and humans, got {list(xz.shape)} and {list(human.shape)}."
             )
-        faces = facing(xz, seen.robot_heading, human)
-        straight = np.hypot(*(human - xz).T)
-        geodesic = np.broadcast_to(np.asarray(seen.geodesic, np.float64), straight.shape)
-        collides = np.broadcast_to(np.asarray(seen.collides, np.bool_), straight.shape)
+        faces = facing(xz, seen.robot_heading, human) if seen.faces is None else np.asarray(seen.faces, np.float64)
+        gap = human - xz
+        straight = np.hypot(gap[:, 0], gap[:, 1])
+        geodesic = _each(np.asarray(seen.geodesic, np.float64), straight.shape)
+        collides = _each(np.asarray(seen.collides, np.bool_), straight.shape)
         return (self._step_paper if self.profile == "paper" else self._step_habitat)(
             seen, faces, straight, geodesic, collides
         )
@@ -134,16 +139,12 @@ class SocialNavReward:
         del seen
         rules, worth = self.rules, self.paper
         distance = np.where(np.isfinite(geodesic), geodesic, straight)
-        before = np.where(np.isnan(self._distance), distance, self._distance)
-        kept = (distance > rules.near_m) & (distance <= rules.far_m)
-        moved = np.where(distance <= rules.near_m, distance - before, before - distance)
-        reward = np.where(kept, worth.kept, moved) + worth.slack
-        reward += worth.facing * np.where(distance <= worth.facing_within_m, faces, 0.0)
-        had = self.followed >= worth.follow_steps
-        self.followed += kept & (faces > rules.facing_dot)
-        success = self.followed >= worth.follow_steps
-        self._distance[:] = distance
-        return RewardStep(reward + worth.success * (success & ~had), success, collides & rules.end_on_collision)
+        reward, success = np.empty(len(distance)), np.empty(len(distance), np.bool_)
+        _pay_paper(
+            distance, self._distance, faces, self.followed, (rules.near_m, rules.far_m, rules.facing_dot),
+            (worth.success, worth.kept, worth.facing, worth.facing_within_m, worth.slack, worth.follow_steps), reward, success,
+        )  # fmt: skip
+        return RewardStep(reward, success, collides & rules.end_on_collision)
 
     def _step_habitat(
         self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
@@ -198,6 +199,30 @@ class SocialNavReward:
             new[w] = cell not in self._cells[w]
             self._cells[w].add(cell)
         return new
+
+
+@kernel(error_model="numpy")
+def _pay_paper(distance, last, faces, followed, rules, worth, reward, success):
+    """What a step is worth in each world, by the published formula; takes the ``last`` distances and counts on."""
+    near, far, facing_dot = rules
+    success_worth, kept_worth, facing_worth, facing_within, slack, follow_steps = worth
+    for w in range(len(distance)):
+        now = distance[w]
+        before = now if math.isnan(last[w]) else last[w]
+        kept = near < now <= far
+        moved = now - before if now <= near else before - now
+        had = followed[w] >= follow_steps
+        followed[w] += kept and faces[w] > facing_dot
+        success[w] = followed[w] >= follow_steps
+        paid = (kept_worth if kept else moved) + slack
+        paid += facing_worth * (faces[w] if now <= facing_within else 0.0)
+        reward[w] = paid + success_worth * (success[w] and not had)
+        last[w] = now
+
+
+def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Values of this shape; one that holds for all is repeated."""
+    return values if values.shape == shape else np.broadcast_to(values, shape)
 
 
 # --- rearrangement ------------------------------------------------------------------------------------------------------

@@ -45,9 +45,11 @@ def in_base_frame(robot_xz: ArrayLike, heading: ArrayLike, point_xz: ArrayLike) 
     """Points ``(x, z)`` [..., 2] as seen from a base at [..., 2] with heading [...]: ``(forward, left)`` [..., 2] [m]."""
     gap = np.asarray(point_xz, np.float64) - np.asarray(robot_xz, np.float64)
     forward = heading_direction(np.asarray(heading, np.float64))
-    ahead = gap[..., 0] * forward[..., 0] + gap[..., 1] * forward[..., 1]
-    left = gap[..., 0] * forward[..., 1] - gap[..., 1] * forward[..., 0]
-    return np.stack([ahead, left], axis=-1)
+    gap_x, gap_z, forward_x, forward_z = gap[..., 0], gap[..., 1], forward[..., 0], forward[..., 1]
+    ahead = gap_x * forward_x + gap_z * forward_z
+    out = np.empty((*np.shape(ahead), 2))
+    out[..., 0], out[..., 1] = ahead, gap_x * forward_z - gap_z * forward_x
+    return out
 
 
 def gps_compass(robot_xz: ArrayLike, heading: ArrayLike, point_xz: ArrayLike) -> Floats:
@@ -57,7 +59,10 @@ def gps_compass(robot_xz: ArrayLike, heading: ArrayLike, point_xz: ArrayLike) ->
     point-goal; of objects and goals its ``obj_start_gps_compass`` and ``obj_goal_gps_compass``.
     """
     seen = in_base_frame(robot_xz, heading, point_xz)
-    return np.stack([np.hypot(seen[..., 0], seen[..., 1]), -np.arctan2(seen[..., 1], seen[..., 0])], axis=-1)
+    ahead, left = seen[..., 0], seen[..., 1]
+    out = np.empty(seen.shape)
+    out[..., 0], out[..., 1] = np.hypot(ahead, left), -np.arctan2(left, ahead)
+    return out
 
 
 humanoid_gps = gps_compass
@@ -146,7 +151,9 @@ def egomotion(
     """Velocity of a base in its frame before the step: ``(forward [m/s], left [m/s], turn [rad/s])`` [..., 3]."""
     moved = in_base_frame(before_xz, before_heading, xz)
     turn = wrap_angle(np.asarray(heading, np.float64) - np.asarray(before_heading, np.float64))
-    return np.concatenate([moved, np.asarray(turn)[..., None]], axis=-1) / dt
+    out = np.empty((*moved.shape[:-1], 3))
+    out[..., :2], out[..., 2] = moved, turn
+    return out / dt
 
 
 def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
@@ -197,7 +204,7 @@ def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
 def facing(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> Floats:
     """Cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
     towards = normalized(np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64))
-    return np.sum(heading_direction(np.asarray(heading, np.float64)) * towards, axis=-1)
+    return np.add.reduce(heading_direction(np.asarray(heading, np.float64)) * towards, axis=-1)
 
 
 # --- noise: off unless called -------------------------------------------------------------------------------------------

@@ -125,6 +125,7 @@ class SocialNavBatch:
         (self._robot,), (self._person,) = self.state.robots, self.state.people
         self.before = self.state.copy()
         """The state before the last step."""
+        self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
         self.start = self.state.copy()
         """The state in which each world's episode began."""
         self.place = np.full(self.worlds, -1)
@@ -149,6 +150,7 @@ class SocialNavBatch:
         self._walkers: list[WaypointHuman] = []
         self._targets = np.zeros((self.worlds, 2))
         self._collisions = np.zeros(self.worlds, np.int64)
+        self._faces = np.zeros(self.worlds)
         self.groups: list[tuple[FreeSpace, NDArray[np.intp]]] = []
         """The worlds that share a floor: it and their indices [n]."""
 
@@ -230,7 +232,8 @@ class SocialNavBatch:
         walks = checked_actions(human_actions, (self.worlds, 2)) if human_actions is not None else None
         if (walks is not None) != self._driven:
             raise InputError("Expected actions of people if, and only if, they are driven (driven_human=True).")
-        self.before.put(slice(None), self.state)
+        for before, now in self._moments:
+            before[...] = now
         if walks is None:
             self._next_targets()
             walk_humans(self._person, self._targets, self.spec.human)
@@ -293,21 +296,18 @@ class SocialNavBatch:
     def _look(self, rows: NDArray[np.intp]) -> None:
         """What the rules ask of the state of some worlds: distances, contact, whether she is found."""
         robot, person = self._robot, self._person
-        wanted = np.zeros(self.worlds, np.bool_)
-        wanted[rows] = True
+        everywhere = len(rows) == self.worlds
         for free, group in self.groups:
-            some = group[wanted[group]]
+            some = group if everywhere else np.intersect1d(group, rows)
             self.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
-        gap = robot.xz - person.xz
-        near = np.hypot(gap[:, 0], gap[:, 1]) <= self._contact.gate_m + 1e-3
-        near = rows[near[rows]]
+        gap = robot.xz[rows] - person.xz[rows]
+        near = rows[np.hypot(gap[:, 0], gap[:, 1]) <= self._contact.gate_m + 1e-3]
         self.collides[rows] = False
         if len(near):
             self.collides[near] = self._touching(near)
-        if len(rows):
-            faces = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
-            began = self.steps[rows] > 0  # the start itself is no step
-            self.found[rows] |= is_found(self.geodesic[rows], faces, self.spec) & began
+        self._faces[rows] = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
+        began = self.steps[rows] > 0  # the start itself is no step
+        self.found[rows] |= is_found(self.geodesic[rows], self._faces[rows], self.spec) & began
 
     def _touching(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether robot and person touch in what would be recorded, poses in float32, in some worlds [n]."""
@@ -325,7 +325,7 @@ class SocialNavBatch:
         robot = self._robot
         return Encounter(
             robot_xz=robot.xz, robot_heading=robot.heading, human_xz=self._person.xz, geodesic=self.geodesic,
-            collides=self.collides, collisions=self._collisions,
+            collides=self.collides, collisions=self._collisions, faces=self._faces,
         )  # fmt: skip
 
 
