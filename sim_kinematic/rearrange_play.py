@@ -164,7 +164,7 @@ class RearrangePlay:
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
-        person = Person(body, base, objects, spec=spec.human)
+        person = Person(body, base, objects, spec=spec.human, free=world.free)
         return PersonActor(person, world.free, spec.human, self.objects, number, room)
 
     def run(self, progress: Callable[[int], object] | None = None) -> str:
