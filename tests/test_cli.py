@@ -218,6 +218,18 @@ BAD = {
     "a text file as recording": (["rerender", "text.json", "-o", "v"], "text.json"),
     "missing asset root": (["rerender", "EPISODE", "--assets", "nowhere", "-o", "v"], "nowhere"),
     "out is a file": (["demo", "-o", "text.json"], "text.json"),
+    "misspelt camera": (["rerender", "EPISODE", "--camera", "third_persn", "-o", "v"], "Did you mean 'third_person'?"),
+    "misspelt metric": (["metrics", "explain", "Spz"], "Did you mean 'SPS'?"),
+    "misspelt task": (["generate", "socal_nav", "-o", "ds"], "Did you mean 'social_nav'?"),
+    "misspelt set": (["scenes", "list", "h3-homes/tset"], "Did you mean 'h3-homes/test'?"),
+    "misspelt body": (["bodies", "show", "femal_0"], "Did you mean 'female_0'?"),
+    "misspelt robot": (["robots", "show", "quadarm"], "Did you mean 'quad_arm'?"),
+    "view of another kind": (["view", "EPISODE", "-o", "x.mp4"], "ends in .rrd, got: x.mp4"),
+    "recovered as another kind": (["recover", "EPISODE", "-o", "x.txt"], "ends in .mcap, got: x.txt"),
+    "explain nothing": (["metrics", "explain"], "explain NAME [RECORDING]"),
+    "folder without recordings": (["metrics", "empty"], "No recording (.mcap) and no dataset in this folder"),
+    "report of nothing": (["report", "empty"], "No recording (.mcap) and no dataset in this folder"),
+    "replay without a wish": (["replay", "EPISODE"], "Choose what to do: --verify"),
 }
 
 

@@ -95,6 +95,16 @@ def test_a_folder_of_others_is_not_written_to(tmp_path: Path, capsys: pytest.Cap
     assert [file.name for file in tmp_path.iterdir()] == ["table.txt"]
 
 
+def test_failed_episodes_are_tried_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rules = ("--policies", "stand_still", "--episodes", "2", "--homes", "2", "--max-steps", "2", "--json")
+    evaluate = ("evaluate", "social_nav", "--scenes", "small", *rules, "-o", tmp_path)
+    first = run_json(capsys, *evaluate)
+    file = tmp_path / "episodes" / "000001.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "failed": ["boom"], "rows": []}))
+    again = run_json(capsys, *evaluate)
+    assert (again["new"], again["failed"], again["cells"]) == (1, [], first["cells"])
+
+
 def test_without_results_there_is_no_table_and_no_paper() -> None:
     for table in (policy_table([]), cross_play_table([])):
         assert table.to_text() == "No episode could be played: there is no table."

@@ -100,7 +100,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
         assert [agent.name for agent in recording.agents] == ["robot", "human"]
     broken, _ = {1, 2}, calls.clear()
     error = run_json(capsys, *WANDER, tmp_path / "none", "--episodes", "2", code=2)["error"]
-    assert "None of 2 episodes could be played. The first, 000000 in small:0 (seed" in error
+    assert "No episode could be played, 2 episodes failed. The first, 000000 in small:0 (seed" in error
     assert "boom" in error
 
 

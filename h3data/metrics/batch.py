@@ -44,8 +44,12 @@ def measure_files(
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
     """Datasets and MCAP logs, in order; a folder that is no dataset gives the logs in it."""
     for path in map(place, paths):
-        logs = sorted(path.glob("*.mcap")) if path.is_dir() and not (path / "meta").is_dir() else []
-        yield from logs or [path]
+        if not path.is_dir() or (path / "meta").is_dir() or (path / "h3").is_dir():
+            yield path
+        elif logs := sorted(path.glob("*.mcap")):
+            yield from logs
+        else:
+            raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
 
 
 def measure_sources(

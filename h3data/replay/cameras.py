@@ -42,9 +42,10 @@ def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
     if name_or_file not in names:
         found = _mounted(replay, name_or_file) if "/" in name_or_file else None
         if found is None:
+            near = did_you_mean(name_or_file, names)
             raise InputError(
-                f"Unknown camera {name_or_file!r}.{did_you_mean(name_or_file, names)} This recording offers: {', '.join(names)}; "
-                "or give a .toml or .json file."
+                f"Unknown camera {name_or_file!r}.{near} This recording offers: {', '.join(names)}; or give a .toml or "
+                ".json file."
             )
         return found
     if name_or_file == "top_down":

@@ -74,8 +74,10 @@ def claim_folder(folder: P, *, force: bool) -> P:
     return folder
 
 
-def claim_file(path: P, *, force: bool) -> P:
-    """A path to write to; refuse an existing file unless ``force``."""
+def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
+    """A path to write to, that ends in ``suffix``; refuse an existing file unless ``force``."""
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"Expected a file name that ends in {suffix}, got: {path}")
     if isinstance(path, Path):
         local(path)
     if path.is_dir():
@@ -90,6 +92,11 @@ def claim_file(path: P, *, force: bool) -> P:
     return path
 
 
+def counted(count: int, noun: str) -> str:
+    """``1 episode``, ``2 episodes``."""
+    return f"{count} {noun}{'s' if count != 1 else ''}"
+
+
 def open_episode(path: AnyPath) -> Recording:
     """The recording in an .mcap file, or episode 3 of a dataset named as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
@@ -97,7 +104,7 @@ def open_episode(path: AnyPath) -> Recording:
     opened = open_recording(path)
     if isinstance(opened, Dataset):
         raise InputError(
-            f"Expected a recording (.mcap), this is a dataset of {len(opened)} episodes. Name one as {path}#0"
+            f"Expected a recording (.mcap), this is a dataset of {counted(len(opened), 'episode')}. Name one as {path}#0"
         )
     return opened
 

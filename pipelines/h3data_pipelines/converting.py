@@ -221,4 +221,5 @@ def _steps_per_second(sources: list[EpisodeSource]) -> int:
             return max(1, round(1e9 / max(source.read().episode.dt_ns, 1)))
         except H3DataError as fault:
             faults.append(fault)
-    raise InputError(f"None of {len(sources)} episodes can be read. The first: {faults[0]}")
+    told = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
+    raise InputError(f"{told}{faults[0]}")

@@ -51,8 +51,8 @@ class Evaluate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
-    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle, random,
-    stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
+    """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle,
+    learned_follower, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
     partners: str = ALL
     """rearrange: partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
     scenes: str = "h3-homes/test"
@@ -209,18 +209,19 @@ def play_pairs(job: CrossPlayJob) -> dict[str, Any]:
 
 
 def _is_done(file: Path, job: CrossPlayJob | PoliciesJob) -> bool:
-    """Whether the results of this very job are there; others' are refused."""
+    """Whether the results of this very job are there, none of them failed; others' are refused."""
     if not file.is_file():
         return False
     try:
-        was = json.loads(file.read_text(encoding="utf-8"))["job"]
+        found = json.loads(file.read_text(encoding="utf-8"))
+        was, failed = found["job"], found["failed"]
     except (ValueError, KeyError, TypeError):
         raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
     if was != job.to_json():
         raise InputError(
             f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
         )
-    return True
+    return not failed
 
 
 def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:

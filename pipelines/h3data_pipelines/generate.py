@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from tqdm import tqdm
 from h3data.bodies import load_humanoid
 from h3data.errors import H3DataError, InputError, did_you_mean
 from h3data.recording import Recording
-from h3data.recording.storage import AnyPath, place
+from h3data.recording.storage import place
 from h3data_pipelines.command import (
     AssetsOption,
     ForceFlag,
@@ -25,15 +24,16 @@ from h3data_pipelines.command import (
     MissingFlag,
     Outcome,
     claim_folder,
+    counted,
     remove_dataset,
     uninterrupted,
 )
 from h3data_pipelines.episode_jobs import ANY_BODY, AnyJob, Changes, file_jobs, seeded_jobs, set_jobs, simulate_jobs
 from h3data_pipelines.failed_episodes import beside, is_failed
+from h3data_pipelines.generated import ReadBack, first_played, measured, require_same_options, whose
 
 if TYPE_CHECKING:
-    from h3data.metrics.table import MetricsTable
-    from h3data.recording import Dataset, DatasetWriter
+    from h3data.recording import DatasetWriter
 
 COMMIT_S = 60.0
 """At most the work of this time is lost when the process is killed."""
@@ -80,7 +80,7 @@ class Generate:
     """Number of different homes of a preset that the episodes go round."""
     policy: str | None = None
     """Robot policy. social_nav: heuristic_expert (default), plain_expert, sampling_expert, future_oracle (knows her walk),
-    random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo (there is no robot).
+    learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo (there is no robot).
     Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
@@ -123,10 +123,10 @@ class Generate:
         with DatasetWriter(out, resume=self.resume) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
-        written = _ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
-        table = _measured(written)
+        written = ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
+        table = measured(written)
         shown = f"\n\n{table.to_text()}" if table else ""
-        text = f"{len(written)} episodes{_whose(jobs[0])}, {written.steps} steps in {out}{shown}"
+        text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}{shown}"
         text += "".join(f"\nfailed {line}" for line in written.failed)
         data: dict[str, Any] = {
             "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
@@ -136,7 +136,7 @@ class Generate:
 
     def _simulate(self, jobs: Sequence[AnyJob], writer: DatasetWriter) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
-        played = _first_played(writer)
+        played = first_played(writer)
         waiting: list[Recording] = []
         committed, failures = time.monotonic(), 0
         bar = tqdm(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode", disable=None)
@@ -161,8 +161,8 @@ class Generate:
         if waiting:
             first = waiting[0].episode
             raise H3DataError(
-                f"None of {len(waiting)} episodes could be played. The first, {first.episode_id} in {first.scene} "
-                f"(seed {first.seed}): {first.info['failed']}"
+                f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
+                f"{first.scene} (seed {first.seed}): {first.info['failed']}"
             )
 
     def jobs(self) -> Sequence[AnyJob]:
@@ -264,87 +264,3 @@ class Generate:
         for name, is_given in given.items():
             if is_given:
                 raise InputError(f"{option} says where the episodes start: leave out --{name}.")
-
-
-class _ReadBack:
-    """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
-
-    def __init__(self, dataset: Dataset, mcap: AnyPath | None) -> None:
-        self.dataset, self.mcap = dataset, mcap
-        self.hashes: list[str] = []
-        self.failed: list[str] = []
-        """Episodes that raised: their number, seed and error."""
-        self.steps = 0
-
-    def __len__(self) -> int:
-        return len(self.dataset)
-
-    def __iter__(self) -> Iterator[Recording]:
-        from h3data.recording import write_mcap
-
-        for index in range(len(self.dataset)):
-            recording = self.dataset.recording(index)
-            if self.mcap is not None:
-                log = self.mcap / f"{recording.episode.episode_id}.mcap"
-                if not log.exists():
-                    write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
-            episode = recording.episode
-            if is_failed(recording):
-                self.failed.append(f"{episode.episode_id} (seed {episode.seed}): {episode.info['failed']}")
-            self.hashes.append(str(recording.columns["state_hash"][-1]) if len(recording) else "")
-            self.steps += len(recording)
-            yield recording
-
-
-def _measured(recordings: _ReadBack) -> MetricsTable | None:
-    """Their metrics: the paper's of its tasks, else those of any two agents; nothing where somebody is alone."""
-    from h3data.metrics import measure_many
-
-    first = recordings.dataset.recording(0)
-    if first.episode.task != "wander":
-        return measure_many(recordings)
-    if len(first.agents) > 1:
-        return measure_many(recordings, "field")
-    for _ in recordings:
-        pass
-    return None
-
-
-def _first_played(writer: DatasetWriter) -> Recording | None:
-    """An episode of a dataset to go on with that did not fail."""
-    from h3data.recording import Dataset
-
-    if not len(writer):
-        return None
-    dataset = Dataset(writer.root)
-    return next((r for r in map(dataset.recording, range(len(dataset))) if not is_failed(r)), None)
-
-
-def _whose(job: AnyJob) -> str:
-    """Which set or file the episodes are from."""
-    origin = job.origin
-    if origin is None:
-        return ""
-    if "file" in origin:
-        return f" of {origin['file']}"
-    label = "/".join(filter(None, (origin["set"], origin["split"])))
-    return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
-
-
-def require_same_options(folder: AnyPath, jobs: Sequence[AnyJob]) -> None:
-    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
-    from h3data.recording import Dataset
-
-    if not folder.is_dir() or not any(folder.iterdir()):
-        return
-    for job, row in zip(jobs, Dataset(folder).episodes.to_pylist(), strict=False):
-        info, wanted = json.loads(row["info"]), {**job.to_json(), "origin": job.origin}
-        was = {**info.get("job", {}), "origin": info.get("origin")}
-        differs = [
-            f"{name} was {was.get(name)}, is {value}" for name, value in wanted.items() if was.get(name) != value
-        ]
-        if differs:
-            raise InputError(
-                f"Cannot resume with other options: episode {job.index} of the dataset was made differently "
-                f"({'; '.join(differs)}). Use the options it was started with, or another -o: {folder}"
-            )

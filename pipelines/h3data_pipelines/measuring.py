@@ -55,6 +55,8 @@ class Metrics:
         words = [str(path) for path in self.recordings]
         if words == ["list"]:
             return _list()
+        if words[:1] in (["explain"], ["list"]) and not self.recordings[0].exists() and len(words) not in (2, 3):
+            raise InputError("Expected `h3data metrics list`, or `h3data metrics explain NAME [RECORDING]`.")
         if words[:1] == ["explain"] and len(words) in (2, 3):
             return _explain(words[1], Path(words[2]) if len(words) == 3 else None, self.profile)
         if not words:

@@ -29,7 +29,9 @@ class Recover:
     def run(self) -> Outcome:
         from h3data.recording import recover_mcap
 
-        saved = recover_mcap(self.recording, claim_file(self.out, force=self.force), overwrite=self.force)
+        saved = recover_mcap(
+            self.recording, claim_file(self.out, force=self.force, suffix=".mcap"), overwrite=self.force
+        )
         text = f"saved {saved.steps} steps in {saved.path}; {saved.bytes_read} of {saved.bytes_total} bytes read: "
         data = {
             "recording": str(saved.path), "steps": saved.steps, "reason": saved.reason,

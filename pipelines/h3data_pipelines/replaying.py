@@ -41,7 +41,7 @@ class ReplayCommand:
     """Keep people's recorded tracks; robots follow --policy, from --resume-from on or from the start."""
     policy: str | None = None
     """Robot policy, as of h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
-    plain_expert, sampling_expert, future_oracle, random or stand_still; rearrange: complement, greedy_nearest, same_object
+    plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement, greedy_nearest, same_object
     or still."""
     partner: str | None = None
     """rearrange: what moves the person, as of h3data generate (default: the recording's own)."""
@@ -53,7 +53,7 @@ class ReplayCommand:
     def run(self) -> Outcome:
         continues = self.resume_from is not None or self.counterfactual
         if self.verify == continues:
-            raise InputError("Choose one: --verify, or --resume-from K and --counterfactual.")
+            raise InputError("Choose what to do: --verify, or --resume-from K or --counterfactual or both.")
         if self.verify:
             if (self.policy, self.partner, self.out) != (None, None, None):
                 raise InputError(
@@ -79,7 +79,8 @@ class ReplayCommand:
             version = recording.episode.schema_version
             rows.append({**row, "equal": found.equal, "difference": difference, "schema_version": version})
         if len(rows) == 1 and rows[0]["equal"] is None:
-            raise InputError(f"{rows[0]['reason']} Recording: {rows[0]['recording']}")
+            name, reason = rows[0]["recording"], rows[0]["reason"]
+            raise InputError(reason if name in reason else f"{reason} Recording: {name}")
         equal = sum(row["equal"] is True for row in rows)
         lines = [_line(row) for row in rows]
         if len(rows) != 1:
@@ -92,7 +93,7 @@ class ReplayCommand:
         from sim_kinematic.resume import counterfactual, resume
 
         if self.out is None or self.out.suffix != ".mcap":
-            raise InputError(f"Expected a .mcap file to write with -o, got: {self.out}")
+            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.")
         if self.counterfactual and self.policy is None:
             raise InputError("--counterfactual needs the other policy: --policy NAME.")
         if self.counterfactual and self.partner is not None:

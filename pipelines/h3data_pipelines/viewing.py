@@ -51,7 +51,7 @@ class View:
         if len(paths) == 2 and _same(*paths):
             raise InputError(f"--compare needs another recording, this is the same one twice: {self.compare}")
         recordings = [open_episode(path) for path in paths]
-        out = claim_file(self.out or self._beside(), force=self.force)
+        out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
         replays = [Replay(recording, assets=self.assets, detail=False) for recording in recordings]
         shown = [self._shown(*each) for each in zip(paths, recordings, replays, strict=True)]
         if len(shown) == 1:
