@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording.arrow_columns import conform, to_numpy
-from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECAR_SINCE, SIDECARS, record_schema
+from h3data.recording.dataset_records import DAMAGE, DatasetRecords
+from h3data.recording.dataset_shard import EPISODE_SCHEMA, SIDECARS
 from h3data.recording.dataset_writer import is_dataset
 from h3data.recording.lerobot_meta import FILES_PER_CHUNK, DatasetSchema, shard_files, shard_path
 from h3data.recording.records import Recording
@@ -27,8 +27,6 @@ from h3data.recording.schema import (
     episode_from_dict,
     layout_from_json,
     required_columns,
-    struct_from_dict,
-    version_numbers,
 )
 from h3data.recording.storage import RemotePath, place, readable
 
@@ -36,10 +34,6 @@ if TYPE_CHECKING:
     import pandas
     import polars
     import torch
-
-_DAMAGE = (
-    pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError, RecursionError
-)  # fmt: skip
 
 
 class Dataset:
@@ -65,7 +59,7 @@ class Dataset:
         self.schema = DatasetSchema.load(self.root)
         self._declared = {c.name: c for c in self.schema.columns}
         self._files: dict[int, pq.ParquetFile] = {}
-        self._sidecars: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
+        self._records = DatasetRecords(self.root, self.schema.version)
 
     @cached_property
     def episodes(self) -> pa.Table:
@@ -80,7 +74,7 @@ class Dataset:
             if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             faults = _chain_faults(table) if tables else []
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
         if len(table) < self._promised:
             faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
@@ -125,7 +119,7 @@ class Dataset:
         for group in self._groups(indices):
             rows = [self._row(index) for index in group]
             shard = self.shard_of(rows[0])
-            found = {kind: self._records(kind, shard, group) for kind in kinds}
+            found = {kind: self._records.of_episodes(kind, shard, group) for kind in kinds}
             names = None
             if columns is not None or records is not None:
                 agents = max(map(len, found.get("agents", [()])))
@@ -136,7 +130,7 @@ class Dataset:
                 yield Recording(
                     episode=episode_from_dict(row, path=self.root),
                     columns=arrays,
-                    attachments=self._attachments(row) if records is None else {},
+                    attachments=self._records.attachments(row) if records is None else {},
                     **{kind: of[k] for kind, of in found.items()},
                 )
 
@@ -146,8 +140,8 @@ class Dataset:
         return Recording(
             episode=episode_from_dict(row, path=self.root),
             columns=columns,
-            attachments=self._attachments(row),
-            **{kind: self._records(kind, self.shard_of(row), one)[0] for kind in SIDECARS},
+            attachments=self._records.attachments(row),
+            **{kind: self._records.of_episodes(kind, self.shard_of(row), one)[0] for kind in SIDECARS},
         )
 
     def iter_columns(
@@ -174,7 +168,7 @@ class Dataset:
 
     def __getstate__(self) -> dict[str, Any]:
         """The same episodes in another process, which opens the files for itself."""
-        return {**self.__dict__, "_files": {}, "_sidecars": {}}
+        return {**self.__dict__, "_files": {}, "_records": DatasetRecords(self.root, self.schema.version)}
 
     # --- as tables ------------------------------------------------------------------------------------------------
     def to_arrow(self, columns: Sequence[str] | None = None, *, episodes: Iterable[int] | None = None) -> pa.Table:
@@ -225,16 +219,13 @@ class Dataset:
             table = file.read_row_groups(row_groups, columns=list(names), use_threads=False).select(names)
             if len(table) != (steps := sum(row["length"] for row in rows)):
                 raise ValueError(f"expected {steps} rows, got {len(table)}")
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damage(group, error) from error
         return table.replace_schema_metadata(None)
 
     def sidecar(self, kind: str, shard: int) -> pa.Table:
         """The records of a kind in one shard; none where a dataset began before there were any of that kind."""
-        path = shard_path(self.root, f"h3/{kind}", shard)
-        if version_numbers(self.schema.version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
-            return record_schema(SIDECARS[kind]).empty_table()
-        return pq.read_table(readable(path), page_checksum_verification=True)
+        return self._records.table(kind, shard)
 
     def _check_info(self) -> int:
         """Episodes that info.json counts; it is written after the episode tables, so there are at least as many."""
@@ -293,7 +284,7 @@ class Dataset:
             whole = {
                 c.name: to_numpy(table[c.name] if c.width else None, c, self._declared[c.name], steps) for c in layout
             }
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damage(group, error) from error
         return [
             {name: array[end - row["length"] : end] for name, array in whole.items()}
@@ -309,7 +300,7 @@ class Dataset:
                 for c in self.layout(index)
                 if c.name in stored or not c.width
             }
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._damage([index], error) from error
 
     def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
@@ -327,36 +318,6 @@ class Dataset:
                 page_checksum_verification=True,
             )  # fmt: skip
         return self._files[shard]
-
-    def _records(self, kind: str, shard: int, group: range) -> list[tuple[Any, ...]]:
-        """Bodies, assets, ... of each episode of one group."""
-        key = (kind, shard)
-        path = shard_path(self.root, f"h3/{kind}", shard)
-        try:
-            if key not in self._sidecars:
-                if len(self._sidecars) >= 2 * len(SIDECARS):
-                    self._sidecars.pop(next(iter(self._sidecars)))
-                table = conform(self.sidecar(kind, shard), record_schema(SIDECARS[kind]))
-                self._sidecars[key] = (table, table["episode_index"].to_numpy())
-            table, owners = self._sidecars[key]
-            bounds = np.searchsorted(owners, [*group, group.stop])
-            plain = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
-            found = [struct_from_dict(SIDECARS[kind], d) for d in plain]
-            return [tuple(found[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
-        except _DAMAGE as error:
-            which = f"episode {group[0]}" if len(group) == 1 else f"episodes {group[0]} to {group[-1]}"
-            raise FormatError(f"The {kind} of {which} cannot be read ({error}): {path}") from error
-
-    def _attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
-        folder = self.root / "h3" / "files"
-        try:
-            return {
-                n: (folder / Path(stored).name).read_bytes() for n, stored in json.loads(row["attachments"]).items()
-            }
-        except (OSError, ValueError, AttributeError, TypeError, RecursionError) as error:
-            raise FormatError(
-                f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
-            ) from error
 
 
 @lru_cache(maxsize=64)
