@@ -11,8 +11,7 @@ import pytest
 from h3data.errors import InputError
 from h3data.interop import AssetLibrary, read_gfx_replay, read_hitl_episode, read_hitl_log
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
-from h3data.replay import Replay, camera_at, camera_track
-from h3data.replay.replay import CameraTrack
+from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.spec import SocialNavSpec, WalkerSpec

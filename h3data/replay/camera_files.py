@@ -28,7 +28,8 @@ from h3data.render import (
 )
 from h3data.render.camera import Convention, Projection
 from h3data.replay.chase import held
-from h3data.replay.replay import CameraTrack, Replay
+from h3data.replay.records import CameraTrack
+from h3data.replay.replay import Replay
 
 _JOINT_STEPS = 512
 

@@ -13,7 +13,8 @@ from h3data.geometry import pose_to_matrix
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
 from h3data.replay.chase import held, third_person, third_person_at
-from h3data.replay.replay import CameraTrack, Replay
+from h3data.replay.records import CameraTrack
+from h3data.replay.replay import Replay
 
 
 def camera_names(replay: Replay) -> list[str]:

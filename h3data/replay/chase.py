@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.geometry import Array, heading_direction, heading_from_quat, normalized
 from h3data.render import Camera, look_at, pinhole
-from h3data.replay.replay import CameraTrack, Replay
+from h3data.replay.records import CameraTrack
+from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
 BOOM_M = 2.6

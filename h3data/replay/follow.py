@@ -7,7 +7,8 @@ import numpy as np
 from h3data.geometry import quat_from_heading, quat_rotate
 from h3data.render import look_at, pinhole
 from h3data.replay.chase import held
-from h3data.replay.replay import CameraTrack, Replay
+from h3data.replay.records import CameraTrack
+from h3data.replay.replay import Replay
 
 EYE_M = (2.2, 0.5, 2.6)
 """Of the camera from what it looks at: ahead of the agent, above, to its right."""

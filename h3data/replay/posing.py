@@ -23,7 +23,8 @@ from h3data.interop.skinned_meshes import SkinnedMesh
 from h3data.recording import Body
 from h3data.render import OPENGL_TO_OPENCV
 from h3data.replay.cameras import camera_names, camera_track
-from h3data.replay.replay import LinkTrack, PersonTrack, Replay, RigTrack
+from h3data.replay.records import LinkTrack, PersonTrack, RigTrack
+from h3data.replay.replay import Replay
 
 _ROOT_OF_PERSON = np.array([0, HUMAN_ROOT_HEIGHT_M, 0, *quat_from_heading(np.pi / 2)])
 """habitat-lab's humanoid root in the agent's root frame: at that height, z forward."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.render import Renderer, look_at, pinhole
-from h3data.replay.replay import BodyTrack
+from h3data.replay.records import BodyTrack
 
 if TYPE_CHECKING:
     from h3data.replay.replay import Replay

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
-from h3data.replay.replay import BodyTrack, LinkTrack, PersonTrack
+from h3data.replay.records import BodyTrack, LinkTrack, PersonTrack
 from h3data.scene import Mesh
 
 if TYPE_CHECKING:
-    from h3data.replay.replay import CameraTrack, Replay
+    from h3data.replay.records import CameraTrack
+    from h3data.replay.replay import Replay
 
 JOINT_STEPS = 64
 """Poses of people are worked out for so many steps at once: for a single one they would cost more than skinning."""
