@@ -18,7 +18,8 @@ from sim_kinematic.network import from_torch, save_network
 
 OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
 ROLLOUT, EPOCHS = 64, 3  # steps in each world, times they are learned from
-GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.002, 1e-3
+HORIZON = 100, 500  # steps that it looks ahead at first and at last: finding her comes before never touching her
+LAMBDA, CLIP, ENTROPY, RATE = 0.95, 0.2, 0.002, 1e-3
 
 
 class Learner(nn.Module):
@@ -71,12 +72,12 @@ def roll_out(env: Any, learner: Learner, dice: torch.Generator, x: Tensor) -> tu
     return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}, x
 
 
-def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor) -> None:
+def add_advantages(seen: dict[str, Tensor], learner: Learner, last: Tensor, gamma: float) -> None:
     """Generalised advantage estimates (Schulman et al. 2016). An episode that was truncated would have gone on."""
     value = learner.value(torch.cat([seen["x"], last[None]]))
-    gain = (1 - GAMMA) * seen["reward"] + GAMMA * value[1:] * ~seen["terminated"] - value[:-1]
+    gain = (1 - gamma) * seen["reward"] + gamma * value[1:] * ~seen["terminated"] - value[:-1]
     for t in reversed(range(len(gain) - 1)):
-        gain[t] += GAMMA * LAMBDA * ~seen["ended"][t] * gain[t + 1]
+        gain[t] += gamma * LAMBDA * ~seen["ended"][t] * gain[t + 1]
     seen |= {"gain": gain, "return": gain + value[:-1]}
 
 
@@ -141,10 +142,12 @@ def train(
     size, first, began, saved = worlds * ROLLOUT, len(curve), 0.0, 0.0
     rounds = max(steps // size, 1)
     for done in range(first + 1, rounds + 1):
-        optimizer.param_groups[0]["lr"] = RATE * (1 - (done - 1) / rounds)
+        share = (done - 1) / rounds
+        optimizer.param_groups[0]["lr"] = RATE * (1 - share)
+        gamma = 1 - 1 / (HORIZON[0] + share * (HORIZON[1] - HORIZON[0]))
         with torch.no_grad():
             seen, x = roll_out(env, learner, dice, x)
-            add_advantages(seen, learner, x)
+            add_advantages(seen, learner, x, gamma)
         learn(seen, learner, optimizer, dice, minibatch)
         total = {name: float(seen[name].sum()) for name in ("begins", "reward", "follows", "terminated", "ended")}
         moves, ends = size - total["begins"], max(total["ended"], 1.0)

@@ -100,8 +100,8 @@ def test_advantages_end_with_their_episodes(example: dict[str, Any]) -> None:
         def value(self, x: Any) -> Any:
             return x[..., 0]
 
-    example["add_advantages"](seen, Values(), last)
-    gamma, decay = example["GAMMA"], example["LAMBDA"]
+    example["add_advantages"](seen, Values(), last, 0.97)
+    gamma, decay = 0.97, example["LAMBDA"]
     value = torch.cat([seen["x"], last[None]])[..., 0]
     for w in range(worlds):
         for t in range(steps):
