@@ -100,8 +100,10 @@ def quat_from_heading(heading_rad: ArrayLike) -> Array:
 
 def heading_from_quat(q: ArrayLike) -> Array:
     """Headings [...] [rad] of the x axes of frames [..., 4]; any roll and pitch is dropped."""
-    forward = quat_rotate(q, np.array([1.0, 0.0, 0.0], _floating(q).dtype))
-    return np.arctan2(-forward[..., 2], forward[..., 0])
+    x, y, z, w = _components(_floating(q))
+    # `quat_rotate` of (1, 0, 0) to the bit, zeros' signs included, without the component that is not needed
+    tx, ty, tz = 2 * (y * 0 - z * 0), 2 * (z - x * 0), 2 * (x * 0 - y)
+    return np.arctan2(-(0 + w * tz + (x * ty - y * tx)), 1 + w * tx + (y * tz - z * ty))
 
 
 def heading_direction(heading_rad: ArrayLike) -> Array:

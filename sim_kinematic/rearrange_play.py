@@ -193,11 +193,10 @@ class RearrangePlay:
             self._write_people()
             self.before, self.places = self.places, np.array([[*a.xz, a.heading] for a in self.actors])
             self.at_goal = self._at_goal()
-            frames = {person.number: person.person.frame() for person in self.people}
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
             if self.log is not None:
-                self.log.add(self._row(frames))
+                self.log.add(self._row({person.number: person.person.frame() for person in self.people}))
                 self._tell(held, success)
             self.steps += 1
             if progress is not None:
