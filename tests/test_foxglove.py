@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,22 @@ def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recordin
     for time_ns in (whole.times[0], recording.columns["time_ns"][20], whole.times[-1]):
         expected, found = whole.frames(int(time_ns)), blocks.frames(int(time_ns))
         assert all(np.allclose(found[name], expected[name], atol=ATOL) for name in expected)
+
+
+def test_an_independent_reader_understands_it(tmp_path: Path, recording: Recording) -> None:
+    chunk = pytest.importorskip("rerun.chunk")
+    view = FoxgloveCamera(camera=pinhole(64, 48, hfov_deg=80, name="still"), poses=np.eye(4)[None])
+    pictures = ((step, [np.full((48, 64, 3), 5 * step, np.uint8)]) for step in range(len(recording)))
+    export(recording, tmp_path / "e.mcap", cameras=[view], pictures=pictures)
+    found: dict[str, set[str]] = {}
+    for part in chunk.McapReader(str(tmp_path / "e.mcap")).stream():
+        names = {name.partition(":")[0] for name in part.to_record_batch().schema.names}
+        found.setdefault(part.entity_path, set()).update(names)
+    assert "Transform3D" in found["/tf"]
+    assert "VideoStream" in found["/cam/still/video"]
+    assert "Pinhole" in found["/cam/still/calibration"]
+    assert "TextLog" in found["/log"]
+    assert "InstancePoses3D" in found["/agents/human/pose"]
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
@@ -369,3 +386,27 @@ def test_parts_at_some_steps_are_those_of_all_steps(replay: Replay) -> None:
         if some.skeleton is not None and every.skeleton is not None:
             found, expected = pose_to_matrix(some.skeleton.poses), pose_to_matrix(every.skeleton.poses[steps])
             np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_long_recordings_are_written_in_blocks(tmp_path: Path, recording: Recording) -> None:
+    """Beyond the recording there are joints of stepping legs, times, and the index of the file."""
+    few, many = 5_000, 25_000
+
+    def peak(steps: int) -> int:
+        """Most bytes that the export of the episode, repeated forwards and backwards, holds at a time."""
+        turns = [slice(None, None, -1 if k % 2 else 1) for k in range(-(-steps // len(recording)))]
+        columns = {n: np.concatenate([c[turn] for turn in turns])[:steps] for n, c in recording.columns.items()}
+        columns["time_ns"] = np.arange(1, steps + 1) * recording.episode.dt_ns
+        long = replace(recording, columns=columns, skills=(), events=())
+        replay = Replay(long, detail=False)
+        tracemalloc.start()
+        try:
+            write_foxglove(long, lambda rows: posed_parts(replay, rows), tmp_path / "long.mcap")
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(10)  # what is loaded at first use
+    growth = (peak(many) - peak(few)) / (many - few)
+    assert growth < 300, growth
