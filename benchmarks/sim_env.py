@@ -50,13 +50,14 @@ def _rearrange(emit: Emit) -> None:
     """Emits ``sim.rearrange_env.*``."""
     endless = RearrangeSpec(max_steps=10**6, end_on_collision=False)
     rng = np.random.default_rng(0)
-    for name, senses in {
-        "state": STATE_SENSES,
-        "depth": PAPER_SENSES,
-        "depth_detector": (*PAPER_SENSES, "humanoid_detector"),
-        "depth_rgb": (*PAPER_SENSES, "arm_rgb"),
-    }.items():
-        env = RearrangeEnv(HOME, level="low", partner="both", observations=senses, spec=endless)
+    for name, senses, size in (
+        ("state", STATE_SENSES, None),
+        ("depth", PAPER_SENSES, None),
+        ("depth_detector", (*PAPER_SENSES, "humanoid_detector"), None),
+        ("depth_rgb_160x120", (*PAPER_SENSES, "arm_rgb"), (160, 120)),
+        ("depth_rgb", (*PAPER_SENSES, "arm_rgb"), None),
+    ):
+        env = RearrangeEnv(HOME, level="low", partner="both", observations=senses, spec=endless, rgb_size=size)
         env.reset(seed=0)
         actions = rng.uniform(-1, 1, (100, 10))
         seconds = median(cpu_s(lambda env=env, actions=actions: [env.step(a) for a in actions]) for _ in range(5))

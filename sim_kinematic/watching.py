@@ -20,11 +20,11 @@ SIDES = 12
 TRIAL = (64, 48)
 """Size of the pictures that tell from which side the agent is seen best."""
 OTHERS = 0.5
-"""What others in the picture count beside the agent itself,"""
+"""What another agent in the picture counts beside the agent itself,"""
 OPEN = 1.0
 """and how much of the picture nothing stands in front of, so near to the camera:"""
-IN_FRONT_M = 2.6
-BETTER = 0.3
+IN_FRONT_M = 3.2
+BETTER = 0.25
 """Another side must be so much better, else the camera stays."""
 
 
@@ -41,9 +41,11 @@ class Watcher:
         trials = [_camera(target, side, TRIAL) for side in range(SIDES)]
         pictures = drawn.picture(trials, ("instance", "depth"))
         seen, depth = (pictures[output].reshape(SIDES, -1) for output in ("instance", "depth"))
-        others = [_share(seen, drawn.instances(k)) for k in range(len(drawn.bodies)) if k != agent]
+        pixels = [np.isin(seen, drawn.instances(k)).sum(1) for k in range(len(drawn.bodies))]
+        most = max(int(pixels[agent].max()), 1)
+        others = sum((np.minimum(p / most, 1.0) for k, p in enumerate(pixels) if k != agent), np.zeros(SIDES))
         is_open = 1 - ((depth > 0) & (depth < IN_FRONT_M)).mean(1)
-        score = _share(seen, drawn.instances(agent)) + OTHERS * sum(others, np.zeros(SIDES)) + OPEN * is_open
+        score = pixels[agent] / most + OTHERS * others + OPEN * is_open
         if self._side < 0 or score[self._side] < score.max() - BETTER:
             self._side = int(score.argmax())
         return drawn.picture([_camera(target, self._side, SIZE)], ("rgb",))["rgb"][0]
@@ -57,9 +59,3 @@ def _camera(target: Array, side: int, size: tuple[int, int]) -> Camera:
     x, z = np.cos(elevation) * heading_direction(2 * np.pi * side / SIDES)
     pose = look_at(target + DISTANCE_M * np.array([x, np.sin(elevation), z]), target)
     return pinhole(*size, hfov_deg=HFOV_DEG, name="watching", pose=pose, hidden_layers=("ceiling",))
-
-
-def _share(seen: NDArray[np.integer], instances: tuple[int, ...]) -> NDArray[np.float64]:
-    """How much pictures [N, P] show of instances, 0..1 of the picture that shows most, [N]."""
-    pixels = np.isin(seen, instances).sum(1)
-    return pixels / max(int(pixels.max()), 1)

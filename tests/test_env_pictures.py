@@ -15,7 +15,7 @@ import h3data
 from h3data.errors import InputError
 from h3data.render import look_at, pinhole
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic import environment_words
+from sim_kinematic import environment_words, watching
 from sim_kinematic.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.env import SocialNavEnv
 from sim_kinematic.observations import STATES, Observer
@@ -284,6 +284,20 @@ def test_the_view_follows_the_agent_and_stays_on_its_side(options: dict[str, Any
     np.testing.assert_array_equal(env.render(), first)
     assert first.shape == (480, 640, 3)
     assert h3data.make("rearrange", scenes=HOME, **options).render() is None
+
+
+def test_the_view_shows_the_agent_wherever_it_is() -> None:
+    env = SocialNavEnv(HOME, render_mode="rgb_array")
+    env.reset(seed=4)
+    free, robot = env.batch.episodes[0].free, env.batch.state.robots[0]
+    for xz in free.sample(np.random.default_rng(0), 12):
+        robot.xz[0] = xz
+        env.render()
+        drawn, side = env._observer.posed(np.array([0])), env._watcher._side
+        cameras = [watching._camera(drawn.middle(0)[0], k, (64, 48)) for k in range(watching.SIDES)]
+        seen = drawn.picture(cameras, ("instance",))["instance"]
+        pixels = np.isin(seen, drawn.instances(0)).sum((1, 2))
+        assert pixels[side] > 0.4 * pixels.max() > 20
 
 
 # --- in words -----------------------------------------------------------------------------------------------------------

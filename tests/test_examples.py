@@ -43,6 +43,12 @@ def test_vector_env(capsys: pytest.CaptureFixture[str]) -> None:
     assert "% of the worlds found her" in capsys.readouterr().out
 
 
+def test_environment_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "p.jpg"), "small:1"])
+    runpy.run_path(str(EXAMPLES / "environment_pictures.py"))
+    assert (tmp_path / "p.jpg").stat().st_size > 20_000
+
+
 def test_rearrange_pair(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "rearrange_pair.py"))
     out = capsys.readouterr().out
