@@ -38,6 +38,7 @@ class Encounters:
         self._bodies = [member.body for member in cast]
         self._contacts = AgentContacts(*(body_shapes(body) for body in self._bodies))
         self._posed: set[int] = set()
+        self._settled: set[int] = set()
 
     def nearest(self, number: int) -> int:
         """The agent nearest to another, -1 if it is alone."""
@@ -60,10 +61,13 @@ class Encounters:
             moved = (not other.is_robot and me.is_robot) or (other.is_robot == me.is_robot and other.number < me.number)
             recent = [*track[-VELOCITY_STEPS:], other.xz.copy()] if moved else track[-VELOCITY_STEPS - 1 :]
             velocity = (recent[-1] - recent[0]) / (STEP_S * max(len(recent) - 1, 1))
-            long = np.stack(track[-AVOIDANCE.still_steps :])
-            settled = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
             steps_aside = me.agreed and other.yields and not len(other.way)
-            seen.append(Seen(other.number, recent[-1], velocity, settled, other.is_robot, other.heading, steps_aside))
+            seen.append(
+                Seen(
+                    other.number, recent[-1], velocity, other.number in self._settled, other.is_robot, other.heading,
+                    steps_aside,
+                )
+            )  # fmt: skip
         me.others = tuple(sorted(seen, key=lambda other: float(np.hypot(*(other.xz - me.xz)))))
 
     def moved(self, number: int) -> None:
@@ -92,6 +96,9 @@ class Encounters:
         """Everybody has acted: note where they are and who touches whom."""
         for track, actor in zip(self.tracks, self.actors, strict=True):
             track.append(actor.xz.copy())
+            long = np.array(track[-AVOIDANCE.still_steps :])
+            stays = len(long) == AVOIDANCE.still_steps and float(np.ptp(long, axis=0).max()) < 0.01
+            (self._settled.add if stays else self._settled.discard)(actor.number)
         near = [
             (a.number, b.number) for a, b in combinations(self.actors, 2) if np.hypot(*(a.xz - b.xz)) <= CONTACT_GATE_M
         ]

@@ -162,6 +162,6 @@ def first_of_way(way: NDArray, length: float) -> NDArray[np.float64]:
     done = np.concatenate([[0.0], np.cumsum(legs)])
     if done[-1] <= length:
         return way
-    k = int(np.searchsorted(done, length)) - 1
+    k = max(int(np.searchsorted(done, length)) - 1, 0)
     share = (length - done[k]) / max(legs[k], 1e-12)
     return np.vstack([way[: k + 1], way[k] + share * (way[k + 1] - way[k])])

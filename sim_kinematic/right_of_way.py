@@ -25,7 +25,7 @@ APART_M = (0.8, 1.1, 1.3)
 """Who has stepped aside is this far from the other's way: two people, a person and a robot, two robots;"""
 CLOSE = 0.8
 """this share of it will do."""
-BESIDE_M = 0.65, 0.75
+BESIDE_M = 0.65, 0.9
 """On the way of a person or a robot are those whose discs (`giving_way.discs_of`) have their middle this near to it."""
 STANDS_IDLE_M, STANDS_GOING_M = 2.5, 1.6
 """So far ahead one asks who has nothing to do, and who is going somewhere."""
@@ -42,8 +42,8 @@ LASTS_STEPS = 150
 """Nobody stands aside for longer, whatever happens."""
 ROOM_M = (0.3, 0.5)
 """Distance to the nearest obstacle where a person or a robot steps aside."""
-FAR_M = 10.0
-"""Nobody goes farther to step aside."""
+LEAST_M, FAR_M = 0.3, 10.0
+"""One steps so far aside at least, and at most."""
 REACHED_M = (0.02, 0.2)
 """A person and a robot are at a point of a way when they are this near."""
 
@@ -194,7 +194,7 @@ class RightOfWay:
         other = self._walkers[asked.by]
         way = first_of_way(self.way(other), KEEPS_OFF_M)
         if not len(way):
-            return walker.number not in other.hindered_by and not len(asked.route)
+            return walker.number not in other.hindered_by and (len(walker.way) > 0 or not len(asked.route))
         mine = walker.xz[None]
         if len(walker.way):
             mine = first_of_way(self._free.path(walker.xz, walker.way[-1], max_snap_m=1.0), RETURN_M)
@@ -213,7 +213,9 @@ class RightOfWay:
         for share, around in ((1.0, others), (CLOSE + 0.05, others), (CLOSE + 0.05, firm)):
             discs = [(*other.xz, 0.75 * _apart(walker, other)) for other in around]
             flood = self._routes.flood(walker.xz, np.array(discs).reshape(-1, 3))
-            fits = (flood.distance <= FAR_M) & (self._routes.room >= ROOM_M[walker.is_robot])
+            fits = (
+                (flood.distance >= LEAST_M) & (flood.distance <= FAR_M) & (self._routes.room >= ROOM_M[walker.is_robot])
+            )
             cells = self._routes.centres[fits]
             good = np.ones(len(cells), np.bool_)
             for other in around:

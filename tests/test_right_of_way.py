@@ -1,0 +1,306 @@
+"""Who gives way to whom: ways round those who stand, stepping aside, stopping before a contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from h3data.bodies import load_humanoid
+from h3data.geometry import ground_pose
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene.freespace_build import build_from_walkable
+from sim_kinematic.floor_routes import FloorRoutes, distance_to_way, first_of_way
+from sim_kinematic.giving_way import BODY_M, NO_WAY, PASSING_M, Seen, discs_of, in_the_way, round_others
+from sim_kinematic.person import Person
+from sim_kinematic.person_skills import PersonActor
+from sim_kinematic.rearrange import minds_of, simulate_rearrange
+from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.rearrange_play import RearrangePlay
+from sim_kinematic.right_of_way import APART_M, CLOSE, HELD_UP_STEPS, RightOfWay
+from sim_kinematic.skills import Action, Ending, Objects
+from sim_kinematic.spec import WalkerSpec
+from sim_kinematic.state import WorldState
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=5))
+
+
+@pytest.fixture(scope="module")
+def free(home: Scene) -> FreeSpace:
+    return FreeSpace.from_scene(home)
+
+
+SIZES: dict[str, Any] = {
+    "floor_y": 0.0, "radius_m": 0.25, "height_m": 1.4, "max_climb_m": 0.2, "cell_m": 0.05,
+}  # fmt: skip
+
+
+def floor_of(*rooms: shapely.Polygon) -> FreeSpace:
+    """The free space of rooms that are one."""
+    return build_from_walkable(shapely.MultiPolygon([shapely.union_all(rooms)]), **SIZES)  # type: ignore[list-item]
+
+
+def corridor(length: float = 8.0, width: float = 1.0) -> FreeSpace:
+    """A straight corridor along x with a pocket 1.4 m deep on its side in the middle."""
+    pocket = shapely.box(length / 2 - 0.7, width, length / 2 + 0.7, width + 1.4)
+    return floor_of(shapely.box(0, 0, length, width), pocket)
+
+
+# --- ways -------------------------------------------------------------------------------------------------------------
+def test_distances_to_ways_are_those_of_shapely() -> None:
+    rng = np.random.default_rng(0)
+    for count in (1, 2, 7):
+        way, points = rng.uniform(-2, 2, (count, 2)), rng.uniform(-3, 3, (5, 4, 2))
+        line = shapely.LineString(way) if count > 1 else shapely.Point(way[0])
+        np.testing.assert_allclose(
+            distance_to_way(points, way), shapely.distance(line, shapely.points(points)), atol=1e-12
+        )
+        length = line.length
+        for share in (0.0, 0.3, 1.0, 2.0):
+            first = first_of_way(way, share * length)
+            assert np.hypot(*np.diff(first, axis=0).T).sum() == pytest.approx(min(share, 1.0) * length)
+            np.testing.assert_allclose(distance_to_way(first, way), 0, atol=1e-9)
+    assert np.isinf(distance_to_way(np.zeros((3, 2)), NO_WAY)).all()
+
+
+def test_ways_are_free_and_hardly_longer_than_the_shortest(free: FreeSpace) -> None:
+    rng, routes = np.random.default_rng(1), FloorRoutes.of(free)
+    starts, ends = free.sample(rng, 40), free.sample(rng, 40)
+    found = 0
+    for a, b in zip(starts, ends, strict=True):
+        way = routes.flood(a, np.zeros((0, 3))).way_to(b)
+        if way is None:
+            continue
+        found += 1
+        shortest, length = float(free.geodesic(a, b)), float(np.hypot(*np.diff(way, axis=0).T).sum())
+        assert shortest - 1e-6 <= length <= 1.1 * shortest + 0.2
+        np.testing.assert_array_equal(way[[0, -1]], [a, b])
+        dots = np.concatenate([np.linspace(p, q, 20) for p, q in pairwise(way)])
+        assert np.hypot(*(free.snap(dots) - dots).T).max() < 5e-3
+    assert found >= 20
+
+
+def test_ways_lead_round_discs_and_out_of_them(free: FreeSpace) -> None:
+    rng, routes = np.random.default_rng(2), FloorRoutes.of(free)
+    discs = np.append(free.sample(rng, 4), [[0.4], [0.5], [0.3], [0.6]], axis=1)
+    for start in free.sample(rng, 25):
+        inside = np.hypot(*(discs[:, :2] - start).T) < discs[:, 2]
+        flood = routes.flood(start, discs)
+        reached = np.isfinite(flood.distance)
+        for x, z, radius in discs[~inside]:
+            assert not reached[np.hypot(*(routes.centres - [x, z]).transpose(2, 0, 1)) < radius].any()
+        goals = free.sample(rng, 3)
+        for goal in goals:
+            way = flood.way_to(goal)
+            if way is not None and not inside.any() and (np.hypot(*(discs[:, :2] - goal).T) > discs[:, 2]).all():
+                assert (distance_to_way(discs[:, :2], way) > discs[:, 2] - 0.08).all()  # corners of cells
+        assert reached.sum() > 10
+
+
+# --- what is in the way -------------------------------------------------------------------------------------------------
+def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> Seen:
+    return Seen(1, np.array(xz, np.float64), np.array(velocity, np.float64), False, is_robot, heading)
+
+
+def test_a_robot_is_as_long_as_it_is() -> None:
+    along, across = (seen([1.0, 0.55], is_robot=True, heading=h) for h in (0.0, np.pi / 2))
+    here, there = np.zeros(2), np.array([3.0, 0.0])
+    assert in_the_way(here, there, [seen([1.0, 0.65])]) is None
+    assert in_the_way(here, there, [seen([1.0, 0.65], velocity=(0, -1))]) is not None
+    assert in_the_way(here, there, [across]) is across
+    assert in_the_way(here, there, [seen([-0.5, 0.0])]) is None
+    assert len(discs_of(along)) == 3
+    np.testing.assert_allclose(discs_of(across)[:, 0], 1.0, atol=1e-9)
+
+
+def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
+    rng = np.random.default_rng(1)
+    found = 0
+    for a, b in zip(free.sample(rng, 40), free.sample(rng, 40), strict=True):
+        path = free.path(a, b)
+        others = [seen((p + q) / 2) for p, q in pairwise(path)][:2]
+        if any(min(np.hypot(*(o.xz - a)), np.hypot(*(o.xz - b))) < 1.0 for o in others):
+            continue
+        way = round_others(free, a, b, others)
+        if way is not None:
+            found += 1
+            whole = np.vstack([a, way])
+            assert all(distance_to_way(o.xz, whole) > 2 * BODY_M + min(PASSING_M) - 0.08 for o in others)
+        moving = [o._replace(velocity=np.ones(2)) for o in others]
+        assert round_others(free, a, b, moving) is not None  # they will be elsewhere
+    assert found >= 2
+
+
+# --- stepping aside -----------------------------------------------------------------------------------------------------
+@dataclass
+class Puppet:
+    """A walker that is where it is put."""
+
+    number: int
+    xz: np.ndarray
+    is_robot: bool = False
+    heading: float = 0.0
+    way: np.ndarray = field(default_factory=lambda: NO_WAY)
+    yields: bool = True
+    aside: np.ndarray | None = None
+    hindered_by: frozenset[int] = frozenset()
+
+
+def puppet(number: int, x: float, z: float, to: tuple[float, float] | None = None) -> Puppet:
+    here = np.array([x, z])
+    return Puppet(number, here, way=NO_WAY if to is None else np.array([here, to]))
+
+
+def test_who_has_nothing_to_do_leaves_the_way_at_once() -> None:
+    free = corridor()
+    comes, idle = puppet(0, 2.0, 0.5, (7.5, 0.5)), puppet(1, 4.0, 0.5)
+    rule = RightOfWay(free, [comes, idle])
+    rule.update()
+    assert comes.aside is None
+    assert idle.aside is not None
+    assert len(idle.aside)
+    assert distance_to_way(idle.aside[-1], comes.way) >= CLOSE * APART_M[0]
+    idle.xz = idle.aside[-1].copy()
+    rule.update()
+    assert idle.aside is None  # it is out of the way
+
+
+def test_who_is_not_on_the_way_stays() -> None:
+    free = corridor()
+    comes, idle, behind = puppet(0, 2.0, 0.5, (3.0, 0.5)), puppet(1, 6.0, 0.5), puppet(2, 1.0, 0.5)
+    rule = RightOfWay(free, [comes, idle, behind])
+    for _ in range(2 * HELD_UP_STEPS):
+        rule.update()
+        assert idle.aside is None
+        assert behind.aside is None
+
+
+@pytest.mark.parametrize(("carrying", "first"), [((), 1), ((0,), 0), ((0, 1), 1)])
+def test_two_who_meet_in_a_corridor_agree_on_one(carrying: tuple[int, ...], first: int) -> None:
+    """Who carries something goes first, then who has the shorter way."""
+    both = puppet(0, 3.2, 0.5, (7.5, 0.5)), puppet(1, 4.2, 0.5, (0.2, 0.5))
+    rule = RightOfWay(corridor(), both)
+    for _ in range(HELD_UP_STEPS - 1):
+        rule.update(carrying)
+        assert all(walker.aside is None for walker in both)  # they may get past each other
+    for _ in range(3):
+        rule.update(carrying)
+    passes, other = both[first], both[1 - first]
+    assert passes.aside is None
+    assert other.aside is not None
+    assert distance_to_way(other.aside[-1], passes.way) >= CLOSE * APART_M[0]
+    other.xz = other.aside[-1].copy()
+    rule.update(carrying)
+    assert other.aside is not None  # it stays there
+    passes.xz, passes.way = passes.way[-1].copy(), NO_WAY
+    rule.update(carrying)
+    assert other.aside is None  # the other has passed: it goes on
+
+
+def test_a_row_backs_out_together() -> None:
+    """The one in the middle can only step aside if the last does."""
+    free = corridor()
+    comes, middle, last = puppet(0, 1.5, 0.5, (7.5, 0.5)), puppet(1, 2.6, 0.5), puppet(2, 3.3, 0.5)
+    rule = RightOfWay(free, [comes, middle, last])
+    rule.update()
+    assert middle.aside is not None
+    assert last.aside is not None
+    ends = [puppet.aside[-1] for puppet in (middle, last)]  # type: ignore[index]
+    assert np.hypot(*(ends[0] - ends[1])) > 0.3 or distance_to_way(ends[0], comes.way) > 0.5
+
+
+def test_in_a_dead_end_the_roles_are_exchanged() -> None:
+    """There is no room to step aside but behind the one who comes."""
+    free = floor_of(shapely.box(0, -1.5, 2, 2.5), shapely.box(2, 0, 6, 1.0))
+    comes, idle = puppet(0, 3.0, 0.5, (5.5, 0.5)), puppet(1, 4.5, 0.5)
+    rule = RightOfWay(free, [comes, idle])
+    rule.update()
+    assert comes.aside is not None
+    assert idle.aside is not None
+    assert comes.aside[-1][0] < 2.5
+    assert idle.aside[-1][0] < 2.5
+    assert np.hypot(*(comes.aside[-1] - idle.aside[-1])) >= CLOSE * APART_M[0]
+
+
+def test_who_is_busy_is_not_asked() -> None:
+    comes, busy = puppet(0, 2.0, 0.5, (7.5, 0.5)), puppet(1, 4.0, 0.5)
+    busy.yields = False
+    rule = RightOfWay(corridor(), [comes, busy])
+    for _ in range(2 * HELD_UP_STEPS):
+        rule.update()
+        assert busy.aside is None
+
+
+# --- stopping -------------------------------------------------------------------------------------------------------------
+def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSpace) -> None:
+    at = free.sample(np.random.default_rng(0), 1)[0]
+    base = ground_pose(at, 0.0, free.floor_y)
+    thing = np.append(base[:3] + np.array([0.45, 0.9, 0.1]), [0, 0, 0, 1.0])
+    state = WorldState.zeros(1, robots=0, people=1, objects=1)
+    state.object_pose[0, 0] = thing
+    person = Person(load_humanoid("female_0"), base, {"cup": thing})
+    actor = PersonActor(person, free, WalkerSpec(), Objects(("cup",), np.zeros((1, 3)), state), 0)
+    before, meetings = person.frame(), iter([False] * 12 + [True] * 200 + [False] * 400)
+    actor.meets = lambda: next(meetings)
+    skill, steps = actor.start(Action("pick", 0)), 0
+    ending = None
+    while ending is None:
+        try:
+            next(skill)
+            steps += 1
+        except StopIteration as end:
+            ending = end.value
+    assert ending == Ending("failed", "blocked")
+    after = person.frame()
+    np.testing.assert_array_equal(after.joints, before.joints)
+    np.testing.assert_array_equal(after.root, before.root)
+    assert not person.held
+    assert steps > 100
+
+
+@pytest.mark.parametrize(
+    ("agents", "seed", "steps"), [("robot,human,male_1", 0, 750), ("human,human,human,robot,robot", 4, 200)]
+)
+def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed: int, steps: int) -> None:
+    spec = RearrangeSpec(max_steps=750)
+    world = RearrangeWorld.create(home, seed=seed, free=free, agents=agents, spec=spec)
+    world = replace(world, spec=replace(spec, max_steps=steps))
+    made = simulate_rearrange(world, policy="complement", partner="both", solo_steps=1)
+    assert not made.columns["metrics.collision"].any()
+    assert made.episode.info["ended"] == ("success" if steps == 750 else "max_steps")
+
+
+def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None:
+    """Somebody who does nothing stands in the narrowest place of the other's way, and somebody else looks on."""
+    world = RearrangeWorld.create(home, seed=3, free=free, agents="human,male_1,female_2")
+    points = [point[[0, 2]] for target in world.targets for point in (target.start, target.goal)]
+    paths = [free.path(world.places[0, :2], point, max_snap_m=2.0) for point in points]
+    path = max(paths, key=lambda way: float(np.hypot(*np.diff(way, axis=0).T).sum()))
+    dots = np.concatenate([np.linspace(p, q, 30) for p, q in pairwise(path)])
+    inner = dots[(np.hypot(*(dots - path[0]).T) > 1.0) & (np.hypot(*(dots - path[-1]).T) > 1.0)]
+    narrow = inner[int(np.argmin(free.signed_distance(inner)))]
+    places = world.places.copy()
+    places[1, :2] = narrow
+    world = replace(world, places=places)
+    minds = minds_of(("human",) * 3, "", "both,still,still", seed=world.seed)
+    play = RearrangePlay(world, [mind.policy for mind in minds])
+    assert play.run() == "success"
+    idle = np.stack(play.encounters.tracks[1])
+    assert np.hypot(*(idle[-1] - narrow)) > 0.3  # she went out of the way
+
+
+@pytest.mark.slow
+def test_mixes_of_three_to_five_neither_touch_nor_block_each_other() -> None:
+    from benchmarks.sim_many import play_all
+
+    runs = list(play_all(4))
+    assert sum(run.ended == "collision" for run in runs) <= 0.03 * len(runs)
+    assert sum(run.ended == "success" for run in runs) >= 0.85 * len(runs)
+    assert sum(run.blocked for run in runs) <= 0.03 * len(runs)
