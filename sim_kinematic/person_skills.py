@@ -22,7 +22,7 @@ from sim_kinematic.spec import WalkerSpec
 from sim_kinematic.stands import nearest_stand, person_stands
 from sim_kinematic.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.step import walk_humans
-from sim_kinematic.waypoint_human import sharp_corners
+from sim_kinematic.waypoint_human import walking_path
 
 TURN_PATIENCE_STEPS = 10
 """So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
@@ -173,7 +173,7 @@ class PersonActor:
 
     def _path(self, goal: NDArray) -> NDArray[np.float64]:
         """Way points [N, 2] to a floor point [2]."""
-        return sharp_corners(self.free, self.free.path(self.xz, goal))[1:]
+        return walking_path(self.free, self.xz, goal, self.spec)[1:]
 
     def _stand(self) -> None:
         """One step of standing, or of stepping aside."""
