@@ -1,14 +1,15 @@
-"""Robot policies for social navigation that need no learning."""
+"""Robot policies for social navigation and, last, one that was learned."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.builtin import builtin_path
 from h3data.errors import InputError, did_you_mean
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
@@ -235,11 +236,25 @@ def random(view: View, spec: BaseSpec) -> Command:
     return Command(float(forward), float(turn), "follow" if view.met else "find")
 
 
+def learned_follower(view: View, spec: BaseSpec) -> Command:
+    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
+    return _follower()(view, spec)
+
+
+@cache
+def _follower() -> Policy:
+    from sim_kinematic.learned import LearnedNavigation
+    from sim_kinematic.network import load_network
+
+    return LearnedNavigation(load_network(builtin_path("policies/learned_follower.npz")))
+
+
 POLICIES: dict[str, Policy] = {
     "heuristic_expert": heuristic_expert,
     "plain_expert": plain_expert,
     "sampling_expert": sampling_expert,
     "future_oracle": future_oracle,
+    "learned_follower": learned_follower,
     "random": random,
     "stand_still": stand_still,
 }

@@ -219,6 +219,15 @@ def test_by_name_it_drives_and_comes_out_again(weights: Path) -> None:
     assert verify(named).equal
 
 
+def test_the_weights_that_come_with_the_package_find_and_follow() -> None:
+    home = h3data.build_home(h3data.HomeSpec(preset="small", seed=7))
+    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=300, spawn_distance_m=3.0))
+    recording = simulate_social_nav(world, policy="learned_follower")
+    assert recording.episode.info["policy"] == "learned_follower"
+    assert any(event.kind == "found" for event in recording.events)
+    assert verify(recording).equal
+
+
 def test_a_name_can_mean_these_very_weights(weights: Path) -> None:
     name = stamped(f"weights:{weights}")
     assert name == f"weights:{weights}@{small_network().digest[:12]}"

@@ -80,8 +80,8 @@ class Generate:
     """Number of different homes of a preset that the episodes go round."""
     policy: str | None = None
     """Robot policy. social_nav: heuristic_expert (default), plain_expert, sampling_expert, future_oracle (knows her walk),
-    learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo (there is no robot).
-    Both: weights:FILE, a learned one (docs/learned-policies.md)."""
+    learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo
+    (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
     plan_pop_2, plan_pop_3 or plan_pop_4."""

@@ -41,8 +41,8 @@ class ReplayCommand:
     """Keep people's recorded tracks; robots follow --policy, from --resume-from on or from the start."""
     policy: str | None = None
     """Robot policy, as of h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
-    plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement, greedy_nearest, same_object
-    or still."""
+    plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement,
+    greedy_nearest, same_object or still."""
     partner: str | None = None
     """rearrange: what moves the person, as of h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
