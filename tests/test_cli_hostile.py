@@ -355,5 +355,6 @@ def test_a_model_without_its_motion_is_refused(model: str, tmp_path: Path, capsy
     write_mcap(Recording(episode=episode, agents=(agent,), columns=columns), tmp_path / "e.mcap")
     for command in ("rerender", "view"):
         assert (
-            "lacks the columns" in run_json(capsys, command, tmp_path / "e.mcap", "-o", tmp_path / "o", code=2)["error"]
+            "lacks the columns"
+            in run_json(capsys, command, tmp_path / "e.mcap", "-o", tmp_path / "o.rrd", code=2)["error"]
         )

@@ -6,8 +6,9 @@ import json
 
 import pytest
 
-from h3data_pipelines.cli import COMMANDS, main
+from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
+from h3data_pipelines.commands import COMMANDS
 from h3data_pipelines.parsing import _unboxed
 
 HELP = [

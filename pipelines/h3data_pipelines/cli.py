@@ -12,56 +12,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from h3data.errors import H3DataError
-from h3data.recording.storage import masked
-from h3data_pipelines.bench import Bench
-from h3data_pipelines.bodies import BODIES
-from h3data_pipelines.command import Command, Group
-from h3data_pipelines.converting import Convert
-from h3data_pipelines.demo import Demo
-from h3data_pipelines.doctor import Doctor
-from h3data_pipelines.evaluating import Evaluate
-from h3data_pipelines.exporting import Export
-from h3data_pipelines.generate import Generate
-from h3data_pipelines.importing import Import
-from h3data_pipelines.informing import Info
-from h3data_pipelines.measuring import Metrics
-from h3data_pipelines.motion import MOTION
-from h3data_pipelines.parsing import parse
-from h3data_pipelines.recovering import Recover
-from h3data_pipelines.replaying import ReplayCommand
-from h3data_pipelines.report import ReportCommand
-from h3data_pipelines.rerender import Rerender
-from h3data_pipelines.robots import ROBOTS
-from h3data_pipelines.scenes import SCENES
-from h3data_pipelines.sql import Sql
-from h3data_pipelines.validating import Validate
-from h3data_pipelines.viewing import View
-
-COMMANDS: dict[str, type[Command] | Group] = {
-    "demo": Demo,
-    "generate": Generate,
-    "evaluate": Evaluate,
-    "import": Import,
-    "export": Export,
-    "rerender": Rerender,
-    "info": Info,
-    "metrics": Metrics,
-    "sql": Sql,
-    "view": View,
-    "report": ReportCommand,
-    "scenes": SCENES,
-    "bodies": BODIES,
-    "motion": MOTION,
-    "robots": ROBOTS,
-    "replay": ReplayCommand,
-    "convert": Convert,
-    "validate": Validate,
-    "recover": Recover,
-    "doctor": Doctor,
-    "bench": Bench,
-}
-
 ABOUT = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again."""
 
 
@@ -78,26 +28,41 @@ def jsonable(value: Any) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
-    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
-    args = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        command = parse(args, COMMANDS, about=ABOUT)
-        outcome = command.run()
-        _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
-        return outcome.exit_code
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt:
         sys.stderr.write("interrupted; finished files are kept\n")
         return 130
     except BrokenPipeError:
         _close_stdout()
         return 0
+
+
+def _run(args: list[str]) -> int:
+    from h3data.errors import H3DataError  # imports take a while: Ctrl-C is none the less one line
+    from h3data.recording.storage import masked
+    from h3data_pipelines.commands import COMMANDS
+    from h3data_pipelines.parsing import parse
+
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
+    try:
+        command = parse(args, COMMANDS, about=ABOUT)
+        outcome = command.run()
+    except BrokenPipeError:
+        raise
     except (H3DataError, OSError, MemoryError) as error:
         message = masked(_message(error))
         sys.stderr.write(f"error: {message}\n")
         if "--json" in args:
             _print(json.dumps({"error": message}))
         return 2
+    try:
+        _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
+    except OSError as error:
+        sys.stderr.write(f"error: {_message(error)}\n")
+        return 2
+    return outcome.exit_code
 
 
 def _message(error: BaseException) -> str:

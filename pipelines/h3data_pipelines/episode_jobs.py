@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -286,7 +287,9 @@ def run_jobs(work: Callable[[J], R], jobs: Sequence[J], *, workers: int) -> Gene
     size = min(workers, len(jobs), os.cpu_count() or 1)
     with ProcessPoolExecutor(size, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
         try:
-            yield from pool.map(work, jobs)
+            with _ctrl_c_held():  # workers inherit that, for as long as they live
+                results = pool.map(work, jobs)
+            yield from results
         except BrokenProcessPool:
             raise H3DataError(
                 "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "
@@ -294,9 +297,18 @@ def run_jobs(work: Callable[[J], R], jobs: Sequence[J], *, workers: int) -> Gene
             ) from None
 
 
+@contextmanager
+def _ctrl_c_held() -> Iterator[None]:
+    """It takes effect at the end of the block; processes that are started in it never see any."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Do not outlive the parent."""
     parent = parent_process()
     assert parent is not None
     threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
