@@ -41,4 +41,4 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "1 episodes of h3-homes/test" in done.stdout
+    assert "1 episode of h3-homes/test" in done.stdout
