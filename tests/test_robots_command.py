@@ -66,7 +66,7 @@ def test_reach_tells_joints_and_whether_it_gets_there(capsys: pytest.CaptureFixt
         (["show", "-o", "robots.png", "--views", "0"], "--views 1 to 24"),
         (["show", "-o", "robots.png", "--width", "9999999"], "--width 200 to 8000"),
         (["show", "no/such.urdf"], "found none there"),
-        (["reach", "quad_arm", "nan", "0", "0"], "finite targets"),
+        (["reach", "quad_arm", "nan", "0", "0"], "expected a number, got 'nan'"),
         (["reach", "quad_arm", "0", "0", "0", "--link", "tail"], "no link 'tail'"),
     ],
 )

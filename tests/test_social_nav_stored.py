@@ -179,7 +179,7 @@ def test_generate_plays_a_set_and_says_so(tmp_path: Path, capsys: pytest.Capture
     others = run_json(capsys, *options, tmp_path / "others", "--seed", "9")
     assert not set(others["state_hashes"]) & set(whole["state_hashes"])
     assert main([*map(str, options), str(tmp_path / "text"), "--seed", "9", "--episodes", "1"]) == 0
-    assert "1 episodes in the scenes of two/eval, drawn with seed 9" in capsys.readouterr().out
+    assert "1 episode in the scenes of two/eval, drawn with seed 9" in capsys.readouterr().out
     one = run_json(capsys, "generate", "social_nav", "--scenes", f"{file}#b", "--max-steps", "40", "-o", tmp_path / "b")
     assert one["state_hashes"] == whole["state_hashes"][1::2]
     file.write_text(SET_TEXT.replace("4.0", "3.0"))
