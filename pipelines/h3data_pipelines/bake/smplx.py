@@ -40,7 +40,7 @@ def read_smplx(path: Path, betas: Sequence[float] = ()) -> Rig:
     except FileNotFoundError:
         raise InputError(f"Expected an SMPL-X model file (.npz), found none there: {path}") from None
     except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise FormatError(f"Expected an SMPL-X model file (.npz), this is none or it is damaged: {path}") from error
+        raise FormatError(f"Expected an SMPL-X model file (.npz), could not read this one: {path}") from error
     if missing:
         raise FormatError(f"Expected an SMPL-X model file, this one lacks {', '.join(missing)}: {path}")
     parents = data["kintree_table"][0].astype(np.int64)
