@@ -18,7 +18,6 @@ from sim_kinematic.network import from_torch, save_network
 
 OBSERVATIONS = ("humanoid_gps", "humanoid_velocity", "egomotion", "way", "range_scan")
 ROLLOUT, EPOCHS = 64, 3  # steps in each world, times they are learned from
-HORIZON = 100, 500  # steps that it looks ahead at first and at last: finding her comes before never touching her
 LAMBDA, CLIP, ENTROPY, RATE = 0.95, 0.2, 0.002, 1e-3
 
 
@@ -103,7 +102,8 @@ def learn(
 def train(
     out: Path = Path("follower.npz"), *, scenes: str = "h3-homes/train", episodes: int = 1024, device: str = "cpu",
     compile: bool = False, worlds: int = 1024, minibatch: int = 2048, steps: int = 40_000_000, seed: int = 0,
-    observations: tuple[str, ...] = OBSERVATIONS, checkpoint_s: float = 10.0, resume: bool = False,
+    horizon: tuple[int, int] = (100, 500), observations: tuple[str, ...] = OBSERVATIONS, checkpoint_s: float = 10.0,
+    resume: bool = False,
 ) -> list[dict[str, float]]:  # fmt: skip
     """Learn, and write a file of weights; returns the learning curve.
 
@@ -117,6 +117,7 @@ def train(
         minibatch: So many samples are learned from at once; more worlds want more of them.
         steps: Of all worlds together.
         seed: Everything random follows from it.
+        horizon: Steps that it looks ahead at first and at last: finding her comes before never touching her.
         observations: What the robot is shown (docs/environments.md).
         checkpoint_s: Seconds between two of them.
         resume: Go on from the checkpoint, to the weights that would have come out uninterrupted.
@@ -144,7 +145,7 @@ def train(
     for done in range(first + 1, rounds + 1):
         share = (done - 1) / rounds
         optimizer.param_groups[0]["lr"] = RATE * (1 - share)
-        gamma = 1 - 1 / (HORIZON[0] + share * (HORIZON[1] - HORIZON[0]))
+        gamma = 1 - 1 / (horizon[0] + share * (horizon[1] - horizon[0]))
         with torch.no_grad():
             seen, x = roll_out(env, learner, dice, x)
             add_advantages(seen, learner, x, gamma)
