@@ -19,6 +19,7 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from sim_kinematic.arm_way import arm_way
 from sim_kinematic.cast import HUMAN_BODY, ROBOT_BODY, Member, cast_of, draw_places, kinds_of
 from sim_kinematic.contact import clear_of_furniture
 from sim_kinematic.randomness import generator
@@ -299,7 +300,9 @@ class _Draw:
                 np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
             ):
                 continue
-            if not len(robot_stands(self.free, self.robot, self.spec.robot, point)):
+            way = arm_way(self.scene, self.robot, self.free.floor_y)
+            stands = robot_stands(self.free, self.robot, self.spec.robot, point)
+            if not any(way.is_clear(stand, point) for stand in stands):
                 continue
             if self._person_stand(point)[0] is None:
                 continue

@@ -18,6 +18,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.recording import Event, SkillSpan
+from sim_kinematic.arm_way import arm_way
 from sim_kinematic.cast import kinds_of
 from sim_kinematic.encounters import AnyActor, Encounters
 from sim_kinematic.giving_way import NO_WAY
@@ -159,7 +160,8 @@ class RearrangePlay:
     def _actor(self, number: int) -> RobotActor | PersonActor:
         world, spec, body = self.world, self.world.spec, self.world.cast[number].body
         if isinstance(body, Robot):
-            return RobotActor(body, world.free, spec.robot, self.objects, spec.grip_m, spec.arm_rad_s, number)
+            way = arm_way(world.scene, body, world.free.floor_y)
+            return RobotActor(body, world.free, spec.robot, self.objects, spec.grip_m, spec.arm_rad_s, number, way)
         x, z, heading = world.places[number]
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from h3data.bodies import Robot, solve_ik
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.arm_way import ArmWay, reach_line
 from sim_kinematic.avoidance import is_crowded, keep_clear
 from sim_kinematic.giving_way import NO_WAY, Seen, avoided, room_to_pass, round_others
 from sim_kinematic.manipulation import arm_columns, grip_objects, move_arms, robot_hands
@@ -32,8 +34,6 @@ VIA_M = 0.25
 PASSING_M = (0.4, 0.1)
 """Room that it leaves beside them, the less where there is no more."""
 ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
-APPROACH_M = 0.1
-"""The robot's hand comes to an object from so far above it and lifts it as high."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
@@ -64,6 +64,8 @@ class RobotActor:
     arm_rad_s: float
     number: int = ROBOT
     """Of the agent."""
+    room: ArmWay | None = None
+    """Looks where its arm would be; None: nobody does."""
     avoids: bool = True
     """Whether its base keeps clear of the others (`keep_clear`), whatever the skill."""
     others: tuple[Seen, ...] = ()
@@ -128,9 +130,13 @@ class RobotActor:
     # --- skills -------------------------------------------------------------------------------------------------------
     def infeasible(self, action: Action) -> str:
         why = self.objects.why_not(self.number, action)
-        if not why and action.skill in ("pick", "place") and self._posture(self._hand_target(action)) is None:
+        if why or action.skill not in ("pick", "place"):
+            return why
+        if self._posture(self._hand_target(action)) is None:
             return "out_of_reach"
-        return why
+        point = self.objects.poses[action.target, :3] if action.skill == "pick" else self.objects.goals[action.target]
+        opens = self.room is None or self.room.is_open(np.append(self.xz, self.heading), point)
+        return "" if opens else "no_room"
 
     def start(self, action: Action) -> Skill:
         k = action.target
@@ -197,9 +203,10 @@ class RobotActor:
     def _navigate(self, point: NDArray) -> Skill:
         """Drive to where the hand reaches a world point [3], and turn to it."""
         stands = robot_stands(self.free, self.robot, self.base, point)
-        k, left = nearest_stand(self.free, stands, self.xz, self._crowded(stands))
+        k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
-            return Ending("failed", "no_way")
+            gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
+            return Ending("failed", "no_room" if gets_there else "no_way")
         goal, best, since, detours = stands[k, :2], np.inf, 0, 0
         via = NO_WAY  # round those who stand in the way
         while since <= STUCK_STEPS:
@@ -227,6 +234,19 @@ class RobotActor:
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
+
+    def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
+        """The nearest stand, as `nearest_stand`, from which its arm touches nothing on the way to a world point [3]; else one
+        where at least nothing is in between."""
+        crowded, asks = self._crowded(stands), (None,)
+        if self.room is not None:
+            asks = (partial(self.room.is_clear, point=point), partial(self.room.is_open, point=point))
+        found = -1, np.inf
+        for asked in asks:
+            found = nearest_stand(self.free, stands, self.xz, crowded, asked)
+            if found[0] >= 0:
+                break
+        return found
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
         """At which stands it would be too near to somebody, [N]: 1 within its margin, 2 where they would touch."""
@@ -297,17 +317,9 @@ class RobotActor:
 
     def _reach_line(self, hand: Array) -> tuple[Array, Array]:
         """Postures over the target and at it."""
-        at = self._posture(hand)
-        assert at is not None, "checked before it starts"
-        over = solve_ik(
-            self.robot,
-            self.hand,
-            hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0]),
-            at,
-            offset=self.robot.hand_position,
-            restarts=0,
-        )
-        return over.joint_pos, at
+        line = reach_line(self.robot, hand)
+        assert line is not None, "checked before it starts"
+        return line
 
     def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
         self.arm_goal, self.yields = posture, False
