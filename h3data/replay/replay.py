@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.bodies.turning import TurningFeet, turned, turning_feet
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.interop import AssetLibrary
@@ -220,7 +221,20 @@ class Replay:
             columns[prefix + "motion_blend"][steps],
             arms=columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None,
         )
+        if self.stepping:
+            feet = self._feet_of(agent)
+            quats, pelvis = turned(body, quats, pelvis, feet.yaw[steps], feet.lift[steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
+
+    def _feet_of(self, agent: int) -> TurningFeet:
+        if agent not in self._feet:
+            names = ("base_pose", "motion_phase", "motion_blend")
+            self._feet[agent] = turning_feet(*(self.recording.agent_column(agent, name) for name in names))
+        return self._feet[agent]
+
+    @cached_property
+    def _feet(self) -> dict[int, TurningFeet]:
+        return {}
 
     def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
         """World vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was not in the world."""

@@ -44,9 +44,9 @@ APART_M = 0.15
 """Roots of two agents nearer than this are inside each other [m]."""
 SINK_M = 0.05
 """A sole lower than this under its root's floor is in the floor [m]."""
-LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.1, 0.10
+LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.15, 0.10
 """A foot within LOW_M of the floor can carry. Feet slide where none that can carry is slower than SLIDE_MPS, for SLIDE_S or
-longer: shorter is a foot that lands. Told of from this share of the steps on."""
+longer: shorter is a foot that lands, or both in the flight of a jog. Told of from this share of the steps on."""
 _FEET_CHUNK = 512
 
 _AGENT = re.compile(r"agent_(\d+)\.(\w+)$")
