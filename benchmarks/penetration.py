@@ -4,6 +4,8 @@
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
 ``walking`` is any part while the hands reach for nothing. `sim_kinematic.penetration` says what depth is.
+``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
+goes through a wall.
 
     python -m benchmarks penetration
 """
@@ -15,10 +17,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies import Robot
 from h3data.errors import SceneError
 from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
+from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.arm_contact import arm_links
+from sim_kinematic.arm_way import APPROACH_M, LINE_RADIUS_M
+from sim_kinematic.collision import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.penetration import penetrations
 from sim_kinematic.rearrange import simulate_rearrange
 from sim_kinematic.rearrange_episode import RearrangeWorld
@@ -31,13 +38,17 @@ DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
 BODIES = ("female_0", "male_1", "female_2", "male_2")
 WANDERERS = "robot,human,male_1"
 WANDER_STEPS = 600
+WALLS = "walls"
+"""Name of the instance in our homes."""
 
 
 def run(emit: Emit) -> None:
     """Emits ``penetration.<task>.<kind>.<part>.*``."""
     for task, episodes in (("social_nav", _social_nav), ("rearrange", _rearrange), ("wander", _wander)):
         found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+        crossed: list[bool] = []
         for recording in episodes():
+            crossed += _through_walls(recording)
             for kind, part, depth in _depths(recording):
                 found.setdefault((kind, part), []).append(depth)
         for (kind, part), parts in found.items():
@@ -49,6 +60,30 @@ def run(emit: Emit) -> None:
                 emit(f"{name}.over_{label}", 100 * float((depth > limit).mean()), "% of steps")
             emit(f"{name}.worst", 1000 * float(depth.max()), "mm")
             emit(f"{name}.steps", len(depth), "steps")
+        if crossed:
+            name = f"penetration.{task}.robot.handling"
+            emit(f"{name}.through_walls", 100 * float(np.mean(crossed)), "% of picks and places")
+            emit(f"{name}.count", len(crossed), "picks and places")
+
+
+def _through_walls(recording: Recording) -> list[bool]:
+    """Whether a wall is in the straight line, for each pick and place of a robot."""
+    replay = Replay(recording)
+    events = [e for e in recording.events if e.kind in ("pick", "place") and recording.agents[e.agent].kind == "robot"]
+    if not events or replay.scene is None:
+        return []
+    home, found = FclScene(replay.scene), []
+    moving = {body.name: body.moving for body in recording.bodies}
+    for event in events:
+        body = replay.model(event.agent)
+        assert isinstance(body, Robot)
+        start = replay.link_matrices(event.agent)[event.step, arm_links(body)[0], :3, 3].astype(np.float64)[None]
+        there = recording.columns["object_pose"][event.step, moving[event.target], :3].astype(np.float64)
+        end = there[None] + np.array([0.0, APPROACH_M, 0.0])
+        line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
+        line.set_transforms(capsule_transforms(start, end))
+        found.append(any(home.names[contact.index_a] == WALLS for contact in contacts(home, line)))
+    return found
 
 
 def _depths(recording: Recording) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
