@@ -100,13 +100,8 @@ class StateRenderer:
         """Those of the agents."""
         return tuple(drawn.body for drawn in self._agents)
 
-    @property
-    def human_instances(self) -> tuple[int, ...]:
-        """Ids of people in ``instance`` pictures, for `detect_humanoids`."""
-        return tuple(k for drawn in self._agents if isinstance(drawn.body, Humanoid) for k in drawn.instances)
-
     def instances(self, agent: int) -> tuple[int, ...]:
-        """Ids of an agent in ``instance`` pictures."""
+        """Ids of an agent in ``instance`` pictures, of a person for `detect_humanoids` too."""
         return tuple(self._agents[agent].instances)
 
     def _mesh(self, mesh: Mesh) -> int:

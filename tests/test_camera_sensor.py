@@ -80,7 +80,7 @@ def test_the_detector_sees_who_stands_ahead(home: Scene, bodies: tuple[Robot, Hu
     assert seen["depth"].shape == (3, 171, 224)
     said = detect_humanoids(seen["semantic"])
     assert said.found.tolist() == [1.0, 1.0, 0.0]
-    np.testing.assert_array_equal(said.mask, detect_humanoids(seen["instance"], drawn.human_instances).mask)
+    np.testing.assert_array_equal(said.mask, detect_humanoids(seen["instance"], drawn.instances(1)).mask)
     depth = np.where(said.mask[0] > 0, seen["depth"][0], np.inf).min()
     assert 0.4 < depth < 1.6
 

@@ -383,7 +383,7 @@ def test_robomimic_demonstrations(recording: Recording, tmp_path: Path) -> None:
 
 # --- the command ------------------------------------------------------------------------------------------------------
 TARGETS = {
-    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "foxglove": "e.mcap", "csv": "tables", "lerobot": "lerobot",
+    "gfx-replay": "e.gfx_replay.json", "gltf": "e.glb", "foxglove": "e.foxglove.mcap", "csv": "tables", "lerobot": "lerobot",
     "robomimic": "d.hdf5",
 }  # fmt: skip
 NEEDS = {"robomimic": "h5py", "foxglove": "mcap_protobuf"}
@@ -434,6 +434,17 @@ def test_recordings_without_agents_and_places_that_cannot_be_written(
     assert answer["error"]
 
 
+def test_a_folder_of_recordings_may_hold_files_for_foxglove(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mcap_protobuf", reason='needs the extra: pip install "h3data[foxglove]"')
+    log = tmp_path / "e.mcap"
+    write_mcap(recording, log)
+    run_json(capsys, "export", log, "--to", "foxglove", "-o", tmp_path / "e.foxglove.mcap")
+    assert run_json(capsys, "metrics", tmp_path)["metrics"]
+    assert [found["path"] for found in run_json(capsys, "info", tmp_path)["found"]] == [str(log)]
+
+
 def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, words in (
         (["--to", "gltf", "-o", tmp_path / "a.gltf"], ".glb"),
@@ -443,8 +454,8 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
         (["--to", "csv", "-o", tmp_path / "t", "--light"], "--light"),
         (["--to", "lerobot", "-o", tmp_path / "t", "--assets", tmp_path], "--assets"),
         (["--to", "gltf", "-o", tmp_path / "a.glb", "--camera", "orbit"], "--camera"),
-        (["--to", "foxglove", "-o", tmp_path / "a.bag"], ".mcap"),
-        (["--to", "foxglove", "-o", tmp_path / "a.mcap", "--camera", "nowhere"], "nowhere"),
+        (["--to", "foxglove", "-o", tmp_path / "a.mcap"], ".foxglove.mcap"),
+        (["--to", "foxglove", "-o", tmp_path / "a.foxglove.mcap", "--camera", "nowhere"], "nowhere"),
         (["--to", "lerobot", "-o", tmp_path / "l", "--agent", "nobody"], "nobody"),
     ):
         assert words in run_json(capsys, "export", log, *more, code=2)["error"]

@@ -88,7 +88,7 @@ def file(recording: Recording, replay: Replay, tmp_path_factory: pytest.TempPath
     frames = replay.frames(small, range(len(recording)))
     return export(
         recording,
-        tmp_path_factory.mktemp("foxglove") / "e.mcap",
+        tmp_path_factory.mktemp("foxglove") / "e.foxglove.mcap",
         cameras=[FoxgloveCamera(camera=t.camera, poses=t.poses) for t in small],
         pictures=((step, [image["rgb"] for image in images]) for step, images in frames),
     )
@@ -150,11 +150,11 @@ def test_messages_come_in_the_order_of_their_times(recording: Recording, file: F
 
 
 def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recording: Recording) -> None:
-    whole = export(recording, tmp_path / "a.mcap")
-    export(recording, tmp_path / "b.mcap")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    whole = export(recording, tmp_path / "a.foxglove.mcap")
+    export(recording, tmp_path / "b.foxglove.mcap")
+    assert (tmp_path / "a.foxglove.mcap").read_bytes() == (tmp_path / "b.foxglove.mcap").read_bytes()
     monkeypatch.setattr(foxglove_write, "BLOCK_STEPS", 7)
-    blocks = export(recording, tmp_path / "c.mcap")
+    blocks = export(recording, tmp_path / "c.foxglove.mcap")
     assert blocks.times == whole.times
     for time_ns in (whole.times[0], recording.columns["time_ns"][20], whole.times[-1]):
         expected, found = whole.frames(int(time_ns)), blocks.frames(int(time_ns))
@@ -165,9 +165,9 @@ def test_an_independent_reader_understands_it(tmp_path: Path, recording: Recordi
     chunk = pytest.importorskip("rerun.chunk")
     view = FoxgloveCamera(camera=pinhole(64, 48, hfov_deg=80, name="still"), poses=np.eye(4)[None])
     pictures = ((step, [np.full((48, 64, 3), 5 * step, np.uint8)]) for step in range(len(recording)))
-    export(recording, tmp_path / "e.mcap", cameras=[view], pictures=pictures)
+    export(recording, tmp_path / "e.foxglove.mcap", cameras=[view], pictures=pictures)
     found: dict[str, set[str]] = {}
-    for part in chunk.McapReader(str(tmp_path / "e.mcap")).stream():
+    for part in chunk.McapReader(str(tmp_path / "e.foxglove.mcap")).stream():
         names = {name.partition(":")[0] for name in part.to_record_batch().schema.names}
         found.setdefault(part.entity_path, set()).update(names)
     assert "Transform3D" in found["/tf"]
@@ -243,7 +243,7 @@ def test_models_are_where_the_replay_draws_them(recording: Recording, replay: Re
 
 def test_what_is_away_is_not_shown(tmp_path: Path) -> None:
     recording = boxes()
-    file = export(recording, tmp_path / "b.mcap")
+    file = export(recording, tmp_path / "b.foxglove.mcap")
     for step, time_ns in enumerate((recording.columns["time_ns"] + 7_000).tolist()):
         found = {name.partition("#")[0]: vertices(place, glb) for name, place, glb in file.models(time_ns)}
         there = ["stands", "turns"] + ["leaves"] * bool(np.isfinite(recording.columns["object_pose"][step, 1, 0]))
@@ -261,7 +261,9 @@ def test_what_is_away_is_not_shown(tmp_path: Path) -> None:
 def test_agents_who_are_away_take_their_parts_with_them(tmp_path: Path, recording: Recording) -> None:
     pose = recording.agent_column(1, "base_pose").copy()
     pose[:5] = pose[20:] = np.nan
-    file = export(replace(recording, columns={**recording.columns, "agent_1.base_pose": pose}), tmp_path / "a.mcap")
+    file = export(
+        replace(recording, columns={**recording.columns, "agent_1.base_pose": pose}), tmp_path / "a.foxglove.mcap"
+    )
     for step in (0, 4, 5, 19, 20, STEPS - 1):
         names = [entity.id for entity in file.entities(int(recording.columns["time_ns"][step]))]
         assert any(name.startswith("human") for name in names) == (5 <= step < 20)
@@ -272,8 +274,8 @@ def test_agents_who_are_away_take_their_parts_with_them(tmp_path: Path, recordin
 def test_recorded_rigs_are_cut_into_pieces(real: Path, tmp_path: Path) -> None:
     recording = read_gfx_replay(real / "habitat-sim/reference/replays/room_skinned/replay.gfx_replay.json")
     replay = Replay(recording, assets=[real / "habitat-sim"])
-    write_foxglove(recording, lambda steps: posed_parts(replay, steps), tmp_path / "rig.mcap")
-    file = File(tmp_path / "rig.mcap")
+    write_foxglove(recording, lambda steps: posed_parts(replay, steps), tmp_path / "rig.foxglove.mcap")
+    file = File(tmp_path / "rig.foxglove.mcap")
     rigs = [i for i, d in enumerate(replay.drawables) if d.deformable]
     start = int(recording.columns["time_ns"][0])
     for index in rigs:
@@ -316,7 +318,7 @@ def test_numbers_of_each_step(recording: Recording, file: File) -> None:
 
 
 def test_the_log_tells_events_skills_and_input_at_their_times(tmp_path: Path) -> None:
-    told = export(boxes(), tmp_path / "b.mcap").messages["/log"]
+    told = export(boxes(), tmp_path / "b.foxglove.mcap").messages["/log"]
     row = 33_333_333
     assert [(t - 7_000, m.name, m.message, m.level) for t, m in told] == [
         (-3_000, "input/user_0", 'key_down "w"', 2),
@@ -358,7 +360,7 @@ def test_a_missing_extra_names_the_command(tmp_path: Path, monkeypatch) -> None:
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, name, None)
             with pytest.raises(MissingExtraError, match=r'pip install "h3data\[foxglove\]"'):
-                write_foxglove(boxes(), lambda steps: [], tmp_path / "a.mcap")
+                write_foxglove(boxes(), lambda steps: [], tmp_path / "a.foxglove.mcap")
     assert not list(tmp_path.iterdir())
 
 
@@ -367,14 +369,16 @@ def test_wrong_arguments_are_refused_and_leave_nothing(tmp_path: Path) -> None:
     empty = replace(recording, columns={n: c[:0] for n, c in recording.columns.items()})
     view = FoxgloveCamera(camera=pinhole(8, 6, hfov_deg=90, name="c"), poses=np.eye(4)[None])
     image = np.zeros((6, 8, 3), np.uint8)
-    with pytest.raises(InputError, match=r"\.mcap"):
-        export(recording, tmp_path / "a.bag")
+    with pytest.raises(InputError, match=r"\.foxglove\.mcap"):
+        export(recording, tmp_path / "a.mcap")  # may be the recording's own
+    with pytest.raises(InputError, match="once, got: c, c"):
+        export(recording, tmp_path / "a.foxglove.mcap", cameras=[view, view])
     with pytest.raises(InputError, match="without steps"):
-        export(empty, tmp_path / "a.mcap")
+        export(empty, tmp_path / "a.foxglove.mcap")
     with pytest.raises(InputError, match="order of their steps"):
-        export(recording, tmp_path / "a.mcap", cameras=[view], pictures=[(3, [image]), (2, [image])])
+        export(recording, tmp_path / "a.foxglove.mcap", cameras=[view], pictures=[(3, [image]), (2, [image])])
     with pytest.raises(InputError, match="uint8"):
-        export(recording, tmp_path / "a.mcap", cameras=[view], pictures=[(3, [image[:, :5]])])
+        export(recording, tmp_path / "a.foxglove.mcap", cameras=[view], pictures=[(3, [image[:, :5]])])
     assert not list(tmp_path.iterdir())
 
 
@@ -402,7 +406,7 @@ def test_long_recordings_are_written_in_blocks(tmp_path: Path, recording: Record
         replay = Replay(long, detail=False)
         tracemalloc.start()
         try:
-            write_foxglove(long, lambda rows: posed_parts(replay, rows), tmp_path / "long.mcap")
+            write_foxglove(long, lambda rows: posed_parts(replay, rows), tmp_path / "long.foxglove.mcap")
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

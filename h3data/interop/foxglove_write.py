@@ -19,6 +19,7 @@ from h3data.geometry import Array, pose_from_matrix
 from h3data.interop.posed_parts import PosedPart
 from h3data.recording.log_lines import log_lines
 from h3data.recording.mcap_header import episode_metadata, start_time
+from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column
 from h3data.render.camera import Camera
@@ -62,7 +63,7 @@ def write_foxglove(
     cameras: Sequence[FoxgloveCamera] = (),
     pictures: Pictures = (),
 ) -> FoxgloveFile:
-    """Write an ``.mcap`` file whose messages are protobuf with their descriptors, at the times of the recorded log.
+    """Write a ``.foxglove.mcap`` file whose messages are protobuf with their descriptors, at the times of the recorded log.
 
     - ``/tf``: FrameTransforms. The root ``map`` has +Z up; ``world`` in it is the recording's, +Y up; in that every moving
       body, the root of every agent, and in these the links of robots and the joints of people. A message holds what has
@@ -74,12 +75,15 @@ def write_foxglove(
     - ``/cam/<name>/calibration``: CameraCalibration of perspective cameras; ``/cam/<name>/video``: CompressedVideo (H.264).
 
     Raises:
-        InputError: the name does not end in .mcap, or there is no step.
+        InputError: the name ends in something else, there is no step, or two cameras have one name.
         MissingExtraError: the extra ``foxglove`` is not installed.
     """
     path = Path(path)
-    if path.suffix != ".mcap":
-        raise InputError(f"Expected a file that ends in .mcap, got: {path}")
+    if not path.name.endswith(FOXGLOVE_SUFFIX):
+        raise InputError(f"Expected a file name that ends in {FOXGLOVE_SUFFIX}, as no recording's does, got: {path}")
+    names = [view.camera.name for view in cameras]
+    if len(set(names)) < len(names):
+        raise InputError(f"Each camera is shown once, got: {', '.join(names)}.")
     if not len(recording):
         raise InputError("A recording without steps has nothing to show.")
     writer_class = _import_writer()

@@ -17,6 +17,7 @@ from h3data.metrics.metric import EpisodeMetrics, stored_columns
 from h3data.metrics.registry import PROFILES, find_profile, measure
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
+from h3data.recording.opening import logs_in
 from h3data.recording.storage import AnyPath, RemotePath, place
 
 _CHUNK = 16
@@ -46,7 +47,7 @@ def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterat
     for path in map(place, paths):
         if not path.is_dir() or (path / "meta").is_dir() or (path / "h3").is_dir():
             yield path
-        elif logs := sorted(path.glob("*.mcap")):
+        elif logs := logs_in(path):
             yield from logs
         else:
             raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")

@@ -29,6 +29,16 @@ _MAGIC = {
 _HEAD = 1 << 16
 
 
+FOXGLOVE_SUFFIX = ".foxglove.mcap"
+"""Files of other programs' messages end so (`h3data.interop.foxglove_write`): they lie beside recordings and are none."""
+
+
+def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
+    """Logs in a folder, or anywhere below it, sorted; files for Foxglove are left out."""
+    found = folder.rglob("*.mcap") if below else folder.glob("*.mcap")
+    return sorted(path for path in found if not path.name.endswith(FOXGLOVE_SUFFIX))
+
+
 def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
     """A `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder; a
     `FormatError` says what anything else is.

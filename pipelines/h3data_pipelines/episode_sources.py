@@ -48,6 +48,7 @@ def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
         InputError: there is no such path, or nothing below it.
     """
     from h3data.recording.dataset_writer import is_dataset
+    from h3data.recording.opening import logs_in
 
     sources: list[EpisodeSource] = []
     for path in map(place, paths):
@@ -57,7 +58,7 @@ def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
             sources += _of_dataset(path)
         else:
             folders = sorted(p.parent.parent for p in path.rglob("meta/info.json"))
-            logs = [p for p in sorted(path.rglob("*.mcap")) if not any(f in p.parents for f in folders)]
+            logs = [p for p in logs_in(path, below=True) if not any(f in p.parents for f in folders)]
             found = [EpisodeSource(str(log), log) for log in logs]
             found += [source for folder in folders for source in _of_dataset(folder)]
             if not found:

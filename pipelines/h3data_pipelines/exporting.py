@@ -32,8 +32,8 @@ class Export:
     """Write recordings as files of other programs; docs/export.md says what each of them keeps.
 
     gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it. gltf: one animated .glb for three.js and
-    Blender. foxglove: an .mcap of standard messages for Foxglove and Lichtblick. csv: a folder of tables and NumPy arrays.
-    lerobot and robomimic: demonstrations to learn from, of one or many recordings.
+    Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and Lichtblick. csv: a folder of tables and NumPy
+    arrays. lerobot and robomimic: demonstrations to learn from, of one or many recordings.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
