@@ -13,6 +13,7 @@ import tyro
 from torch import Tensor, nn
 
 import h3data
+from h3data.errors import InputError
 from h3data.files import part_file
 from sim_kinematic.network import from_torch, save_network
 
@@ -132,8 +133,14 @@ def train(
     optimizer = torch.optim.Adam(learner.parameters(), RATE)
     dice = torch.Generator(device).manual_seed(seed)
     checkpoint, curve = out.with_suffix(".checkpoint"), []
+    asked = {
+        "scenes": scenes, "episodes": len(env.bank), "worlds": worlds, "minibatch": minibatch, "steps": steps, "seed": seed,
+        "horizon": horizon, "observations": observations,
+    }  # fmt: skip
     if resume:
         kept = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        if kept["asked"] != asked:
+            raise InputError(f"Resume with the options of the checkpoint: {kept['asked']}. Got: {asked}.")
         learner.load_state_dict(kept["learner"])
         optimizer.load_state_dict(kept["optimizer"])
         dice.set_state(kept["dice"])
@@ -162,7 +169,7 @@ def train(
             print(*(f"{name} {figure:.3g}" for name, figure in curve[-1].items()), f"{left:.1f} min left", sep="  ")
             kept = {"learner": learner.state_dict(), "optimizer": optimizer.state_dict(), "dice": dice.get_state()}
             with part_file(checkpoint) as part:
-                torch.save({**kept, "x": x, "play": list(env.play.tensors()), "curve": curve}, part)
+                torch.save({**kept, "asked": asked, "x": x, "play": list(env.play.tensors()), "curve": curve}, part)
             with part_file(out.with_suffix(".csv")) as part:
                 part.write_text(
                     "".join(",".join(map(str, line)) + "\n" for line in [curve[0], *(r.values() for r in curve)])

@@ -12,6 +12,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from h3data.errors import InputError  # noqa: E402
 from sim_kinematic.network import load_network  # noqa: E402
 from sim_kinematic.policies import policy_by_name  # noqa: E402
 from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
@@ -82,6 +83,8 @@ def test_who_was_killed_goes_on_to_the_same_weights(
     assert run(example, tmp_path / "cut.npz", bank, rounds=4, seed=3, resume=True) == whole
     assert calls == 5
     assert load_network(tmp_path / "cut.npz").digest == load_network(tmp_path / "whole.npz").digest
+    with pytest.raises(InputError, match="'seed': 3"):
+        run(example, tmp_path / "cut.npz", bank, rounds=4, seed=4, resume=True)
     run(example, tmp_path / "other.npz", bank, rounds=1, seed=4)
     assert load_network(tmp_path / "other.npz").digest != load_network(tmp_path / "whole.npz").digest
 
