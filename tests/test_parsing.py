@@ -9,7 +9,8 @@ import pytest
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
 from h3data_pipelines.commands import COMMANDS
-from h3data_pipelines.parsing import _unboxed
+from h3data_pipelines.doctor import Doctor
+from h3data_pipelines.parsing import _unboxed, parse
 
 HELP = [
     *((name,) for name in COMMANDS),
@@ -88,3 +89,10 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--version"])
     assert stop.value.code == 0
     assert capsys.readouterr().out.startswith("h3data ")
+
+
+def test_parsing_again_leaves_a_command_as_it_is() -> None:
+    parse(["doctor"], COMMANDS, about="")
+    before = dict(Doctor.__annotations__)
+    parse(["doctor"], COMMANDS, about="")
+    assert before == Doctor.__annotations__

@@ -193,7 +193,7 @@ class Generate:
         if self.partner is not None:
             raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
         if self.agents is not None:
-            raise InputError("--agents is for rearrange: in social_nav a robot follows a person.")
+            raise InputError("--agents is for rearrange and wander: in social_nav a robot follows a person.")
         changes = Changes(
             policy=policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
         )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import importlib.metadata
 import inspect
 import io
@@ -72,6 +73,7 @@ def _options(command: type[Command], prog: str, words: list[str]) -> Command:
     return found
 
 
+@functools.cache
 def _quiet(command: type[Command]) -> Any:
     """The command, whose help keeps defaults that say something and leaves out the others."""
     for name, kind in get_type_hints(command, include_extras=True).items():
