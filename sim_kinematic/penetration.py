@@ -69,7 +69,7 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
 def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery) -> Penetration:
     body = replay.model(number)
     if isinstance(body, Robot):
-        frames = replay.link_matrices(number)[steps].astype(np.float64)
+        frames = replay.link_matrices(number, steps).astype(np.float64)
         parts = tuple(link.name for link in body.links)
         of_part = np.array([k for k, link in enumerate(body.links) for _ in link.shapes])
         arm = np.isin(np.arange(len(parts)), arm_links(body)) if body.hand_link >= 0 else np.zeros(len(parts), np.bool_)
@@ -134,7 +134,7 @@ class _Scenery:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = FclScene(scene)
-        self._bounds = [
+        self._bounds = [  # in the order of the objects of `FclScene`
             shape_bounds(shape, instance_matrix(instance))
             for instance in scene.static_instances
             for shape in scene.assets[instance.asset].shapes

@@ -1,9 +1,9 @@
 """Social navigation in W worlds on a device: `sim_kinematic.social_nav_batch` as tensor operations.
 
 State, actions and results stay where they are and nothing waits for the device, so on a GPU a whole step with its new
-episodes is one CUDA graph. The same episodes with the same actions are those of `SocialNavBatch`, but for two things that a
-GPU cannot search for: the geodesic distance is looked up (`sim_kinematic.torch_geodesic`, mostly within 0.1 %), and contact
-is right to `sim_kinematic.torch_contact.TOLERANCE_M`.
+episodes is one CUDA graph. The same episodes with the same actions are those of `SocialNavBatch`, but for what a GPU cannot
+search for: the geodesic distance and where it leads are looked up (`sim_kinematic.torch_geodesic`, lengths mostly within
+0.1 %), contact is right to `sim_kinematic.torch_contact.TOLERANCE_M`; and her arms always swing.
 """
 
 from __future__ import annotations

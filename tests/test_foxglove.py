@@ -329,6 +329,13 @@ def test_the_log_tells_events_skills_and_input_at_their_times(tmp_path: Path) ->
     ]
 
 
+def test_times_that_no_log_can_hold_are_those_of_the_recorded_log(tmp_path: Path) -> None:
+    recording = boxes()
+    for start, expected in ((10**30, 2**63 - 1), (-(10**30), 0)):
+        late = replace(recording, episode=replace(recording.episode, info={"t0_unix_ns": start}))
+        assert {t for t, _ in export(late, tmp_path / "t.foxglove.mcap").messages["/tf"]} == {expected}
+
+
 @pytest.mark.parametrize("camera", ["robot_arm", "orbit"])
 def test_pictures_are_a_stream_that_can_be_entered_at_its_key_frames(recording, replay, file: File, camera) -> None:
     track = camera_track(replay, camera)

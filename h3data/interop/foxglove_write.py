@@ -18,7 +18,7 @@ from h3data.files import part_file
 from h3data.geometry import Array, pose_from_matrix
 from h3data.interop.posed_parts import PosedPart
 from h3data.recording.log_lines import log_lines
-from h3data.recording.mcap_header import episode_metadata, start_time
+from h3data.recording.mcap_header import episode_metadata, log_time, start_time
 from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column
@@ -187,7 +187,7 @@ class _Export:
             self._put("/log", message, t)
 
     def _log_time(self, time_ns: int) -> int:
-        return max(self._t0 + time_ns, 0)
+        return log_time(self._t0, time_ns)
 
     def _put(self, topic: str, message: Any, time_ns: int) -> None:
         self._mcap.write_message(topic, message, log_time=time_ns, publish_time=time_ns)

@@ -11,6 +11,7 @@ from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict, struct_
 from h3data.recording.wire import message_class, struct_descriptor
 
 PROFILE = "h3data"
+_LAST_LOG_TIME = 2**63 - 1
 TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metrics": "Metrics"}
 """Per-step topics that readers know; logs before version 1.2 had ``metrics`` on a topic of their own."""
 
@@ -21,6 +22,11 @@ def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> i
         return int(t0)
     except (TypeError, ValueError):
         raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.") from None
+
+
+def log_time(t0_unix_ns: int, time_ns: int) -> int:
+    """Time of a message since 1970 [ns], within what MCAP readers take."""
+    return min(max(t0_unix_ns + time_ns, 0), _LAST_LOG_TIME)
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:

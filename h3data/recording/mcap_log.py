@@ -27,6 +27,7 @@ from h3data.recording.mcap_header import (
     encode_record,
     episode_metadata,
     header_metadata,
+    log_time,
     scene_dict,
     start_time,
 )
@@ -57,7 +58,6 @@ CHUNK_BYTES = 4 << 20
 FLUSH_ROWS = 30
 FLUSH_S = 1.0
 _SLICE_ROWS = 8192
-_LAST_LOG_TIME = 2**63 - 1
 
 
 class RecordingWriter:
@@ -307,7 +307,7 @@ class RecordingWriter:
         return 0 if self._rows is None else self._rows.time_of(step)
 
     def _log_time(self, time_ns: int) -> int:
-        return min(max(self._t0 + time_ns, 0), _LAST_LOG_TIME)
+        return log_time(self._t0, time_ns)
 
 
 def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> AnyPath:
