@@ -50,7 +50,7 @@ def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Hum
     robot, human = bodies
     world = SocialNavWorld.create(home, seed=3, spec=SocialNavSpec(max_steps=60))
     recording = simulate_social_nav(world)
-    replay = Replay(recording)
+    replay = Replay(recording, stepping=False)  # the simulator turns people on the spot with the feet they have
     drawn = StateRenderer(home, [robot, human])
     state, step = WorldState.zeros(1), len(recording) - 1
     (robot,), (walker,) = state.robots, state.people
