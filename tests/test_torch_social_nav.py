@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -33,6 +32,7 @@ from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
 from sim_kinematic.torch_step import Grids  # noqa: E402
 
 HOMES = ["small:1", "small:2"]
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 OBSERVED: tuple[Any, ...] = ("humanoid_gps", "egomotion", "localization", "humanoid_velocity", "range_scan", "way")
 RULES = replace(TRAINING, max_steps=60, end_on_collision=False, human=WalkerSpec())  # on a device arms always swing
 SEED = 5
@@ -41,14 +41,6 @@ compiles = [
     pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed, so nothing is compiled for the CPU"),
 ]
 on_gpu = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")]
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +16,9 @@ from sim_kinematic.network import load_network  # noqa: E402
 from sim_kinematic.policies import policy_by_name  # noqa: E402
 from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "train_social_nav.py"
 WORLDS, ROLLOUT = 64, 32
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
