@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.humanoid_file import builtin_common
-from h3data.bodies.reach import reach, reach_poses
+from h3data.bodies.people.humanoid_file import builtin_common
+from h3data.bodies.people.reach import reach, reach_poses
 from h3data.geometry import ground_pose
 
 FRAMES, REPEATS, SPEED_MPS, QUERIES = 1500, 5, 1.3, 10_000
@@ -66,7 +66,7 @@ def _skin_on_gpu(body: Humanoid, emit: Emit) -> None:
 
     if not torch.cuda.is_available():
         return
-    from h3data.bodies.skinning_torch import TorchSkin
+    from h3data.bodies.people.skinning_torch import TorchSkin
 
     joints = torch.from_numpy(_joints(body)).to("cuda", torch.float32)
     for lod, name in ((False, "full"), (True, "lod")):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from h3data.interop.glb_write import glb_bytes
+from h3data.mesh.glb_write import glb_bytes
 from h3data.scene import Mesh, Texture
 
 TRIANGLES = 1_000_000
@@ -29,7 +29,8 @@ def peak_mib():
         return next(int(line.split()[1]) / 1024 for line in file if line.startswith("VmHWM"))
 """
 _OPEN = """
-from h3data.interop import load_habitat_scene, load_mesh
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.mesh.loading import load_mesh
 start = time.perf_counter()
 mesh = load_mesh(sys.argv[2]) if sys.argv[1] == "mesh" else load_habitat_scene(sys.argv[2])
 print(time.perf_counter() - start, peak_mib())

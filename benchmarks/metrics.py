@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from h3data.geometry import ground_pose
-from h3data.metrics.kernels import count
+from h3data.metrics.paper.kernels import count
 from h3data.recording import STEP_NS, Agent, DatasetWriter, Episode, Recording
 
 EPISODES, STEPS = 10_000, 1_500

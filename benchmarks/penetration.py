@@ -3,7 +3,7 @@
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
-``walking`` is any part while the hands reach for nothing. `sim_kinematic.penetration` says what depth is.
+``walking`` is any part while the hands reach for nothing. `sim_kinematic.agents.penetration` says what depth is.
 ``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
 goes through a wall.
 
@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import SceneError
-from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
+from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.arm_contact import arm_links
-from sim_kinematic.arm_way import APPROACH_M, LINE_RADIUS_M
-from sim_kinematic.collision import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
-from sim_kinematic.penetration import penetrations
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
-from sim_kinematic.wander import simulate_wander
+from sim_kinematic.agents.arm_contact import arm_links
+from sim_kinematic.agents.penetration import penetrations
+from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, LINE_RADIUS_M
+from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.tasks.wander import simulate_wander
 
 Emit = Callable[[str, float, str], None]
 DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}

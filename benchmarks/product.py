@@ -23,7 +23,7 @@ def _make_run(folder: Path, policy: str) -> Path:
     """A dataset of `REPORT_EPISODES` episodes: ten simulated ones over and over, under different names."""
     from h3data.recording import DatasetWriter
     from h3data.scene import HomeSpec, build_home
-    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
     homes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in range(2)]
     worlds = [SocialNavWorld.create(homes[k % 2], seed=k) for k in range(10)]

@@ -20,6 +20,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.mesh.records import Mesh, Texture
 from h3data.render import (
     Camera,
     Light,
@@ -31,7 +32,6 @@ from h3data.render import (
     orthographic,
     pinhole,
 )
-from h3data.scene.records import Mesh, Texture
 
 Emit = Callable[[str, float, str], None]
 Vertices = NDArray[np.float64]

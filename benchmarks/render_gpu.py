@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.render import SIZES, Emit, blob, box, colored, home, poses
-from h3data.bodies.humanoid_file import load_humanoid
+from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.render import RenderInstance, RenderScene, pinhole
 from h3data.render.gpu import GpuRenderer, GpuScene, gpu_problem
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.render import SIZES, cameras_at, frame_ms
-from h3data.interop import load_mesh
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.records import Mesh
 from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at
-from h3data.scene.records import Mesh
 
 Emit = Callable[[str, float, str], None]
 Part = tuple[NDArray[np.float64], NDArray[np.int32]]

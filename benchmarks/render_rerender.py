@@ -16,10 +16,10 @@ from h3data.render import Output, pinhole
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.replay.stage import Stage
 from h3data.scene import HomeSpec, build_home
-from h3data_pipelines.drawing import draw_files
 from h3data_pipelines.outputs import Format, Target
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from h3data_pipelines.pictures.drawing import draw_files
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 Emit = Callable[[str, float, str], None]
 

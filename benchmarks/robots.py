@@ -9,7 +9,7 @@ from statistics import median
 import numpy as np
 
 from h3data.bodies import Robot, load_robot, solve_ik
-from h3data.bodies.trot import trot
+from h3data.bodies.robots.trot import trot
 from h3data.geometry import ground_pose, pose_from_matrix
 
 Emit = Callable[[str, float, str], None]

@@ -18,13 +18,13 @@ from h3data.bodies import load_humanoid, load_robot
 from h3data.replay import Replay
 from h3data.replay.cameras import camera_track
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from h3data_pipelines.bench import Bench, measure, process_pool
-from sim_kinematic.arm_room import draw_arms
-from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import ArmSpec, BaseSpec, SocialNavSpec
-from sim_kinematic.state import HumanState, RobotState, WorldState
-from sim_kinematic.step import drive_robots, walk_humans
+from h3data_pipelines.commands.bench import Bench, measure, process_pool
+from sim_kinematic.agents.arm_tuck import draw_arms
+from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.motion.spec import ArmSpec, BaseSpec, SocialNavSpec
+from sim_kinematic.motion.state import HumanState, RobotState, WorldState
+from sim_kinematic.motion.step import drive_robots, walk_humans
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 Emit = Callable[[str, float, str], None]
 EPISODES, RUNS = 4, 3

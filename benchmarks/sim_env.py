@@ -15,12 +15,12 @@ from time import process_time
 import numpy as np
 
 from benchmarks.sim import cpu_s
-from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
-from sim_kinematic.rearrange_env import RearrangeEnv
-from sim_kinematic.rearrange_episode import RearrangeSpec
-from sim_kinematic.rearrange_observations import PAPER_SENSES, STATE_SENSES
-from sim_kinematic.vector_env import SocialNavVectorEnv
+from sim_kinematic.envs.rearrange_env import RearrangeEnv
+from sim_kinematic.envs.social_nav_env import SocialNavEnv
+from sim_kinematic.envs.social_nav_observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
+from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, STATE_SENSES
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 Emit = Callable[[str, float, str], None]
 HOME = "small:1"

@@ -20,11 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.interop.scene_names import named_scenes, open_free_space, open_scene
+from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording, write_mcap
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 Emit = Callable[[str, float, str], None]
 SCENES = "h3-homes/test"

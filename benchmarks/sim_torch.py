@@ -70,9 +70,9 @@ class Stepper:
     def __init__(self, floor: Any, worlds: int, device: str, dtype: torch.dtype, seed: int = 0) -> None:
         import torch
 
-        from sim_kinematic.spec import SocialNavSpec
-        from sim_kinematic.torch_state import HumanTensors, RobotTensors
-        from sim_kinematic.torch_step import Grids
+        from sim_kinematic.motion.spec import SocialNavSpec
+        from sim_kinematic.torch.state import HumanTensors, RobotTensors
+        from sim_kinematic.torch.step import Grids
 
         rng = np.random.default_rng(seed)
 
@@ -95,7 +95,7 @@ class Stepper:
 
     def step(self) -> None:
         """All worlds, once. There are no branches: it costs the same wherever they are."""
-        from sim_kinematic.torch_step import drive_robots, walk_humans
+        from sim_kinematic.torch.step import drive_robots, walk_humans
 
         robot = drive_robots(self.grids, self.robot, self.action, self.spec.robot)
         human = walk_humans(self.human, self.goal, self.spec.human)
@@ -143,11 +143,11 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     import torch
 
     from h3data.bodies import load_humanoid, load_robot
-    from sim_kinematic.spec import SocialNavSpec
-    from sim_kinematic.torch_cameras import TensorCameras
-    from sim_kinematic.torch_episodes import EpisodeBank
-    from sim_kinematic.torch_graph import captured, fused
-    from sim_kinematic.torch_social_nav import Play, SocialNavTensors
+    from sim_kinematic.motion.spec import SocialNavSpec
+    from sim_kinematic.torch.cameras import TensorCameras
+    from sim_kinematic.torch.episodes import EpisodeBank
+    from sim_kinematic.torch.graph import captured, fused
+    from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
     rules = SocialNavSpec(end_on_collision=False, max_steps=3000)
     bank = EpisodeBank.draw(HOME, 64, spec=rules)
@@ -207,7 +207,7 @@ def _parity(emit: Emit, worlds: int = 4096, steps: int = 1000) -> None:
 def _on_cuda(emit: Emit, worlds: int) -> None:
     import torch
 
-    from sim_kinematic.torch_graph import captured, fused
+    from sim_kinematic.torch.graph import captured, fused
 
     with torch.no_grad():
         stepper = Stepper(BoxFloor.draw(), worlds, "cuda", torch.float32)
@@ -241,7 +241,7 @@ def _wall_s(work: Callable[[], object], *, steps: int = 100) -> float:
 def _environment(worlds: int, device: str, *, compile: bool = False) -> tuple[Any, torch.Tensor]:
     import torch
 
-    from sim_kinematic.torch_env import SocialNavTorchEnv
+    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
 
     env = SocialNavTorchEnv(worlds, HOME, device=device, episodes=64, compile=compile)
     env.reset(seed=0)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from h3data_pipelines.bench import measure, process_pool
-from sim_kinematic.benchmark import BenchmarkWorlds, Cell
+from h3data_pipelines.benchmark.protocol import BenchmarkWorlds, Cell
+from h3data_pipelines.commands.bench import measure, process_pool
 
 Emit = Callable[[str, float, str], None]
 RUNS, STEPS, PROCESSES = 3, 210, 2

@@ -23,8 +23,8 @@ STEPS, OBJECTS, LONG = 1500, 20, 60_000
 def _recording(steps: int) -> Recording:
     """A simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
     from h3data.scene import HomeSpec, build_home
-    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-    from sim_kinematic.spec import SocialNavSpec
+    from sim_kinematic.motion.spec import SocialNavSpec
+    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
     home = build_home(HomeSpec(preset="small", seed=15))
     spec = SocialNavSpec(max_steps=STEPS, end_on_collision=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from h3data.render.scene_map import plan_picture
+from h3data.render.sheets.scene_map import plan_picture
 from h3data.scene import HomeSpec, build_home
 
 HOMES, COLUMNS = {"small": 9, "medium": 8, "large": 3}, 5

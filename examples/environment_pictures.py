@@ -21,7 +21,7 @@ env = h3data.make(
 )
 seen, infos = env.reset(seed=2)
 print(env)
-# By number (sim_kinematic.skills.choices): walk to the object, pick it, walk to its goal, place it; then wait.
+# By number (sim_kinematic.agents.skills.choices): walk to the object, pick it, walk to its goal, place it; then wait.
 plans = {"robot": iter([0, 4, 2, 6]), "human": iter([1, 5, 3, 7])}
 rows = []
 while env.agents and len(rows) < 4:

@@ -9,11 +9,11 @@ from torch import nn
 
 import h3data
 from h3data.metrics import measure
-from sim_kinematic.learned import navigation_input
-from sim_kinematic.network import from_torch, save_network
-from sim_kinematic.policies import heuristic_expert
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.policies.learned import navigation_input
+from sim_kinematic.policies.network import from_torch, save_network
+from sim_kinematic.policies.social_nav import heuristic_expert
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 FILE = sys.argv[1] if len(sys.argv) > 1 else "expert.npz"
 NAMES = ("humanoid_gps", "way")

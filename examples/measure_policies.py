@@ -3,8 +3,8 @@
 import h3data
 from h3data.metrics import measure_many
 from h3data.scene import FreeSpace
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 EPISODES = 4
 

@@ -3,9 +3,9 @@
 import sys
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.motion_retarget import foot_report, retarget
-from h3data.interop.motion_files import read_motion
-from h3data.interop.motion_recording import motion_recording
+from h3data.bodies.motion.motion_files import read_motion
+from h3data.bodies.motion.motion_retarget import foot_report, retarget
+from h3data.recording.motion_recording import motion_recording
 from h3data.render import VideoWriter
 from h3data.replay import Replay, follow_camera
 

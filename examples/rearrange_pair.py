@@ -3,8 +3,8 @@
 import h3data
 from h3data.metrics import measure
 from h3data.scene import FreeSpace
-from sim_kinematic.rearrange import simulate_rearrange, solo_steps_of
-from sim_kinematic.rearrange_episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
 
 home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
 world = RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home))

@@ -4,16 +4,9 @@ import sys
 
 from PIL import Image, ImageDraw, ImageFont
 
-from h3data.metrics import (
-    MarginalMeans,
-    contrasts,
-    contrasts_text,
-    fit_glmm,
-    marginal_means,
-    plan_sessions,
-    relative_efficiency,
-    simulate_study,
-)
+from h3data.metrics import plan_sessions, simulate_study
+from h3data.stats.mixed_models import fit_glmm
+from h3data.stats.posthoc import MarginalMeans, contrasts, contrasts_text, marginal_means, relative_efficiency
 
 
 def draw(means: MarginalMeans, path: str) -> None:

@@ -16,12 +16,12 @@ from h3data.render import Output
 from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
-    from h3data.interop.habitat_dataset import SceneDataset
+    from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.scene import Scene
 
 _INSTEAD = {
-    "navmesh": "a Habitat navmesh. Hint: read it with h3data.interop.navmesh.read_navmesh",
-    "rearrange_episodes": "a Habitat episode file. Hint: read it with h3data.interop.habitat_episodes.read_episodes",
+    "navmesh": "a Habitat navmesh. Hint: read it with h3data.habitat.navmesh.file.read_navmesh",
+    "rearrange_episodes": "a Habitat episode file. Hint: read it with h3data.habitat.episodes.episode_files.read_episodes",
     "lighting_config": "a lighting configuration of a Habitat dataset. Hint: open a scene that names it",
     "semantic_config": "a semantic configuration of a Habitat dataset. Hint: open a scene that names it",
     "scene_filter": "a receptacle filter of a Habitat scene. Hint: open the scene that names it",
@@ -38,7 +38,7 @@ def open(path: str | os.PathLike[str]) -> Any:
     Raises:
         FormatError: it is none of these; the message says what it looks like and what to do.
     """
-    from h3data.interop.habitat_scene import HABITAT_ENDINGS, dataset_and_scene
+    from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
 
     dataset, name = dataset_and_scene(path)
     if dataset is not None or os.fspath(path).lower().endswith(HABITAT_ENDINGS):
@@ -46,7 +46,7 @@ def open(path: str | os.PathLike[str]) -> Any:
     try:
         opened: Recording | Dataset = open_recording(Path(path))
     except FormatError as fault:
-        from h3data.interop import sniff
+        from h3data.sniff import sniff
 
         instead = _INSTEAD.get(sniff(Path(path))) if os.path.isfile(path) else None
         if instead is None:
@@ -56,8 +56,8 @@ def open(path: str | os.PathLike[str]) -> Any:
 
 
 def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
-    from h3data.interop.habitat_dataset import DATASET_ENDING, load_scene_dataset
-    from h3data.interop.scene_names import read_scene_file
+    from h3data.habitat.scene_names import read_scene_file
+    from h3data.habitat.scenes.scene_dataset import DATASET_ENDING, load_scene_dataset
     from h3data.scene.scene_sets import SceneFile
 
     if path.name.endswith(DATASET_ENDING) and name is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from h3data.metrics import GlmmFit, fit_glmm
+from h3data.stats.mixed_models import GlmmFit, fit_glmm
 
 DATA = Path(__file__).parent / "data" / "glmm"
 CROSSED = ["participant", "scene"]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from h3data.interop.meshes import load_mesh
-from h3data.scene.glb import GlbChunk, pack_glb
-from h3data.scene.records import Mesh
+from h3data.mesh.glb import GlbChunk, pack_glb
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.records import Mesh
 
 FLOAT, U8, U16, U32, I8 = 5126, 5121, 5123, 5125, 5120
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)

@@ -8,7 +8,7 @@ from typing import Any
 
 import trimesh
 
-from h3data.interop import load_habitat_scene
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.scene.records import Scene
 
 CHEST = """<robot name="chest">

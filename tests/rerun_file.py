@@ -16,8 +16,8 @@ from h3data.geometry import (
     quat_to_matrix,
     transform_points,
 )
+from h3data.mesh.records import Mesh
 from h3data.recording.records import STEP_NS, Agent, Episode, Event, Recording, SkillSpan
-from h3data.scene.records import Mesh
 
 STEPS = 60
 

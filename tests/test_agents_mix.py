@@ -17,16 +17,16 @@ from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.agent_worlds import AgentWorlds
-from sim_kinematic.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.cast import cast_of, kinds_of
-from sim_kinematic.contact import RobotHumanContact
-from sim_kinematic.rearrange import minds_of, simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.rearrange_play import RearrangePlay
-from sim_kinematic.spec import BaseSpec, SocialNavSpec
-from sim_kinematic.state import WorldState
-from sim_kinematic.wander import simulate_wander
+from sim_kinematic.agents.roster import cast_of, kinds_of
+from sim_kinematic.contact.clearance import RobotHumanContact
+from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
+from sim_kinematic.tasks.wander import simulate_wander
+from sim_kinematic.world import AgentWorlds
 
 MIXES = ("robot", "human", "robot,robot", "human,male_1", "robot,human", "robot,lift_arm,human,female_2")
 CLOSE = SocialNavSpec(spawn_distance_m=1.2)

@@ -14,16 +14,16 @@ from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, ground_pose
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.arm_room import draw_arms, width_m
-from sim_kinematic.penetration import penetrations
-from sim_kinematic.person import Person, joint_steps, run
-from sim_kinematic.resume import resume, verify
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.social_nav_episodes import episode_of, rules_of
-from sim_kinematic.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.state import HumanState
-from sim_kinematic.wander import simulate_wander
-from sim_kinematic.waypoint_human import aside, sharp_corners, with_room
+from sim_kinematic.agents.arm_tuck import draw_arms, width_m
+from sim_kinematic.agents.penetration import penetrations
+from sim_kinematic.agents.person import Person, joint_steps, run
+from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
+from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.tasks.resume import resume, verify
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.tasks.social_nav_episodes import episode_of, rules_of
+from sim_kinematic.tasks.wander import simulate_wander
 
 RULES = ArmRoomSpec()
 SHOULDERS = [JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]]

@@ -9,14 +9,14 @@ from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.records import Box, instance_matrix
-from sim_kinematic.arm_way import APPROACH_M, ArmWay, arm_way
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.robot_skills import RobotActor
-from sim_kinematic.skills import Action, Objects
-from sim_kinematic.spec import BaseSpec
-from sim_kinematic.stands import ROBOT_DISTANCES_M, robot_stands
-from sim_kinematic.state import NOBODY, WorldState
+from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, ArmWay, arm_way
+from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.skills import Action, Objects
+from sim_kinematic.agents.stands import ROBOT_DISTANCES_M, robot_stands
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.state import NOBODY, WorldState
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 
 @pytest.fixture(scope="module")

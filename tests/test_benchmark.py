@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
+from h3data_pipelines.benchmark.agents import RobotAgent
+from h3data_pipelines.benchmark.protocol import BenchmarkWorlds, Cell
 from h3data_pipelines.cli import main
-from sim_kinematic.benchmark import BenchmarkWorlds, Cell
-from sim_kinematic.benchmark_agents import RobotAgent
 
 
 def face_to_face(benchmark: BenchmarkWorlds, apart: float) -> None:

@@ -15,8 +15,8 @@ from h3data.recording import Recording
 from h3data.render import OPENGL_TO_OPENCV, look_at
 from h3data.replay import Replay, camera_names, camera_track
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 STEPS = 60
 

@@ -10,11 +10,11 @@ from h3data.errors import InputError
 from h3data.render import normalize_depth
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.sensors import detect_humanoids
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
+from sim_kinematic.sensing.sensor import detect_humanoids
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 ARM = CameraSensor(outputs=("depth", "semantic", "instance"))
 

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.interop import AssetLibrary, read_gfx_replay, read_hitl_episode, read_hitl_log
+from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
+from h3data.habitat.hitl.hitl_session import read_hitl_episode
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 FASTER_MPS = 5.5
 """The camera moves at most so much faster than the agent."""

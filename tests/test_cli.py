@@ -12,8 +12,8 @@ import pytest
 import h3data
 from h3data.errors import InputError
 from h3data_pipelines.cli import jsonable, main
-from h3data_pipelines.commands import COMMANDS
-from h3data_pipelines.rerender import parse_outputs, parse_steps
+from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.pictures.rerender import parse_outputs, parse_steps
 
 DEMO_FILES = (
     "episode.mcap",

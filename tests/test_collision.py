@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import sim_kinematic.collision
+import sim_kinematic.contact
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_matrix, transform_points
+from h3data.mesh.records import Mesh
 from h3data.scene import FreeSpace
-from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Mesh, Room, Scene, Shape
-from sim_kinematic.collision import (
+from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
+from sim_kinematic.contact import (
     AgentContacts,
     FclScene,
     MovingShapes,
@@ -27,8 +28,8 @@ from sim_kinematic.collision import (
     distance,
     shapes_from_capsules,
 )
-from sim_kinematic.collision.agent_contact import segment_square
-from sim_kinematic.collision.shapes import bounding_capsule, bounding_sphere, fcl_geometry, shape_bounds
+from sim_kinematic.contact.agent_contact import segment_square
+from sim_kinematic.contact.shapes import bounding_capsule, bounding_sphere, fcl_geometry, shape_bounds
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 NO_MESH = Mesh(
@@ -243,7 +244,7 @@ def test_no_shape_becomes_a_triangle_mesh(kind, scale):
 
 def test_nothing_uses_what_python_fcl_answers_wrongly():
     """Continuous collision misses contacts of meshes, and nearest points come in either order."""
-    sources = {p: p.read_text() for p in Path(sim_kinematic.collision.__file__).parent.glob("*.py")}
+    sources = {p: p.read_text() for p in Path(sim_kinematic.contact.__file__).parent.glob("*.py")}
     assert len(sources) > 3
     for path, text in sources.items():
         for call in ("BVHModel", "continuousCollide", "nearest_points"):

@@ -6,7 +6,7 @@ import pytest
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.geometry import ground_pose, pose_to_matrix, transform_points
 from h3data.scene import Box, Capsule, Shape
-from sim_kinematic.contact import RobotHumanContact, clip_reach, robot_reach
+from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 
 
 @pytest.fixture(scope="module")

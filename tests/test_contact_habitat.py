@@ -12,7 +12,7 @@ from conftest import REAL
 from h3data.bodies import Robot, load_robot
 from h3data.geometry import pose_from_matrix
 from h3data.scene import Box, Capsule, Shape
-from sim_kinematic.collision import MovingShapes, contacts, distance
+from sim_kinematic.contact import MovingShapes, contacts, distance
 
 GOLDEN = REAL / "habitat-lab" / "reference"
 pytestmark = pytest.mark.skipif(

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_raster import random_view, soup
 
+from h3data.mesh.records import Mesh, Texture
 from h3data.render import Camera, Light, RayCaster, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.cutouts import cut_out_faces, pack_opacity, solid_points
-from h3data.scene.records import Mesh, Texture
+from h3data.render.shade.cutouts import cut_out_faces, pack_opacity, solid_points
 
 OUTPUTS = ("depth", "instance", "triangle", "rgb")
 HERE = np.eye(4)

@@ -16,16 +16,16 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import h3data
 from h3data.errors import InputError, MissingExtraError, SceneError
-from sim_kinematic.agent_pictures import DETECTORS
-from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.observations import STATES, Observer
-from sim_kinematic.parallel_env import SocialNavParallelEnv
-from sim_kinematic.policies import Command, View, heuristic_expert
-from sim_kinematic.social_nav import simulate_social_nav
-from sim_kinematic.social_nav_batch import SocialNavBatch
-from sim_kinematic.spec import BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.step import least_clearance
-from sim_kinematic.vector_env import SocialNavVectorEnv
+from sim_kinematic.envs.social_nav_env import SocialNavEnv
+from sim_kinematic.envs.social_nav_observations import STATES, Observer
+from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
+from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.step import least_clearance
+from sim_kinematic.policies.social_nav import Command, View, heuristic_expert
+from sim_kinematic.sensing.agent_pictures import DETECTORS
+from sim_kinematic.tasks.social_nav import simulate_social_nav
+from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
 
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
@@ -56,12 +56,16 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 def test_gymnasium_accepts_the_environment() -> None:
-    env = gymnasium.make("sim_kinematic.env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES)
+    env = gymnasium.make(
+        "sim_kinematic.envs.social_nav_env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES
+    )
     check_env(env.unwrapped)
 
 
 def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
-    env = gymnasium.make_vec("sim_kinematic.env:h3data/SocialNav-v0", num_envs=3, scenes=HOME, spec=SHORT)
+    env = gymnasium.make_vec(
+        "sim_kinematic.envs.social_nav_env:h3data/SocialNav-v0", num_envs=3, scenes=HOME, spec=SHORT
+    )
     env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
     env.reset(seed=1)
     env.action_space.seed(1)

@@ -16,9 +16,9 @@ from h3data.metrics import measure, measure_files, measure_many
 from h3data.metrics.set_up import set_up_differences
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
-from h3data_pipelines.cross_play import cross_play_table
-from h3data_pipelines.social_nav_evaluating import METRICS, policy_table
-from sim_kinematic.network import Network, save_network
+from h3data_pipelines.jobs.cross_play import cross_play_table
+from h3data_pipelines.jobs.social_nav_evaluating import METRICS, policy_table
+from sim_kinematic.policies.network import Network, save_network
 
 RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
 

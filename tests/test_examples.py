@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 

@@ -13,26 +13,26 @@ import numpy as np
 import pytest
 import trimesh
 
-from h3data.bodies.robot_loading import load_robot, robot_names
-from h3data.bodies.skeleton import JOINT_NAMES
+from h3data.bodies.people.skeleton import JOINT_NAMES
+from h3data.bodies.robots.robot_loading import load_robot, robot_names
 from h3data.errors import InputError
+from h3data.export.csv_tables import write_csv_tables
+from h3data.export.gfx_replay_write import write_gfx_replay
+from h3data.export.gltf_animation import write_gltf_animation
+from h3data.export.lerobot_export import write_lerobot
+from h3data.export.posing import posed_cameras, posed_parts
+from h3data.export.robomimic import write_robomimic
+from h3data.export.transitions import transitions_of
 from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
-from h3data.interop import read_gfx_replay
-from h3data.interop.csv_tables import write_csv_tables
-from h3data.interop.gfx_replay_write import write_gfx_replay
-from h3data.interop.gltf_animation import write_gltf_animation
-from h3data.interop.lerobot_export import write_lerobot
-from h3data.interop.robomimic import write_robomimic
-from h3data.interop.transitions import transitions_of
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.mesh.accessors import GltfArrays
+from h3data.mesh.glb import unpack_glb
 from h3data.recording import Agent, AssetRef, Body, Dataset, Episode, Event, InputEvent, Recording, write_mcap
 from h3data.replay import Replay
-from h3data.replay.posing import posed_cameras, posed_parts
 from h3data.scene import HomeSpec, build_home
-from h3data.scene.accessors import GltfArrays
-from h3data.scene.glb import unpack_glb
 from h3data_pipelines.cli import main
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 STEPS = np.array([0, 20, 59])
 

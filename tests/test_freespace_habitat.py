@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 import shapely
 
-from h3data.interop.navmesh import read_navmesh
+from h3data.habitat.navmesh.file import read_navmesh
+from h3data.mesh.records import Mesh
 from h3data.scene import FreeSpace
-from h3data.scene.records import Asset, Instance, Mesh, Scene
+from h3data.scene.records import Asset, Instance, Scene
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 CHAIR_ORIGIN = np.array([0.0740, 0.2070, -0.0059])

@@ -9,8 +9,8 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 from test_distance_field import cluttered
 
-from h3data.scene._visibility_build import edges_inside
-from h3data.scene.pathfinder import PathFinder
+from h3data.habitat.navmesh.pathfinder import PathFinder
+from h3data.scene.freespace._visibility_build import edges_inside
 
 seeds = st.integers(0, 10**6)
 

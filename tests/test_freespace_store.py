@@ -15,10 +15,11 @@ import pytest
 from shapely.geometry import box
 
 from h3data.errors import FormatError, InputError
+from h3data.mesh.records import Mesh
 from h3data.scene import FreeSpace
-from h3data.scene.freespace_build import build_from_walkable, scene_key
-from h3data.scene.freespace_store import cache_folder
-from h3data.scene.records import Asset, Box, Instance, Mesh, Room, Scene
+from h3data.scene.freespace.build import build_from_walkable, scene_key
+from h3data.scene.freespace.store import cache_folder
+from h3data.scene.records import Asset, Box, Instance, Room, Scene
 
 SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 
@@ -181,7 +182,7 @@ def test_a_full_disk_is_no_fault_and_leaves_nothing_behind(tmp_path, monkeypatch
         file.write(b"the first block")
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("h3data.scene.freespace_store.np.savez", full)
+    monkeypatch.setattr("h3data.scene.freespace.store.np.savez", full)
     assert FreeSpace.from_scene(make_scene()).floor_y == 0.0
     assert list((tmp_path / "freespace").iterdir()) == []
 

@@ -18,11 +18,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError
-from h3data.interop import read_gfx_replay, sniff
-from h3data.interop.gfx_keyframes import Keyframe, read_keyframes
-from h3data.interop.json_stream import ArrayElements, ArrayFault
-from h3data.interop.sniff import REPLAY_MEMBERS
+from h3data.habitat.gfx.gfx_keyframes import Keyframe, read_keyframes
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.json_stream import ArrayElements, ArrayFault
 from h3data.recording import recordings_equal
+from h3data.sniff import REPLAY_MEMBERS, sniff
 
 NASTY = ['"', "\\", '\\"', "}{][", "é\u2028\x00", "\\\\", 'a"b\\', ""]
 TEXT = b'[{"loads":[{"filepath":"a\\\\\\"]}{[\\u0022.glb"}]} ,\n{}, {"a":{"b":[[],[{}],"}"]}},{"c":"\\\\"}\t]  ,"more":[{}]}'

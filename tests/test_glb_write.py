@@ -11,10 +11,10 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.interop.glb_write import MAX_LOOKS, GlbNode, glb_bytes
-from h3data.interop.meshes import load_mesh
+from h3data.mesh.glb_write import MAX_LOOKS, GlbNode, glb_bytes
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.meshes import face_texture_indices, joined
 from h3data.scene import HomeSpec, Mesh, Texture, build_home
-from h3data.scene.meshes import face_texture_indices, joined
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 RNG = np.random.default_rng(4)

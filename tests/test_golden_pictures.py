@@ -19,7 +19,7 @@ from h3data.render import (
     pinhole,
     write_png,
 )
-from h3data.render.scene_map import render_scene
+from h3data.render.sheets.scene_map import render_scene
 from h3data.scene import HomeSpec, build_home
 
 GOLDEN = Path(__file__).parent / "data" / "golden"

@@ -12,16 +12,16 @@ from gpu_emulator import COMPILER, EmulatedRenderer
 from numpy.typing import NDArray
 
 from benchmarks.render import blob, box, colored, textured
-from h3data.bodies.humanoid_file import load_humanoid
+from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.errors import InputError
+from h3data.mesh.records import Mesh, Texture
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.gpu import AutoEngine, GpuEngine, GpuRenderer, GpuScene, gpu_problem
 from h3data.render.gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS, build_meshlets
 from h3data.render.gpu.packing import pack_scenes
 from h3data.render.gpu.views import choose_variant
-from h3data.render.scene_map import render_scene
+from h3data.render.sheets.scene_map import render_scene
 from h3data.scene.homes import HomeSpec, build_home
-from h3data.scene.records import Mesh, Texture
 
 OUTPUTS: Any = ("depth", "instance", "semantic", "triangle", "normal", "rgb")
 WIDTH, HEIGHT = 96, 72

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError
 from h3data.geometry import pose_from_matrix, pose_to_matrix
-from h3data.interop.habitat_episode_records import (
+from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
+from h3data.habitat.episodes.episode_records import (
     ContentFile,
     EpisodeSet,
     Marker,
@@ -27,8 +28,7 @@ from h3data.interop.habitat_episode_records import (
     instance_handles,
     object_poses,
 )
-from h3data.interop.habitat_episodes import read_episodes, write_episodes
-from h3data.interop.sniff import sniff
+from h3data.sniff import sniff
 
 IDENTITY = np.eye(4).tolist()
 HABITAT_KEYS = {

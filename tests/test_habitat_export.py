@@ -13,12 +13,13 @@ import pytest
 from scipy.spatial import ConvexHull, cKDTree
 
 from h3data.errors import InputError, SceneError
+from h3data.export import habitat_scenes as export_module
+from h3data.export.habitat_scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
-from h3data.interop import habitat_export as export_module
-from h3data.interop import load_habitat_scene, load_mesh
-from h3data.interop.glb_write import glb_bytes
-from h3data.interop.habitat_colliders import part_mesh, part_points
-from h3data.interop.habitat_export import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data.habitat.scenes.colliders import part_mesh, part_points
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.mesh.glb_write import glb_bytes
+from h3data.mesh.loading import load_mesh
 from h3data.scene import (
     Asset,
     Box,

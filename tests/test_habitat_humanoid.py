@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from h3data.bodies.habitat_humanoid import HABITAT_JOINTS, HabitatHumanoid, reach_coordinates, sequence_pose
-from h3data.bodies.skeleton import JOINT_NAMES
+from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatHumanoid, reach_coordinates, sequence_pose
+from h3data.bodies.motion.habitat_motion import read_habitat_motion, read_habitat_sequence
+from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, InputError
-from h3data.interop.habitat_motion import read_habitat_motion, read_habitat_sequence
 
 STOP, WALK, TURN, HALF_WALK = 0, 1, 2, 5
 

@@ -10,13 +10,13 @@ import pytest
 from conftest import REAL
 
 from h3data.errors import InputError
-from h3data.interop.navmesh import read_navmesh
+from h3data.habitat.navmesh.file import read_navmesh
+from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
+from h3data.habitat.navmesh.pathfinder import PathFinder
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from h3data.scene.navmesh import free_space_from_navmesh
-from h3data.scene.pathfinder import PathFinder
-from sim_kinematic.spec import STEP_S, BaseSpec, HabitatSlideSpec
-from sim_kinematic.state import RobotState
-from sim_kinematic.step import drive_robots
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, HabitatSlideSpec
+from sim_kinematic.motion.state import RobotState
+from sim_kinematic.motion.step import drive_robots
 
 GOLDEN = REAL / "habitat-lab" / "reference"
 UNITS = 120 * STEP_S  # Habitat integrates 1/120 s per step: its 10 units are 2.5 m/s

@@ -16,9 +16,10 @@ from habitat_dataset_folder import Dataset
 
 import h3data
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
-from h3data.interop import load_habitat_scene, sniff
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.scene import save_scene, scene_digest
 from h3data.scene.records import instance_bounds
+from h3data.sniff import sniff
 from h3data_pipelines.cli import main
 
 
@@ -246,7 +247,7 @@ def test_mirrored_objects_are_allowed(dataset: Dataset) -> None:
 
 
 def test_gzip_that_unpacks_out_of_proportion_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("h3data.interop.sniff")  # its name is that of the function in the package
+    module = importlib.import_module("h3data.sniff")  # its name is that of the function in the package
     monkeypatch.setattr(module, "UNPACKED_BYTES", 1 << 16)
     bomb = tmp_path / "x.scene_instance.json.gz"
     bomb.write_bytes(gzip.compress(b" " * (1 << 20)))

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 
 from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import quat_rotate
-from h3data.interop import load_habitat_scene
-from h3data.interop.habitat_colliders import part_points
-from h3data.interop.habitat_collision import MAX_PARTS, hull_shapes
-from h3data.interop.habitat_semantics import polygon_rectangles
+from h3data.habitat.scenes.colliders import part_points
+from h3data.habitat.scenes.collision_geometry import MAX_PARTS, hull_shapes
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.habitat.scenes.semantics import polygon_rectangles
+from h3data.mesh.records import Mesh
 from h3data.scene import load_scene, save_scene, scene_digest
-from h3data.scene.records import Mesh, Scene, instance_bounds
+from h3data.scene.records import Scene, instance_bounds
 
 S = 0.5**0.5
 

@@ -16,13 +16,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.habitat_humanoid import HABITAT_JOINTS
-from h3data.bodies.skeleton import JOINT_NAMES
+from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
+from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
-from h3data.interop import read_hitl_episode, read_hitl_log
-from h3data.interop.hitl_agents import told_joint_order
-from h3data.interop.walk_synthesis import walk_columns
+from h3data.habitat.hitl.hitl_agents import told_joint_order
+from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
+from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.habitat.hitl.walk_synthesis import walk_columns
 from h3data.recording import read_mcap, write_mcap
 from h3data_pipelines.cli import main
 

@@ -15,17 +15,18 @@ import shapely
 
 from h3data.errors import InputError
 from h3data.geometry import pose_multiply, pose_to_matrix, quat_rotate
+from h3data.mesh.records import Mesh
 from h3data.scene import CATEGORIES, HOME_PRESETS, HomeSpec, Scene, build_home, instance_matrix, scene_digest
-from h3data.scene._footprints import walkable_from_shapes
+from h3data.scene.freespace._footprints import walkable_from_shapes
 from h3data.scene.homes import OBJECT_CATEGORIES
 from h3data.scene.homes.check import faults, use_edges, walkable_area
+from h3data.scene.homes.furnishing.objects import OBJECT_MAKERS
+from h3data.scene.homes.furnishing.place import GAP_BAND, gap
 from h3data.scene.homes.layout import WALL_THICKNESS, plan_layout
-from h3data.scene.homes.objects import OBJECT_MAKERS
-from h3data.scene.homes.place import GAP_BAND, gap
 from h3data.scene.homes.solids import MeshBuilder
 from h3data.scene.homes.spec import stage_rng
 from h3data.scene.homes.structure import plan_box, wall_boxes, wall_thickness_span
-from h3data.scene.records import Asset, Box, Cylinder, Hull, Instance, Mesh, Shape
+from h3data.scene.records import Asset, Box, Cylinder, Hull, Instance, Shape
 
 SPECS = [
     *(HomeSpec(seed=s, preset="small") for s in (0, 1, 2)),

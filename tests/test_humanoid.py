@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.humanoid_file import from_planes, to_planes, vertex_normals
-from h3data.bodies.skinning import apply_skin_dense
-from h3data.bodies.skinning_torch import TorchSkin
+from h3data.bodies.people.humanoid_file import from_planes, to_planes, vertex_normals
+from h3data.bodies.people.skinning import apply_skin_dense
+from h3data.bodies.people.skinning_torch import TorchSkin
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, normalized, pose_from_matrix, quat_from_heading, quat_to_matrix

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bake.humanoid import write_npz
+from bake.smplx import read_smplx
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, humanoid_names, load_humanoid
-from h3data.bodies.skeleton import PARENTS
+from h3data.bodies.people.skeleton import PARENTS
 from h3data.errors import FormatError, InputError
-from h3data_pipelines.bake.humanoid import write_npz
-from h3data_pipelines.bake.smplx import read_smplx
 from h3data_pipelines.cli import main
 
 

@@ -18,24 +18,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from h3data.bodies.motion.bvh import read_bvh_file
 from h3data.errors import FormatError, H3DataError
-from h3data.interop import (
-    AssetLibrary,
-    load_mesh,
-    read_gfx_replay,
-    read_hitl_episode,
-    read_hitl_log,
-    sniff,
-)
-from h3data.interop.bvh import read_bvh_file
-from h3data.interop.gfx_keyframes import KEYFRAME_BYTES
-from h3data.interop.glb_write import glb_bytes
-from h3data.interop.habitat_episodes import read_episodes
-from h3data.interop.limits import MAX_AGENTS
-from h3data.interop.npz_arrays import npz_arrays
-from h3data.interop.primitives import primitive_mesh
+from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.episodes.episode_files import read_episodes
+from h3data.habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
+from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.limits import MAX_AGENTS
+from h3data.mesh.glb_write import glb_bytes
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.primitives import primitive_mesh
+from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.replay import Replay
+from h3data.sniff import sniff
 from h3data_pipelines.cli import main
 
 POSE = {"translation": [1.5, 0.25, -2], "rotation": [1, 0, 0, 0]}
@@ -335,7 +333,7 @@ def test_hostile_files_leave_nothing_behind(
 ) -> None:
     name, content, reason = HOSTILE[case]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("h3data.interop.gfx_fold.MAX_BODIES", 2000)
+    monkeypatch.setattr("h3data.habitat.gfx.gfx_fold.MAX_BODIES", 2000)
     (tmp_path / "in").mkdir()
     path = tmp_path / "in" / name
     path.write_bytes(content())

@@ -12,7 +12,8 @@ import pytest
 
 import h3data
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply, pose_to_matrix
-from h3data.interop import AssetLibrary, read_gfx_replay
+from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.replay.validation import validate_recording
 from h3data_pipelines.cli import main
 
@@ -55,7 +56,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def report(real: Path, out: Path, assets: list[Path]) -> dict[str, dict[str, Any]]:
     """What ``h3data import DIR`` says of each file."""
-    from h3data_pipelines.importing import Import
+    from h3data_pipelines.commands.importing import Import
 
     outcome = Import(paths=(real,), out=out, assets=tuple(assets)).run()
     assert outcome.exit_code == 0

@@ -11,8 +11,7 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.interop import AssetLibrary
-from h3data.interop.assets import ASSETS_VARIABLE, EMPTY_URI, clean_path
+from h3data.habitat.assets import ASSETS_VARIABLE, EMPTY_URI, AssetLibrary, clean_path
 from h3data.recording.records import AssetRef
 from h3data.scene.records import Asset, Scene
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from h3data.interop import read_gfx_replay
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.render import OPENGL_TO_OPENCV, Camera, pinhole
 from h3data.replay import Replay
 

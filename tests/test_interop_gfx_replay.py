@@ -22,8 +22,9 @@ from h3data.geometry import (
     pose_multiply,
     pose_to_matrix,
 )
-from h3data.interop import read_gfx_replay, sniff
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording.records import STEP_NS, Recording
+from h3data.sniff import sniff
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 SESSION = REAL / "hitl" / "my_session.gfx_replay.json"

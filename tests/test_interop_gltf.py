@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import SceneError
-from h3data.interop.meshes import load_mesh, node_box
+from h3data.mesh.loading import load_mesh, node_box
 
 
 # --- accessors --------------------------------------------------------------------------------------------------------

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.errors import SceneError
-from h3data.interop.meshes import load_mesh, node_box
-from h3data.scene.glb import pack_glb
+from h3data.mesh.glb import pack_glb
+from h3data.mesh.loading import load_mesh, node_box
 
 
 # --- files beside -----------------------------------------------------------------------------------------------------

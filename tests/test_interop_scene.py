@@ -11,10 +11,11 @@ import pytest
 import trimesh
 
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
-from h3data.interop import load_habitat_scene
-from h3data.interop.habitat_receptacles import largest_rectangle
-from h3data.interop.meshes import node_box
-from h3data.scene.records import Box, Hull, Mesh, Scene, instance_bounds
+from h3data.habitat.scenes.receptacles import largest_rectangle
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
+from h3data.mesh.loading import node_box
+from h3data.mesh.records import Mesh
+from h3data.scene.records import Box, Hull, Scene, instance_bounds
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real" / "habitat-sim" / "data" / "test_assets"
 needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="habitat-sim's test assets are not on this machine")

@@ -14,10 +14,10 @@ import pytest
 from gltf_builder import COLORS, FLOAT, U8, U16, UV, Builder, encoded, separate
 
 from h3data.errors import SceneError
-from h3data.interop import images
-from h3data.interop.images import image_size, image_texture, largest_side, reduced
-from h3data.interop.meshes import load_mesh
-from h3data.scene.records import Mesh
+from h3data.mesh import images
+from h3data.mesh.images import image_size, image_texture, largest_side, reduced
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.records import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 # An 8 x 8 image of four colours, in KTX2 with UASTC blocks.

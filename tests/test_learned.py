@@ -21,18 +21,18 @@ import h3data
 from h3data.errors import FormatError, InputError
 from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
-from sim_kinematic.env import SocialNavEnv
-from sim_kinematic.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
-from sim_kinematic.learned_chooser import chooser_input
-from sim_kinematic.network import FILE_FORMAT, Network, from_torch, load_network, save_network
-from sim_kinematic.planners import Chooser, TaskView, robot_policy
-from sim_kinematic.policies import Command, View, policy_by_name
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.resume import verify
-from sim_kinematic.skills import Action, choices
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import BaseSpec, SocialNavSpec
+from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.envs.social_nav_env import SocialNavEnv
+from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
+from sim_kinematic.policies.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
+from sim_kinematic.policies.learned_chooser import chooser_input
+from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
+from sim_kinematic.policies.rearrange import Chooser, TaskView, robot_policy
+from sim_kinematic.policies.social_nav import Command, View, policy_by_name
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
+from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 NAMES = ("humanoid_gps", "egomotion")
 CHOOSER_INPUTS = ("holds", "at_goal", "last_done")
@@ -182,7 +182,7 @@ def test_a_flipped_byte_is_noticed_or_harmless(tmp_path_factory: pytest.TempPath
 
 
 def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, weights: Path) -> None:
-    monkeypatch.setattr("sim_kinematic.network.MAX_BYTES", 64)
+    monkeypatch.setattr("sim_kinematic.policies.network.MAX_BYTES", 64)
     with pytest.raises(FormatError, match="at most 0 MiB"):
         load_network(weights)
 

@@ -11,11 +11,11 @@ from h3data.bodies import Robot, load_robot
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, quat_from_rotvec
 from h3data.scene import Asset, Box, Instance, Mesh, Scene
-from sim_kinematic import manipulation
-from sim_kinematic.arm_contact import ArmContact, touch_events
-from sim_kinematic.manipulation import arm_columns, carry_objects, grip_objects, move_arms, robot_hands
-from sim_kinematic.spec import ArmSpec
-from sim_kinematic.state import HUMAN, NOBODY, ROBOT, RobotState, WorldState
+from sim_kinematic.agents import manipulation
+from sim_kinematic.agents.arm_contact import ArmContact, touch_events
+from sim_kinematic.agents.manipulation import arm_columns, carry_objects, grip_objects, move_arms, robot_hands
+from sim_kinematic.motion.spec import ArmSpec
+from sim_kinematic.motion.state import HUMAN, NOBODY, ROBOT, RobotState, WorldState
 
 SPEC = ArmSpec()
 REACH_OUT = np.array([0.0, -1.2, 0.0, 1.6, 0.0, -0.4, 0.0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from h3data.errors import SceneError
+from h3data.mesh.meshes import joined, painted
 from h3data.scene import Mesh, Texture
-from h3data.scene.meshes import joined, painted
 
 
 def _triangle(*textures: Texture, face_textures=None, **more) -> Mesh:

@@ -26,8 +26,8 @@ from h3data.metrics import (
     measure_many,
     metrics_of,
 )
-from h3data.metrics.kernels import NEVER, PAPER, Thresholds, count
-from h3data.metrics.social_nav import following_rows
+from h3data.metrics.paper.kernels import NEVER, PAPER, Thresholds, count
+from h3data.metrics.paper.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 
 ROBOT = Agent(name="spot", kind="robot")

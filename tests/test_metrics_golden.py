@@ -14,7 +14,7 @@ import pytest
 
 from h3data.geometry import ground_pose
 from h3data.metrics import measure
-from h3data.metrics.kernels import Thresholds, count
+from h3data.metrics.paper.kernels import Thresholds, count
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real" / "habitat-lab" / "reference" / "socialnav"

@@ -12,10 +12,10 @@ import pytest
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import MissingColumnsError, measure, series_of
-from h3data.metrics.habitat import STILL_M
-from h3data.metrics.habitat_config import HabitatConfig, StatsConfig
-from h3data.metrics.habitat_reward import goal_errors
-from h3data.metrics.habitat_stats import HabitatTrack, _found_step, social_nav_stats
+from h3data.metrics.habitat.config import HabitatConfig, StatsConfig
+from h3data.metrics.habitat.measures import STILL_M
+from h3data.metrics.habitat.reward import goal_errors
+from h3data.metrics.habitat.stats import HabitatTrack, _found_step, social_nav_stats
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real" / "habitat-lab" / "reference" / "socialnav"

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
-from h3data.interop.navmesh import read_navmesh
-from h3data.metrics.oracle import LONGEST, oracle_min_steps, steps_to_find
-from h3data.scene import PathFinder
+from h3data.habitat.navmesh.file import read_navmesh
+from h3data.habitat.navmesh.pathfinder import PathFinder
+from h3data.metrics.paper.oracle import LONGEST, oracle_min_steps, steps_to_find
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real" / "habitat-lab" / "reference"
 golden = pytest.mark.skipif(

@@ -16,16 +16,16 @@ from motion_writers import amass_arrays, bvh_text, placed, turned, walked, write
 from scipy.ndimage import gaussian_filter1d
 
 from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
-from h3data.bodies.foot_planting import ANKLE, leg_frames, legs_to, runs, sole_points
-from h3data.bodies.motion import clip_table, sample_clips
-from h3data.bodies.motion_clip import Motion, same_motion
-from h3data.bodies.motion_cycle import find_loop, trim_to_cycle
-from h3data.bodies.motion_retarget import foot_report, retarget
+from h3data.bodies.motion.motion_clip import Motion, same_motion
+from h3data.bodies.motion.motion_cycle import find_loop, trim_to_cycle
+from h3data.bodies.motion.motion_files import load_motion, read_motion
+from h3data.bodies.motion.motion_retarget import foot_report, retarget
+from h3data.bodies.people.clips import clip_table, sample_clips
+from h3data.bodies.people.foot_planting import ANKLE, leg_frames, legs_to, runs, sole_points
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, quat_from_rotvec, quat_multiply
-from h3data.interop.motion_files import load_motion, read_motion
-from h3data.interop.motion_recording import motion_columns, motion_recording
 from h3data.recording import Recording, open_recording, write_mcap
+from h3data.recording.motion_recording import motion_columns, motion_recording
 from h3data.replay import Replay
 from h3data_pipelines.cli import main
 

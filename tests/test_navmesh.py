@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
 from h3data.errors import FormatError, InputError, SceneError
-from h3data.interop.navmesh import read_navmesh, write_navmesh
-from h3data.scene.freespace_build import build_from_walkable
-from h3data.scene.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
+from h3data.habitat.navmesh.file import read_navmesh, write_navmesh
+from h3data.habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
+from h3data.scene.freespace.build import build_from_walkable
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 ROOMS = ["simple_room_default", "simple_room_6chairs"]

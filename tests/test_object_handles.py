@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from h3data.geometry import transform_points
-from h3data.interop import AssetLibrary, read_gfx_replay, read_hitl_episode, sniff
-from h3data.interop.glb_write import glb_bytes
-from h3data.interop.hitl_records import object_bodies
-from h3data.interop.primitives import box_mesh
+from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
+from h3data.habitat.hitl.hitl_records import object_bodies
+from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.mesh.glb_write import glb_bytes
+from h3data.mesh.primitives import box_mesh
 from h3data.recording import AssetRef
 from h3data.replay import Replay
+from h3data.sniff import sniff
 
 CAN = AssetRef(name="can", uri="handle:can")
 SESSION = "habitat-lab/reference/hitl/session_1user_policy"

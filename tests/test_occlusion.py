@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from h3data.geometry import pose_to_matrix
+from h3data.mesh.records import Mesh
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.cpu import CpuEngine
-from h3data.render.occlusion import EDGE, EDGE_ROWS, Occlusion, light_left, occlude
-from h3data.render.raster import Target, View
-from h3data.scene.records import Mesh
+from h3data.render.raster.cpu import CpuEngine
+from h3data.render.raster.raster import Target, View
+from h3data.render.shade.occlusion import EDGE, EDGE_ROWS, Occlusion, light_left, occlude
 
 GREY = (170, 170, 170)
 

@@ -8,8 +8,8 @@ import pytest
 
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
-from h3data_pipelines.commands import COMMANDS
-from h3data_pipelines.doctor import Doctor
+from h3data_pipelines.commands.doctor import Doctor
+from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.parsing import _unboxed, parse
 
 HELP = [

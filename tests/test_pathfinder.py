@@ -19,11 +19,11 @@ from shapely.geometry import LineString, Polygon, box
 from test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
 
 from h3data.errors import InputError
-from h3data.interop.navmesh import read_navmesh
-from h3data.scene._surface import REACH_M, Surface, contains, height, nearest
-from h3data.scene.freespace_build import build_from_walkable
-from h3data.scene.navmesh import free_space_from_navmesh
-from h3data.scene.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
+from h3data.habitat.navmesh._surface import REACH_M, Surface, contains, height, nearest
+from h3data.habitat.navmesh.file import read_navmesh
+from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
+from h3data.habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
+from h3data.scene.freespace.build import build_from_walkable
 
 FREE_TOL_M = 2e-6
 """Answers of the simulator are float32: 5e-7 m at 5 m."""

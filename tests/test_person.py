@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.reach import HANDS, Hand, hand_points, reacher
+from h3data.bodies.people.reach import HANDS, Hand, hand_points, reacher
 from h3data.errors import InputError
 from h3data.geometry import (
     ground_pose,
@@ -18,8 +18,8 @@ from h3data.geometry import (
     quat_from_matrix,
     quat_rotate,
 )
-from sim_kinematic import person as skills
-from sim_kinematic.person import Frame, Person, run
+from sim_kinematic.agents import person as skills
+from sim_kinematic.agents.person import Frame, Person, run
 
 BODIES = humanoid_names()
 SPOTS = st.tuples(st.floats(0.32, 0.42), st.floats(0.05, 1.0), st.floats(-0.02, 0.25))

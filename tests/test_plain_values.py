@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from h3data.interop.array_pickle import PickledArray
-from h3data.interop.plain_values import PlainValues
+from h3data.array_pickle import PickledArray
+from h3data.plain_values import PlainValues
 
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 VALUES = st.recursive(

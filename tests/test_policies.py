@@ -13,13 +13,13 @@ from h3data.errors import InputError
 from h3data.geometry import wrap_angle
 from h3data.metrics import measure
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.freespace_build import build_from_walkable
-from sim_kinematic.policies import POLICIES, ROBOT_SKILLS, Policy, View, future_oracle, heuristic_expert
-from sim_kinematic.rollouts import roll_out, straight_walk
-from sim_kinematic.social_nav import SocialNavWorld, plan_of, simulate_social_nav
-from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec
-from sim_kinematic.state import RobotState
-from sim_kinematic.step import drive_robots, least_clearance
+from h3data.scene.freespace.build import build_from_walkable
+from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
+from sim_kinematic.motion.state import RobotState
+from sim_kinematic.motion.step import drive_robots, least_clearance
+from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, View, future_oracle, heuristic_expert
+from sim_kinematic.tasks.social_nav import SocialNavWorld, plan_of, simulate_social_nav
 
 SPEC = BaseSpec()
 MIRROR = np.array([1.0, -1.0])

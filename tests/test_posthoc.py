@@ -7,7 +7,8 @@ import pytest
 from glmm_reference import FITS, columns, reference, stored_fit
 
 from h3data.errors import InputError
-from h3data.metrics import MarginalMeans, contrasts, contrasts_text, fit_glmm, marginal_means, relative_efficiency
+from h3data.stats.mixed_models import fit_glmm
+from h3data.stats.posthoc import MarginalMeans, contrasts, contrasts_text, marginal_means, relative_efficiency
 
 
 def means_of(name: str) -> MarginalMeans:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim_kinematic.randomness import episode_seed, generator
+from sim_kinematic.motion.randomness import episode_seed, generator
 
 
 def test_same_counter_same_numbers() -> None:

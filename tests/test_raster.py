@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.mesh.records import Mesh
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.camera import Projection
-from h3data.render.cpu import CpuEngine
-from h3data.render.raster_draw import hidden
-from h3data.scene.records import Mesh
+from h3data.render.raster.cpu import CpuEngine
+from h3data.render.raster.raster_draw import hidden
 
 EDGE = 2e-4
 """Pixels whose ray passes an edge closer than this (barycentric) may go either way."""

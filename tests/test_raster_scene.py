@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.mesh.records import Mesh
 from h3data.render import OPENGL_TO_OPENCV, Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
-from h3data.render.clusters import CLUSTER_TRIANGLES, build_clusters
-from h3data.scene.records import Mesh
+from h3data.render.raster.clusters import CLUSTER_TRIANGLES, build_clusters
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 IDS = ("depth", "instance", "semantic", "triangle")

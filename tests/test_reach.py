@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names, load_humanoid
-from h3data.bodies import reach_kernel as kernel
-from h3data.bodies.reach import (
+from h3data.bodies.people import reach_kernel as kernel
+from h3data.bodies.people.reach import (
     HANDS,
     STATUSES,
     Hand,
@@ -233,8 +233,8 @@ def test_palms_face_each_other_side() -> None:
 
 @pytest.mark.slow
 def test_the_table_is_what_the_bake_solves() -> None:
-    from h3data.bodies.reach import reach_body
-    from h3data_pipelines.bake.reach import SOLVED_FOR, solve_table
+    from bake.reach import SOLVED_FOR, solve_table
+    from h3data.bodies.people.reach import reach_body
 
     solved = solve_table(tuple(reach_body(load_humanoid(name), "right") for name in SOLVED_FOR))
     shipped = reach_table()

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_humanoid
-from h3data.bodies.reach import reacher
+from h3data.bodies.people.reach import reacher
 from h3data.geometry import ground_pose
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.collision import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
-from sim_kinematic.person import Person, run
-from sim_kinematic.person_skills import PersonActor
-from sim_kinematic.reach_room import REACHING_PARTS, TOLERANCE_M, ReachRoom
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.skills import Action, Ending, Objects
-from sim_kinematic.spec import WalkerSpec
-from sim_kinematic.stands import nearest_stand, person_stands
-from sim_kinematic.state import NOBODY, WorldState
+from sim_kinematic.agents.person import Person, run
+from sim_kinematic.agents.person_clearance import REACHING_PARTS, TOLERANCE_M, ReachRoom
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.agents.stands import nearest_stand, person_stands
+from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import NOBODY, WorldState
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 DEEPEST_M = TOLERANCE_M + 0.01
 """In recorded episodes: a little more between the frames that are looked at."""
@@ -69,7 +69,7 @@ def test_in_recorded_episodes_her_body_keeps_out_of_the_home(home: Scene, world:
 
 @pytest.mark.slow
 def test_in_many_homes_her_body_keeps_out(capsys: pytest.CaptureFixture[str]) -> None:
-    from h3data_pipelines.rearrange_jobs import rearrange_jobs, rules
+    from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
 
     jobs = rearrange_jobs(
         "h3-homes/test", episodes=None, seed=0, policy="solo", partner="both", human=None, spec=rules()

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_humanoid, load_robot, solve_ik
-from h3data.bodies.reach import hand_points, reach
+from h3data.bodies.people.reach import hand_points, reach
 from h3data.errors import InputError, SceneError
 from h3data.geometry import ground_pose, pose_inverse, pose_multiply, pose_to_matrix, quat_rotate
 from h3data.metrics import measure
 from h3data.recording import Recording, read_mcap, recordings_equal, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
-from sim_kinematic.avoidance import AVOIDANCE, Avoided, keep_clear
-from sim_kinematic.collision import FclScene, MovingShapes, collide
-from sim_kinematic.planners import (
+from sim_kinematic.agents.skills import SKILLS, Action
+from sim_kinematic.agents.stands import HAND_PITCH_RAD, hand_turn, person_stands, robot_stands
+from sim_kinematic.avoidance.velocity import AVOIDANCE, Avoided, keep_clear
+from sim_kinematic.contact import FclScene, MovingShapes, collide
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.rearrange import (
     PARTNERS,
     PLANS,
     POPULATIONS,
@@ -28,12 +31,9 @@ from sim_kinematic.planners import (
     planner,
     robot_policy,
 )
-from sim_kinematic.rearrange import simulate_rearrange, solo_steps_of
-from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
-from sim_kinematic.rewards import REARRANGE_REWARDS
-from sim_kinematic.skills import SKILLS, Action
-from sim_kinematic.spec import BaseSpec
-from sim_kinematic.stands import HAND_PITCH_RAD, hand_turn, person_stands, robot_stands
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
+from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
 
 
 @pytest.fixture(scope="module")

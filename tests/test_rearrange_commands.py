@@ -11,8 +11,8 @@ import pytest
 import h3data
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
-from h3data_pipelines.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
-from sim_kinematic import planners
+from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
+from sim_kinematic.policies.social_nav import rearrange as planners
 
 GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
 EVALUATE = (
@@ -54,7 +54,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
             raise RuntimeError("boom")
         return planners.Planner(())
 
-    monkeypatch.setattr("sim_kinematic.rearrange.robot_policy", first_breaks)
+    monkeypatch.setattr("sim_kinematic.tasks.rearrange.simulate.robot_policy", first_breaks)
     result = run_json(capsys, *args, tmp_path / "broken", code=1)
     assert len(result["failed"]) == 1
     assert "RuntimeError: boom" in result["failed"][0]

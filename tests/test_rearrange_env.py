@@ -14,19 +14,19 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import h3data
 from h3data.errors import InputError
-from sim_kinematic.agent_pictures import DETECTORS
-from sim_kinematic.person_skills import PersonActor
-from sim_kinematic.planners import planner, robot_policy
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_env import RearrangeEnv
-from sim_kinematic.rearrange_episode import RearrangeSpec
-from sim_kinematic.rearrange_observations import PAPER_SENSES, SENSES
-from sim_kinematic.rearrange_parallel_env import RearrangeParallelEnv
-from sim_kinematic.rearrange_session import RearrangeSession
-from sim_kinematic.robot_skills import RobotActor
-from sim_kinematic.skills import CONTROL, Action, choices
-from sim_kinematic.state import NOBODY
-from sim_kinematic.step import least_clearance
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.skills import CONTROL, Action, choices
+from sim_kinematic.envs.rearrange_env import RearrangeEnv
+from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
+from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.motion.step import least_clearance
+from sim_kinematic.policies.rearrange import planner, robot_policy
+from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
+from sim_kinematic.sensing.agent_pictures import DETECTORS
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.session import RearrangeSession
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 HOME = "small:1"
 OF_ROBOT = (*SENSES, "arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "back_rgb")
@@ -45,7 +45,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("options", [{}, {"level": "low"}, {"agent": "human"}], ids=str)
 def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
-    name, names = "sim_kinematic.rearrange_env:h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
+    name, names = "sim_kinematic.envs.rearrange_env:h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
     env = gymnasium.make(name, scenes=HOME, observations=names, render_mode="rgb_array", **SIZES, **options)
     check_env(env.unwrapped)
 

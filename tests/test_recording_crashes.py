@@ -30,7 +30,7 @@ from h3data.recording import (
     recover_mcap,
     write_mcap,
 )
-from h3data.recording.mcap_scan import scan_records
+from h3data.recording.mcap.mcap_scan import scan_records
 
 FLUSH_ROWS = 30  # one second
 PRELUDE = f"""

@@ -29,7 +29,6 @@ from h3data.recording import (
     DatasetWriter,
     InputEvent,
     Recording,
-    dataset_shard,
     open_recording,
     read_mcap,
     rebuild_meta,
@@ -37,7 +36,8 @@ from h3data.recording import (
     state_hash,
     write_mcap,
 )
-from h3data.recording.lerobot_meta import merged, moments_of
+from h3data.recording.parquet import dataset_shard
+from h3data.recording.parquet.lerobot_meta import merged, moments_of
 from h3data.recording.schema import DTYPES
 
 SOME = settings(

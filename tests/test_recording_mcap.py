@@ -24,12 +24,12 @@ from h3data.recording import (
     read_mcap,
     recordings_equal,
     recover_mcap,
-    wire,
     write_mcap,
 )
-from h3data.recording.mcap_scan import MAGIC
+from h3data.recording.mcap import wire
+from h3data.recording.mcap.mcap_scan import MAGIC
+from h3data.recording.mcap.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of, topic_of
-from h3data.recording.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 
 SOME = settings(
     max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]

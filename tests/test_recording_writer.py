@@ -22,14 +22,13 @@ from h3data.recording import (
     RecordingHeader,
     RecordingWriter,
     SkillSpan,
-    mcap_log,
-    mcap_part,
     open_recording,
     read_mcap,
     recordings_equal,
     recover_mcap,
     write_mcap,
 )
+from h3data.recording.mcap import mcap_log, mcap_part
 
 
 def test_skills_begin_as_running_and_are_replaced(tmp_path):

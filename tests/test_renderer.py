@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from benchmarks.render import box, colored
 from h3data.errors import InputError, MissingExtraError
+from h3data.mesh.records import Mesh, Texture
 from h3data.render import Light, Renderer, RenderInstance, RenderScene, equirectangular, look_at, orthographic, pinhole
-from h3data.scene.records import Mesh, Texture
 
 EVERYTHING = ("depth", "instance", "semantic", "triangle", "rgb", "normal")
 

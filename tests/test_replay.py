@@ -11,8 +11,8 @@ from h3data.errors import InputError
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import Replay, camera_names, camera_track, links
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 
 @pytest.fixture(scope="module")

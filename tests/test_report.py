@@ -20,12 +20,22 @@ from h3data.metrics import measure_files
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
-from h3data_viewers.report import Report, make_report
-from h3data_viewers.report_data import gather, same_episodes
-from h3data_viewers.report_paper import paper_results, social_nav_table
-from h3data_viewers.report_pictures import highlights, key_rows
-from h3data_viewers.report_svg import ticks
-from h3data_viewers.report_tables import Cell, Column, Row, Section, Table, number, to_html, to_latex, to_markdown
+from h3data_viewers.html_report.report import Report, make_report
+from h3data_viewers.html_report.report_data import gather, same_episodes
+from h3data_viewers.html_report.report_paper import paper_results, social_nav_table
+from h3data_viewers.html_report.report_pictures import highlights, key_rows
+from h3data_viewers.html_report.report_svg import ticks
+from h3data_viewers.html_report.report_tables import (
+    Cell,
+    Column,
+    Row,
+    Section,
+    Table,
+    number,
+    to_html,
+    to_latex,
+    to_markdown,
+)
 
 ROBOT, HUMAN = Agent(name="spot", kind="robot"), Agent(name="alex", kind="human")
 POLICIES = ("heuristic_expert", "stand_still")

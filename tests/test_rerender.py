@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.recording.mcap_log import write_mcap
+from h3data.recording.mcap.mcap_log import write_mcap
 from h3data.replay import camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 CAMERA = 'eye = [-1.0, 1.6, 0.3]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwidth = 97\nheight = 64\n'
 

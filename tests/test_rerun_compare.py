@@ -12,7 +12,7 @@ from h3data.errors import InputError
 from h3data.geometry import pose_to_matrix
 from h3data.recording.records import STEP_NS, Recording
 from h3data_viewers import Shown, write_comparison_rrd, write_rrd
-from h3data_viewers.rerun_view import _timeline
+from h3data_viewers.rerun.rerun_view import _timeline
 
 pytest.importorskip("rerun")
 

@@ -18,10 +18,11 @@ from h3data.geometry import (
 )
 from h3data.recording.records import STEP_NS, Agent, InputEvent, Recording
 from h3data.render.camera import look_at, orthographic, pinhole
-from h3data_viewers import CameraFeed, rerun_bodies, write_rrd
-from h3data_viewers.rerun_cameras import frame_steps
-from h3data_viewers.rerun_sink import Sink
-from h3data_viewers.rerun_tracks import lanes_of, log_scalars
+from h3data_viewers import CameraFeed, write_rrd
+from h3data_viewers.rerun import rerun_bodies
+from h3data_viewers.rerun.rerun_cameras import frame_steps
+from h3data_viewers.rerun.rerun_sink import Sink
+from h3data_viewers.rerun.rerun_tracks import lanes_of, log_scalars
 
 pytest.importorskip("rerun")
 

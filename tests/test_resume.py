@@ -15,10 +15,10 @@ from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, recordings_equal, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.cli import main
-from sim_kinematic.policies import POLICIES
-from sim_kinematic.resume import counterfactual, resume, verify
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.policies.social_nav import POLICIES
+from sim_kinematic.tasks.resume import counterfactual, resume, verify
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 SCENE = build_home(HomeSpec(preset="small", seed=1))
 GOALS = 3

@@ -16,12 +16,12 @@ from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data_pipelines.cli import main
-from sim_kinematic.planners import PARTNERS, ROBOT_POLICIES, TaskView
-from sim_kinematic.rearrange import simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeWorld
-from sim_kinematic.resume import counterfactual, resume, verify
-from sim_kinematic.skills import CONTROL, SKILLS, Action
-from sim_kinematic.wander import simulate_wander
+from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES, TaskView
+from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
+from sim_kinematic.tasks.resume import counterfactual, resume, verify
+from sim_kinematic.tasks.wander import simulate_wander
 
 STEP = 60
 """Where others take over in most tests: robot and person are under way."""

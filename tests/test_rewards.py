@@ -10,8 +10,8 @@ import pytest
 from conftest import REAL
 
 from h3data.errors import InputError
-from h3data.metrics.habitat_config import HabitatConfig
-from sim_kinematic.rewards import REARRANGE_REWARDS, Encounter, PaperReward, RearrangeReward, SocialNavReward
+from h3data.metrics.habitat.config import HabitatConfig
+from sim_kinematic.tasks.rewards import REARRANGE_REWARDS, Encounter, PaperReward, RearrangeReward, SocialNavReward
 
 GOLDEN = REAL / "habitat-lab" / "reference"
 FILES = sorted((GOLDEN / "socialnav").glob("[0-9]*.npz"))

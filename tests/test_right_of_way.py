@@ -13,18 +13,18 @@ import shapely
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from h3data.scene.freespace_build import build_from_walkable
-from sim_kinematic.floor_routes import FloorRoutes, distance_to_way, first_of_way
-from sim_kinematic.giving_way import BODY_M, NO_WAY, PASSING_M, Seen, discs_of, in_the_way, round_others
-from sim_kinematic.person import Person
-from sim_kinematic.person_skills import PersonActor
-from sim_kinematic.rearrange import minds_of, simulate_rearrange
-from sim_kinematic.rearrange_episode import RearrangeSpec, RearrangeWorld
-from sim_kinematic.rearrange_play import RearrangePlay
-from sim_kinematic.right_of_way import APART_M, CLOSE, HELD_UP_STEPS, RightOfWay
-from sim_kinematic.skills import Action, Ending, Objects
-from sim_kinematic.spec import WalkerSpec
-from sim_kinematic.state import WorldState
+from h3data.scene.freespace.build import build_from_walkable
+from sim_kinematic.agents.person import Person
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.skills import Action, Ending, Objects
+from sim_kinematic.avoidance.right_of_way import APART_M, CLOSE, HELD_UP_STEPS, RightOfWay
+from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_way, first_of_way
+from sim_kinematic.avoidance.yielding import BODY_M, NO_WAY, PASSING_M, Seen, discs_of, in_the_way, round_others
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
 
 
 @pytest.fixture(scope="module")

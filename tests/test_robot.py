@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import Robot, load_robot, robot_names
-from h3data.bodies.meshes import read_plain_glb
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, quat_from_axis_angle, quat_to_matrix
+from h3data.mesh.link_meshes import read_plain_glb
 from h3data.scene.records import Capsule
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 

@@ -7,11 +7,11 @@ import pytest
 
 from h3data.bodies import load_robot
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic.giving_way import ASIDE_FROM_M, Seen
-from sim_kinematic.robot_skills import ARRIVED_M, RobotActor
-from sim_kinematic.skills import Action, Objects
-from sim_kinematic.spec import BaseSpec
-from sim_kinematic.state import WorldState
+from sim_kinematic.agents.robot_skills import ARRIVED_M, RobotActor
+from sim_kinematic.agents.skills import Action, Objects
+from sim_kinematic.avoidance.yielding import ASIDE_FROM_M, Seen
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.state import WorldState
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_robot
-from h3data.bodies.meshes import load_mesh, moved
-from h3data.interop.meshes import load_mesh as load_with_own_reader
+from h3data.mesh.link_meshes import load_mesh, moved
+from h3data.mesh.loading import load_mesh as load_with_own_reader
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 
 PIXELS = np.zeros((8, 16, 3), np.uint8)

@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError, SceneError
+from h3data.mesh.png import png_bytes, png_pixels
 from h3data.scene import (
     Asset,
     Box,
@@ -35,7 +36,6 @@ from h3data.scene import (
     save_scene,
     scene_digest,
 )
-from h3data.scene.png import png_bytes, png_pixels
 from h3data.scene.scene_file import _linear_of_srgb, _srgb_of_linear, scene_bytes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from h3data.render import Renderer
-from h3data.render.scene_map import plan_picture, render_scene
+from h3data.render.sheets.scene_map import plan_picture, render_scene
 from h3data.scene import HomeSpec, build_home
 
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bake.home_sets import set_text, updated_card
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError
-from h3data.interop.habitat_export import export_habitat
-from h3data.interop.scene_names import named_scenes, open_scene
+from h3data.export.habitat_scenes import export_habitat
+from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSet, builtin_sets, find_scene_set, read_scene_set
-from h3data_pipelines.bake.home_sets import set_text, updated_card
-from h3data_pipelines.scene_reports import validate_scene
+from h3data_pipelines.assets.scene_reports import validate_scene
 
 SPLITS = {"train": (37, 1000, 3.0), "val": (12, 100, 5.0), "test": (10, 15, 5.0)}
 """Homes, episodes in each (paper, appendix on scenes), least distance of the starts (appendix, social navigation)."""

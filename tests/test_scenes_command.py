@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
+from h3data.export.habitat_scenes import export_habitat
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
-from h3data.interop.habitat_export import export_habitat
-from h3data.interop.scene_names import named_scenes
-from h3data.render.scene_map import (
+from h3data.habitat.scene_names import named_scenes
+from h3data.render.sheets.scene_map import (
     ISLAND_COLOR,
     MAIN_COLOR,
     PROBLEM_COLOR,
@@ -42,9 +42,9 @@ from h3data.scene import (
     scene_digest,
 )
 from h3data.scene.validation import Problem, find_problems, free_space_for_validation, stands_for_hollow
+from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
-from h3data_pipelines.scene_reports import validate_scene
-from sim_kinematic.collision import overlapping_instances
+from sim_kinematic.contact import overlapping_instances
 
 SHUT = ["island", "unreachable_room", "out_of_reach"]
 """What a shut door does to the room with the table."""
@@ -456,7 +456,7 @@ def test_map_shows_islands_receptacles_and_problems() -> None:
 
 def test_map_of_a_home_without_ceiling_layer(home: Scene, tmp_path: Path) -> None:
     """An exported home has its ceiling in the stage; from above one must look into the rooms all the same."""
-    from h3data.interop import load_habitat_scene
+    from h3data.habitat.scenes.scene_instance import load_habitat_scene
 
     again = load_habitat_scene(export_habitat(home, tmp_path / "x"))
     ours, _ = plan_picture(home, pixels_per_m=20)

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, pose_from_matrix, pose_to_matrix, transform_points
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic import predicates, sensors
-from sim_kinematic.spec import STEP_S, SocialNavSpec
-from sim_kinematic.state import NOBODY, ROBOT
-from sim_kinematic.step import integrate
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.motion.state import NOBODY, ROBOT
+from sim_kinematic.motion.step import integrate
+from sim_kinematic.sensing import sensor as sensors
+from sim_kinematic.tasks import predicates
 
 GOLDEN = REAL / "habitat-lab" / "reference" / "rearrange" / "predicates_sensors.json"
 needs_real = pytest.mark.skipif(not GOLDEN.is_file(), reason="needs the real Habitat files in ../shared/real")

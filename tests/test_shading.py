@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.mesh.records import Mesh
 from h3data.render import (
     Camera,
     Light,
@@ -23,9 +24,8 @@ from h3data.render import (
     normalize_depth,
     pinhole,
 )
-from h3data.render.borrowed import borrowed
-from h3data.render.shading import tone_map
-from h3data.scene.records import Mesh
+from h3data.render.shade.borrowed import borrowed
+from h3data.render.shade.shading import tone_map
 from h3data.srgb import linear_to_srgb, srgb_to_linear
 
 WHITE_ROOM = Light(

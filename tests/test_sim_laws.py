@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from h3data.bodies import load_robot
 from h3data.errors import InputError
 from h3data.scene import Cylinder, FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.collision import FclScene, MovingShapes, collide
-from sim_kinematic.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.spec import ArmSpec, BaseSpec
-from sim_kinematic.state import WorldState
-from sim_kinematic.step import drive_robots, least_clearance
+from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.contact import FclScene, MovingShapes, collide
+from sim_kinematic.motion.spec import ArmSpec, BaseSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.motion.step import drive_robots, least_clearance
 
 DEEPEST_M = 2e-3
 ARM = ArmSpec()

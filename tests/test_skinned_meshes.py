@@ -12,10 +12,11 @@ from gltf_builder import FLOAT, SQUARE, U8, Builder
 
 from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix, quat_from_heading
-from h3data.interop import AssetLibrary, load_mesh
-from h3data.interop.skinned_meshes import load_skinned_mesh
+from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.skinned_meshes import load_skinned_mesh
+from h3data.mesh.loading import load_mesh
 from h3data.recording import AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, open_recording
-from h3data.recording.mcap_log import write_mcap
+from h3data.recording.mcap.mcap_log import write_mcap
 from h3data.replay import Replay, camera_track
 
 JOINTS = np.array([[0, 1, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]], np.uint8)

@@ -13,13 +13,13 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import IDENTITY_POSE, ground_pose, heading_from_quat
 from h3data.recording import Recording, RecordingWriter, open_recording, recordings_equal, state_hash
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.collision import FclScene, MovingShapes, collide
-from sim_kinematic.oracle import oracle_min_steps, steps_to_find
-from sim_kinematic.policies import Command, View, heuristic_expert, policy_by_name
-from sim_kinematic.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
-from sim_kinematic.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.step import least_clearance
-from sim_kinematic.waypoint_human import human_plan, sharp_corners
+from sim_kinematic.agents.waypoint_walker import human_plan, sharp_corners
+from sim_kinematic.contact import FclScene, MovingShapes, collide
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.step import least_clearance
+from sim_kinematic.policies.social_nav import Command, View, heuristic_expert, policy_by_name
+from sim_kinematic.tasks.oracle import oracle_min_steps, steps_to_find
+from sim_kinematic.tasks.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
 
 
 @pytest.fixture(scope="module")

@@ -16,13 +16,18 @@ from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError
 from h3data.geometry import heading_direction, quat_rotate
-from h3data.interop.habitat_episode_records import EpisodeSet, RearrangeEpisode, RigidObject
-from h3data.interop.habitat_episodes import read_episodes, write_episodes
-from h3data.interop.social_nav_episodes import SocialNavEpisode, read_social_nav, social_nav_episode, social_nav_of
+from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
+from h3data.habitat.episodes.episode_records import EpisodeSet, RearrangeEpisode, RigidObject
+from h3data.habitat.episodes.social_nav_episodes import (
+    SocialNavEpisode,
+    read_social_nav,
+    social_nav_episode,
+    social_nav_of,
+)
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 numbers = st.floats(-1e3, 1e3)
 starts = st.tuples(numbers, numbers, st.floats(-3.2, 3.2))

@@ -14,18 +14,18 @@ import pytest
 
 import h3data
 from h3data.errors import InputError, SceneError
-from h3data.interop.episode_scenes import scene_of_episode
-from h3data.interop.habitat_episodes import read_episodes
-from h3data.interop.scene_names import open_free_space, open_scene
-from h3data.interop.social_nav_episodes import SocialNavEpisode, read_social_nav
+from h3data.habitat.episodes.episode_files import read_episodes
+from h3data.habitat.episodes.episode_scenes import scene_of_episode
+from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode, read_social_nav
+from h3data.habitat.scene_names import open_free_space, open_scene
 from h3data.recording import Dataset
 from h3data.scene import HomeSpec, scene_digest
 from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRules
 from h3data_pipelines.cli import main
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.social_nav_episodes import drawn_episode, episode_of, rules_of, set_episode, world_of
-from sim_kinematic.spec import STEP_S, SocialNavSpec, WalkerSpec
-from sim_kinematic.waypoint_human import human_plan
+from sim_kinematic.agents.waypoint_walker import human_plan
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_of, rules_of, set_episode, world_of
 
 HOME = HomeSpec(seed=1)
 SET_TEXT = """

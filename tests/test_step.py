@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene import Asset, Box, FreeSpace, Instance, Mesh, Room, Scene
-from sim_kinematic import step as kernels
-from sim_kinematic.spec import STEP_S, BaseSpec, WalkerSpec
-from sim_kinematic.state import HumanState, RobotState
+from sim_kinematic.motion import step as kernels
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.motion.state import HumanState, RobotState
 
 SPEC = BaseSpec()
 OFFSETS = np.asarray(SPEC.disc_offsets_m)

@@ -28,7 +28,7 @@ from h3data.recording import (
     recordings_equal,
     write_mcap,
 )
-from h3data.recording.mcap_steps import McapSteps
+from h3data.recording.mcap.mcap_steps import McapSteps
 from h3data.recording.storage import place
 
 SOME = settings(

@@ -15,7 +15,7 @@ from recording_strategies import recordings, simple_recording
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.recording import Dataset, DatasetWriter
-from h3data.recording.lerobot_meta import STANDARD
+from h3data.recording.parquet.lerobot_meta import STANDARD
 
 
 @pytest.fixture(scope="module")

@@ -18,18 +18,18 @@ from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from sim_kinematic.observations import Observer  # noqa: E402
-from sim_kinematic.rewards import Encounter, SocialNavReward  # noqa: E402
-from sim_kinematic.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
-from sim_kinematic.spec import WalkerSpec  # noqa: E402
-from sim_kinematic.torch_contact import TOLERANCE_M, TouchTest  # noqa: E402
-from sim_kinematic.torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
-from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
-from sim_kinematic.torch_geodesic import Lattices, shortest_way  # noqa: E402
-from sim_kinematic.torch_graph import fused  # noqa: E402
-from sim_kinematic.torch_social_nav import Play, SocialNavTensors  # noqa: E402
-from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
-from sim_kinematic.torch_step import Grids  # noqa: E402
+from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
+from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
+from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
+from sim_kinematic.tasks.rewards import Encounter, SocialNavReward  # noqa: E402
+from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
+from sim_kinematic.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
+from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
+from sim_kinematic.torch.geodesic import Lattices, shortest_way  # noqa: E402
+from sim_kinematic.torch.graph import fused  # noqa: E402
+from sim_kinematic.torch.social_nav import Play, SocialNavTensors  # noqa: E402
+from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
+from sim_kinematic.torch.step import Grids  # noqa: E402
 
 HOMES = ["small:1", "small:2"]
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
@@ -220,9 +220,9 @@ def test_ways_on_several_floors_and_off_the_floor(bank: EpisodeBank) -> None:
 
 @pytest.mark.parametrize("name", ["quad_arm", "lift_arm"])
 def test_contact_is_that_of_the_exact_shapes(name: str) -> None:
-    from sim_kinematic.collision import AgentContacts
-    from sim_kinematic.contact import RobotHumanContact
-    from sim_kinematic.posing import body_shapes, shape_frames
+    from sim_kinematic.contact import AgentContacts
+    from sim_kinematic.contact.clearance import RobotHumanContact
+    from sim_kinematic.contact.frames import body_shapes, shape_frames
 
     robot, human, rng, count = load_robot(name), load_humanoid("female_0"), np.random.default_rng(0), 600
     robot_xz, robot_heading, human_heading = rng.uniform(-3, 3, (count, 2)), *rng.uniform(-4, 4, (2, count))

@@ -16,13 +16,13 @@ torch = pytest.importorskip("torch")
 
 from benchmarks.sim_torch import BoxFloor, Stepper  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
-from sim_kinematic.randomness import generator  # noqa: E402
-from sim_kinematic.spec import BaseSpec, WalkerSpec  # noqa: E402
-from sim_kinematic.state import HumanState, RobotState  # noqa: E402
-from sim_kinematic.torch_graph import captured  # noqa: E402
-from sim_kinematic.torch_random import bits, keys, random  # noqa: E402
-from sim_kinematic.torch_state import HumanTensors, RobotTensors  # noqa: E402
-from sim_kinematic.torch_step import Grids, drive_robots, sample_sdf, walk_humans, wrap_angle  # noqa: E402
+from sim_kinematic.motion.randomness import generator  # noqa: E402
+from sim_kinematic.motion.spec import BaseSpec, WalkerSpec  # noqa: E402
+from sim_kinematic.motion.state import HumanState, RobotState  # noqa: E402
+from sim_kinematic.torch.graph import captured  # noqa: E402
+from sim_kinematic.torch.random import bits, keys, random  # noqa: E402
+from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
+from sim_kinematic.torch.step import Grids, drive_robots, sample_sdf, walk_humans, wrap_angle  # noqa: E402
 
 FLOOR = BoxFloor.draw()
 SIDEWAYS = BaseSpec(max_lateral_mps=1.0, allow_back=False, disc_offsets_m=(-0.2, 0.0, 0.25), slide_iterations=3)
@@ -53,7 +53,7 @@ def home(preset: Any) -> Any:
     ("preset", "spec", "steps"), [("small", BaseSpec(), 1000), ("medium", BaseSpec(), 1000), ("small", SIDEWAYS, 200)]
 )
 def test_1000_steps_of_64_worlds_are_those_of_the_kernels(preset: str, spec: BaseSpec, steps: int) -> None:
-    from sim_kinematic import step as kernels
+    from sim_kinematic.motion import step as kernels
 
     free, worlds, rng, walker = home(preset), 64, np.random.default_rng(0), WalkerSpec()
     robot, human = RobotState.zeros(worlds), HumanState.zeros(worlds)
@@ -87,7 +87,7 @@ commands = st.tuples(st.floats(-2, 2), st.floats(-2, 2))
 
 @given(places, st.floats(-100, 100), commands)
 def test_odd_places_give_the_step_of_the_kernel(place: Any, heading: float, action: Any) -> None:
-    from sim_kinematic import step as kernels
+    from sim_kinematic.motion import step as kernels
 
     robot = RobotState.zeros(1)
     robot.xz[:], robot.heading[:] = place, heading
@@ -102,7 +102,7 @@ def test_odd_places_give_the_step_of_the_kernel(place: Any, heading: float, acti
 
 @given(places, places, st.floats(-100, 100), st.floats(0, 1))
 def test_odd_ways_give_the_walk_of_the_kernel(place: Any, goal: Any, heading: float, blend: float) -> None:
-    from sim_kinematic import step as kernels
+    from sim_kinematic.motion import step as kernels
 
     human = HumanState.zeros(1)
     human.xz[:], human.heading[:], human.blend[:], human.distance[:] = place, heading, blend, 3.0
@@ -114,8 +114,8 @@ def test_odd_ways_give_the_walk_of_the_kernel(place: Any, goal: Any, heading: fl
 
 @given(st.lists(places, min_size=1, max_size=20))
 def test_distances_are_those_of_the_grid(points: list[tuple[float, float]]) -> None:
-    from h3data.scene.freespace import sample_sdf as sample
-    from h3data.scene.freespace import sdf_gradient
+    from h3data.scene.freespace.free_space import sample_sdf as sample
+    from h3data.scene.freespace.free_space import sdf_gradient
 
     seen = sample_sdf(Grids.of([FLOOR], "cpu", torch.float64), doubles(points))
     for k, point in enumerate(points):
@@ -174,7 +174,7 @@ def test_float32_gives_the_same_step() -> None:
 
 def test_the_step_needs_no_heavy_packages() -> None:
     code = (
-        "import sys, benchmarks.sim_torch, sim_kinematic.torch_step, sim_kinematic.torch_graph; "
+        "import sys, benchmarks.sim_torch, sim_kinematic.torch.step, sim_kinematic.torch.graph; "
         "print({'shapely', 'fcl', 'trimesh', 'numba', 'scipy', 'gymnasium', 'cv2'} & set(sys.modules))"
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

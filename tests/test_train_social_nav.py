@@ -12,9 +12,9 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from h3data.errors import InputError  # noqa: E402
-from sim_kinematic.network import load_network  # noqa: E402
-from sim_kinematic.policies import policy_by_name  # noqa: E402
-from sim_kinematic.torch_episodes import EpisodeBank  # noqa: E402
+from sim_kinematic.policies.network import load_network  # noqa: E402
+from sim_kinematic.policies.social_nav import policy_by_name  # noqa: E402
+from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "train_social_nav.py"

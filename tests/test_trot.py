@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import Robot, load_robot
-from h3data.bodies.trot import leg_angles, legs_are_posed, trot
+from h3data.bodies.robots.trot import leg_angles, legs_are_posed, trot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, heading_direction
 
@@ -130,8 +130,8 @@ def test_wrong_shapes_are_refused() -> None:
 def test_replay_lets_the_legs_step_and_nothing_else() -> None:
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, build_home
-    from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-    from sim_kinematic.spec import SocialNavSpec
+    from sim_kinematic.motion.spec import SocialNavSpec
+    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
     spec = SocialNavSpec(max_steps=40, end_on_collision=False)
     recording = simulate_social_nav(

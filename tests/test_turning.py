@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import Humanoid, load_humanoid
-from h3data.bodies.foot_planting import LEG_JOINTS, sole_points
-from h3data.bodies.turning import turned, turning_feet
+from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.bodies.people.turning import turned, turning_feet
 from h3data.geometry import ground_pose, heading_from_quat
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.replay.validation import LOW_M, SLIDE_MPS, validate_recording
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic.spec import STEP_S, WalkerSpec
-from sim_kinematic.state import HumanState
-from sim_kinematic.step import walk_humans
-from sim_kinematic.wander import simulate_wander
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.motion.step import walk_humans
+from sim_kinematic.tasks.wander import simulate_wander
 
 
 @pytest.fixture(scope="module")

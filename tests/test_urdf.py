@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import load_robot, read_urdf
-from h3data.bodies.urdf import Urdf
+from h3data.bodies.robots.urdf import Urdf
 from h3data.errors import FormatError, H3DataError, InputError, MissingAssetError
 from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply
 from h3data.scene.records import Box, Capsule, Cylinder, Hull

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from recording_strategies import random_bits, recordings
 
 from h3data.errors import H3DataError
-from h3data.interop import read_gfx_replay
+from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording import DatasetWriter, Event, InputEvent, Recording, SkillSpan, state_hash, write_mcap
 from h3data.replay.validation import Finding, validate_recording
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
-from sim_kinematic.resume import verify
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 
 @pytest.fixture(scope="module")

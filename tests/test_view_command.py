@@ -17,10 +17,10 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers import write_rrd
-from h3data_viewers.mesh_detail import thin_mesh
-from h3data_viewers.rerun_bodies import SKIN_VERTICES
-from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.spec import SocialNavSpec
+from h3data_viewers.rerun.mesh_detail import thin_mesh
+from h3data_viewers.rerun.rerun_bodies import SKIN_VERTICES
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 pytest.importorskip("rerun")
 LONG, SHORT = 36, 21

@@ -12,8 +12,8 @@ import h3data
 from h3data.bodies import humanoid_names
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
-from h3data_pipelines.generate import Generate
-from sim_kinematic import wander
+from h3data_pipelines.commands.generate import Generate
+from sim_kinematic.tasks import wander
 
 WANDER = ("generate", "wander", "--homes", "2", "--seed", "3", "--max-steps", "20", "--json", "-o")
 

@@ -1,13 +1,13 @@
 """Who moves: people (skeleton, skin, motion clips) and robots (URDF), their meshes and collision shapes."""
 
-from h3data.bodies.humanoid import BodyCapsule, Humanoid, SkinnedMesh
-from h3data.bodies.humanoid_file import humanoid_names, load_humanoid
-from h3data.bodies.ik import IkResult, solve_ik
-from h3data.bodies.motion import Clip
-from h3data.bodies.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
-from h3data.bodies.robot_loading import load_robot, robot_names
-from h3data.bodies.skeleton import JOINT_INDEX, JOINT_NAMES
-from h3data.bodies.urdf import Urdf, read_urdf
+from h3data.bodies.people.clips import Clip
+from h3data.bodies.people.humanoid import BodyCapsule, Humanoid, SkinnedMesh
+from h3data.bodies.people.humanoid_file import humanoid_names, load_humanoid
+from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
+from h3data.bodies.robots.ik import IkResult, solve_ik
+from h3data.bodies.robots.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
+from h3data.bodies.robots.robot_loading import load_robot, robot_names
+from h3data.bodies.robots.urdf import Urdf, read_urdf
 
 __all__ = [
     "JOINT_INDEX",

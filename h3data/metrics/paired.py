@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
-from h3data.metrics.statistics import adjust_p_values, bootstrap_interval
+from h3data.stats.statistics import adjust_p_values, bootstrap_interval
 
 if TYPE_CHECKING:
     from h3data.metrics.table import MetricsTable

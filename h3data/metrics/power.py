@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.glmm_design import Family
-from h3data.metrics.mixed_models import fit_glmm
-from h3data.metrics.posthoc import Adjustment, contrasts, marginal_means
-from h3data.metrics.statistics import wilson_interval
 from h3data.metrics.study import Session, study_rows
+from h3data.stats.glmm_design import Family
+from h3data.stats.mixed_models import fit_glmm
+from h3data.stats.posthoc import Adjustment, contrasts, marginal_means
+from h3data.stats.statistics import wilson_interval
 
 _GROUPS = ("participant", "scene", "observation")
 

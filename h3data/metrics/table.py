@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.metrics.metric import EpisodeMetrics, Metric
 from h3data.metrics.registry import find_profile, measure, one_task
-from h3data.metrics.statistics import bootstrap_interval, wilson_interval
 from h3data.recording.records import Recording
+from h3data.stats.statistics import bootstrap_interval, wilson_interval
 
 
 @dataclass(frozen=True, kw_only=True)

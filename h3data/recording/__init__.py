@@ -21,27 +21,27 @@ from h3data.recording.records import (
 
 if TYPE_CHECKING:
     from h3data.recording.compare import recordings_equal, state_hash
-    from h3data.recording.dataset import Dataset
-    from h3data.recording.dataset_writer import DatasetWriter
-    from h3data.recording.lerobot_meta import rebuild_meta
-    from h3data.recording.mcap_log import RecordingWriter, write_mcap
-    from h3data.recording.mcap_read import read_mcap
-    from h3data.recording.mcap_recover import Recovery, recover_mcap
+    from h3data.recording.mcap.mcap_log import RecordingWriter, write_mcap
+    from h3data.recording.mcap.mcap_read import read_mcap
+    from h3data.recording.mcap.mcap_recover import Recovery, recover_mcap
     from h3data.recording.opening import looks_like, open_recording
+    from h3data.recording.parquet.dataset import Dataset
+    from h3data.recording.parquet.dataset_writer import DatasetWriter
+    from h3data.recording.parquet.lerobot_meta import rebuild_meta
     from h3data.recording.steps import Steps, open_steps
     from h3data.recording.windows import WindowDataset
 
 _HOMES = {
     "recordings_equal": "compare",
     "state_hash": "compare",
-    "Dataset": "dataset",
-    "DatasetWriter": "dataset_writer",
-    "rebuild_meta": "lerobot_meta",
-    "RecordingWriter": "mcap_log",
-    "write_mcap": "mcap_log",
-    "Recovery": "mcap_recover",
-    "read_mcap": "mcap_read",
-    "recover_mcap": "mcap_recover",
+    "Dataset": "parquet.dataset",
+    "DatasetWriter": "parquet.dataset_writer",
+    "rebuild_meta": "parquet.lerobot_meta",
+    "RecordingWriter": "mcap.mcap_log",
+    "write_mcap": "mcap.mcap_log",
+    "Recovery": "mcap.mcap_recover",
+    "read_mcap": "mcap.mcap_read",
+    "recover_mcap": "mcap.mcap_recover",
     "looks_like": "opening",
     "open_recording": "opening",
     "Steps": "steps",

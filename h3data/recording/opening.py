@@ -12,7 +12,7 @@ from h3data.recording.records import Recording
 from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, place
 
 if TYPE_CHECKING:
-    from h3data.recording.dataset import Dataset
+    from h3data.recording.parquet.dataset import Dataset
 
 _MAGIC = {
     b"\x89MCAP0\r\n": "an MCAP log",
@@ -30,7 +30,7 @@ _HEAD = 1 << 16
 
 
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
-"""Files of other programs' messages end so (`h3data.interop.foxglove_write`): they lie beside recordings and are none."""
+"""Files of other programs' messages end so (`h3data.export.foxglove.write`): they lie beside recordings and are none."""
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
@@ -60,12 +60,12 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
             f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}"
         )
     if folder:
-        from h3data.recording.dataset import Dataset
+        from h3data.recording.parquet.dataset import Dataset
 
         return Dataset(path)
     kind = looks_like(path)
     if kind == "an MCAP log":
-        from h3data.recording.mcap_read import read_mcap
+        from h3data.recording.mcap.mcap_read import read_mcap
 
         return read_mcap(path)
     if path.suffix == ".part":

@@ -24,7 +24,7 @@ from h3data.recording.storage import RemotePath, place
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from h3data.recording.dataset import Dataset
+    from h3data.recording.parquet.dataset import Dataset
 
 
 class Steps(ABC):
@@ -125,14 +125,14 @@ def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None
     """
     at = place(path)
     if at.is_dir():
-        from h3data.recording.dataset import Dataset
+        from h3data.recording.parquet.dataset import Dataset
 
         if episode is None:
             raise InputError(f"A dataset has many episodes: pass episode=0 or another number: {at}")
         return DatasetSteps(Dataset(at), episode)
     if episode is not None:
         raise InputError(f"Only a dataset has numbered episodes, this is not one: {at}")
-    from h3data.recording.mcap_steps import McapSteps
+    from h3data.recording.mcap.mcap_steps import McapSteps
 
     return McapSteps(at)
 

@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.dataset as pads
 
 from h3data.errors import InputError, MissingExtraError, did_you_mean
-from h3data.recording.dataset_shard import SIDECARS, data_schema, record_schema
-from h3data.recording.lerobot_meta import STANDARD, shard_path
+from h3data.recording.parquet.dataset_shard import SIDECARS, data_schema, record_schema
+from h3data.recording.parquet.lerobot_meta import STANDARD, shard_path
 from h3data.recording.storage import RemotePath
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import polars
     import torch
 
-    from h3data.recording.dataset import Dataset
+    from h3data.recording.parquet.dataset import Dataset
 
 
 def to_arrow(

@@ -11,8 +11,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording import arrow_cache, tables
-from h3data.recording.dataset import Dataset
+from h3data.recording import tables
+from h3data.recording.parquet import arrow_cache
+from h3data.recording.parquet.dataset import Dataset
 
 Border = Literal["drop", "pad"]
 CACHE_BYTES = 256 << 20
@@ -33,7 +34,7 @@ class WindowDataset:
 
     Reads the row group of one episode at a time, only ``columns``, and keeps the last ones, up to ``cache_bytes`` in each
     worker. Where shuffled windows do not fit there, ``disk_cache`` keeps the columns as memory-mapped files
-    (`h3data.recording.arrow_cache`) that all workers share. Workers may be forked or spawned; with a dataset in an object
+    (`h3data.recording.parquet.arrow_cache`) that all workers share. Workers may be forked or spawned; with a dataset in an object
     store, spawn them.
     """
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from h3data.render.rays import RayCaster, lidar
     from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
-    from h3data.render.shading import Light
+    from h3data.render.shade.shading import Light
     from h3data.render.video import VideoWriter
 
 __all__ = [
@@ -72,7 +72,7 @@ _HOMES = {
     "optical_flow": "motion",
     "visible_boxes": "motion",
     "visible_masks": "motion",
-    "Light": "shading",
+    "Light": "shade.shading",
     "Output": "pictures",
     "Poses": "pictures",
     "RenderInstance": "scene",

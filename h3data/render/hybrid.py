@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.cpu import CpuEngine, Targets, World
+from h3data.render.raster.cpu import CpuEngine, Targets, World
 from h3data.render.ray_cameras import cast_picture, picture_from_cube
 from h3data.render.rays import Part, RayCaster
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.shading import Light
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 _KEPT_CASTERS = 8

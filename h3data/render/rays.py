@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import normalized
-from h3data.render.cutouts import solid_points
 from h3data.render.pictures import Poses
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.cutouts import solid_points
+from h3data.render.shade.shading import Light
 
 _FAR_M = 1e30
 _HAIR = 1e-6

@@ -12,7 +12,7 @@ from h3data.errors import InputError, MissingExtraError
 from h3data.render.camera import Camera
 from h3data.render.pictures import Output, Poses, check_outputs
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.shading import Light
 
 Backend = Literal["auto", "cpu", "gpu", "rays"]
 

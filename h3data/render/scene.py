@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.render.clusters import Clusters, build_clusters, enclosing_box, normal_groups
-from h3data.render.cutouts import cut_out_faces, pack_cutouts
-from h3data.render.raster import Geometry
-from h3data.render.surface import Surface
-from h3data.render.textures import pack_textures
-from h3data.scene.meshes import face_texture_indices
-from h3data.scene.records import Mesh, Texture
+from h3data.mesh.meshes import face_texture_indices
+from h3data.mesh.records import Mesh, Texture
+from h3data.render.raster.clusters import Clusters, build_clusters, enclosing_box, normal_groups
+from h3data.render.raster.raster import Geometry
+from h3data.render.shade.cutouts import cut_out_faces, pack_cutouts
+from h3data.render.shade.surface import Surface
+from h3data.render.shade.textures import pack_textures
 
 
 @dataclass(frozen=True, eq=False)

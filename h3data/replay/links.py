@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
-from h3data.bodies.trot import legs_are_posed, trot
+from h3data.bodies.robots.trot import legs_are_posed, trot
 
 BLOCK_STEPS = 256
 BLOCKS_KEPT = 16

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
-from h3data.bodies.turning import TurningFeet, turned, turning_feet
+from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.interop import AssetLibrary
+from h3data.habitat.assets import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.replay.links import LinkPoses
 from h3data.replay.records import (
@@ -40,7 +40,7 @@ class Replay:
     ``assets`` finds the files that a foreign recording names; what is missing is drawn as a marked placeholder and listed
     in `missing`. ``detail`` chooses the full (True) or the reduced (False) meshes of people; by default pictures take what the
     camera can tell apart (`Humanoid.light_enough`), everything else the full ones. ``stepping`` lets legs trot that the
-    recording only holds in their resting posture (`h3data.bodies.trot`); nothing but their looks depends on it.
+    recording only holds in their resting posture (`h3data.bodies.robots.trot`); nothing but their looks depends on it.
     """
 
     def __init__(self, recording: Recording, *, assets: AssetLibrary | Sequence[str | Path] | None = None,

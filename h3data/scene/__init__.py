@@ -6,10 +6,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.scene.freespace import FreeSpace
+    from h3data.mesh.records import Mesh, Texture
+    from h3data.scene.freespace.free_space import FreeSpace
     from h3data.scene.homes import CATEGORIES, HOME_PRESETS, HomePreset, HomeSpec, build_home
-    from h3data.scene.navmesh import NavMesh, free_space_from_navmesh
-    from h3data.scene.pathfinder import PathFinder, ShortestPath
     from h3data.scene.records import (
         Asset,
         Box,
@@ -18,12 +17,10 @@ if TYPE_CHECKING:
         Hull,
         Instance,
         LightSource,
-        Mesh,
         Receptacle,
         Room,
         Scene,
         Shape,
-        Texture,
         instance_bounds,
         instance_matrix,
     )
@@ -31,11 +28,7 @@ if TYPE_CHECKING:
     from h3data.scene.scene_json import scene_digest
 
 _HOMES = {
-    "FreeSpace": "h3data.scene.freespace",
-    "NavMesh": "h3data.scene.navmesh",
-    "free_space_from_navmesh": "h3data.scene.navmesh",
-    "PathFinder": "h3data.scene.pathfinder",
-    "ShortestPath": "h3data.scene.pathfinder",
+    "FreeSpace": "h3data.scene.freespace.free_space",
     "CATEGORIES": "h3data.scene.homes",
     "HOME_PRESETS": "h3data.scene.homes",
     "HomePreset": "h3data.scene.homes",
@@ -48,12 +41,12 @@ _HOMES = {
     "Hull": "h3data.scene.records",
     "Instance": "h3data.scene.records",
     "LightSource": "h3data.scene.records",
-    "Mesh": "h3data.scene.records",
+    "Mesh": "h3data.mesh.records",
     "Receptacle": "h3data.scene.records",
     "Room": "h3data.scene.records",
     "Scene": "h3data.scene.records",
     "Shape": "h3data.scene.records",
-    "Texture": "h3data.scene.records",
+    "Texture": "h3data.mesh.records",
     "instance_bounds": "h3data.scene.records",
     "instance_matrix": "h3data.scene.records",
     "load_scene": "h3data.scene.scene_file",
@@ -75,16 +68,12 @@ __all__ = [
     "Instance",
     "LightSource",
     "Mesh",
-    "NavMesh",
-    "PathFinder",
     "Receptacle",
     "Room",
     "Scene",
     "Shape",
-    "ShortestPath",
     "Texture",
     "build_home",
-    "free_space_from_navmesh",
     "instance_bounds",
     "instance_matrix",
     "load_scene",

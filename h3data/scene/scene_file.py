@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
 from h3data.geometry import normalized
-from h3data.scene.accessors import GltfArrays, entry
-from h3data.scene.glb import FLOAT32, INDICES, INT16, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
-from h3data.scene.png import png_bytes, png_pixels
-from h3data.scene.records import Asset, Instance, Mesh, Scene, Texture
+from h3data.mesh.accessors import GltfArrays, entry
+from h3data.mesh.glb import FLOAT32, INDICES, INT16, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
+from h3data.mesh.png import png_bytes, png_pixels
+from h3data.mesh.records import Mesh, Texture
+from h3data.scene.records import Asset, Instance, Scene
 from h3data.scene.scene_json import (
     asset_record,
     floats,

@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.mesh.records import Mesh
 from h3data.scene.records import (
     Asset,
     Box,
@@ -21,7 +22,6 @@ from h3data.scene.records import (
     LightFrame,
     LightKind,
     LightSource,
-    Mesh,
     Receptacle,
     Room,
     Scene,

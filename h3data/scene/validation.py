@@ -1,6 +1,6 @@
 """What is wrong with a scene for those who walk in it: cut-off floor, tight passages, floating things, far receptacles.
 
-What needs FCL (things inside each other) is in `sim_kinematic.collision.overlapping_instances`.
+What needs FCL (things inside each other) is in `sim_kinematic.contact.overlapping_instances`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from h3data.geometry import transform_points
-from h3data.scene.freespace import FreeSpace
+from h3data.scene.freespace.free_space import FreeSpace
 from h3data.scene.records import Asset, Hull, Instance, Scene, instance_bounds, instance_matrix
 
 Kind = Literal[

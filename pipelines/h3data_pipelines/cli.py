@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(args: list[str]) -> int:
     from h3data.errors import H3DataError  # imports take a while: Ctrl-C is none the less one line
     from h3data.recording.storage import masked
-    from h3data_pipelines.commands import COMMANDS
+    from h3data_pipelines.commands.table import COMMANDS
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)

@@ -15,7 +15,7 @@ from h3data.render.gpu.engine import GpuEngine, handed_out
 from h3data.render.gpu.views import tensor_of
 from h3data.render.hybrid import HybridEngine
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.shading import Light
 
 if TYPE_CHECKING:
     import torch

@@ -17,7 +17,7 @@ from h3data.render.gpu.renderer import GpuRenderer
 from h3data.render.gpu.stage import GpuScene
 from h3data.render.pictures import Poses
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.shading import Light
 
 
 class GpuEngine:

@@ -38,7 +38,7 @@ class Meshlets(NamedTuple):
     high: NDArray[np.float32]
     """Shape [C, 3] [m]."""
     cut_out: NDArray[np.bool_]
-    """Clusters whose triangles may have holes (`h3data.render.cutouts`), shape [C]."""
+    """Clusters whose triangles may have holes (`h3data.render.shade.cutouts`), shape [C]."""
     group_first: NDArray[np.int32]
     """First cluster of each group and, at the end, the number of clusters, shape [G + 1]."""
 

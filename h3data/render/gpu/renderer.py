@@ -19,7 +19,7 @@ from h3data.render.gpu.stage import GpuScene
 from h3data.render.gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
 from h3data.render.pictures import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
-from h3data.render.shading import Light
+from h3data.render.shade.shading import Light
 
 if TYPE_CHECKING:
     import torch

@@ -9,9 +9,9 @@ import numpy as np
 
 from h3data.render.gpu.layout import Occlude, Shade, World
 from h3data.render.gpu.packing import Packed
-from h3data.render.occlusion import CONTRAST, RADIUS_M, SPREAD, TAP_OFFSETS
-from h3data.render.occlusion_simd import TAPS
-from h3data.render.shading import BYTE_OF_LINEAR, LINEAR_OF_BYTE, Light, light_table
+from h3data.render.shade.occlusion import CONTRAST, RADIUS_M, SPREAD, TAP_OFFSETS
+from h3data.render.shade.occlusion_simd import TAPS
+from h3data.render.shade.shading import BYTE_OF_LINEAR, LINEAR_OF_BYTE, Light, light_table
 
 if TYPE_CHECKING:
     import torch

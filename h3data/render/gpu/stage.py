@@ -13,7 +13,7 @@ from h3data.render.scene import RenderScene
 
 
 class SkinWeights(Protocol):
-    """What drives a skinned mesh; `h3data.bodies.humanoid.SkinnedMesh` is one."""
+    """What drives a skinned mesh; `h3data.bodies.people.humanoid.SkinnedMesh` is one."""
 
     @property
     def joints(self) -> NDArray[np.uint8]:

@@ -12,12 +12,12 @@ from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene.homes import structure
 from h3data.scene.homes.check import faults
-from h3data.scene.homes.clutter import clutter, object_assets
 from h3data.scene.homes.floors import floor_mesh
-from h3data.scene.homes.furniture_living import ceiling_lamp
-from h3data.scene.homes.groups import NoRoomError
+from h3data.scene.homes.furnishing.clutter import clutter, object_assets
+from h3data.scene.homes.furnishing.furniture_living import ceiling_lamp
+from h3data.scene.homes.furnishing.groups import NoRoomError
+from h3data.scene.homes.furnishing.place import Placed, RoomState, room_state
 from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
-from h3data.scene.homes.place import Placed, RoomState, room_state
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng

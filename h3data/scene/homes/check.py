@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from h3data.geometry import transform_points
-from h3data.scene.homes.furniture import HEAD_BAND
-from h3data.scene.homes.place import CRUMB_M2, WALK_RADIUS, pockets, reach_m, used_from_front
+from h3data.scene.homes.furnishing.furniture import HEAD_BAND
+from h3data.scene.homes.furnishing.place import CRUMB_M2, WALK_RADIUS, pockets, reach_m, used_from_front
 from h3data.scene.records import Scene, instance_matrix
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def open_floor(scene: Scene) -> BaseGeometry:
     """The floor of all rooms without what stands on it, as a (multi)polygon in (x, z), not shrunk by any disc."""
     import shapely
 
-    from h3data.scene._footprints import scene_obstacles
+    from h3data.scene.freespace._footprints import scene_obstacles
 
     floor = shapely.union_all([shapely.box(*r) for room in scene.rooms for r in room.rectangles])
     return floor.difference(shapely.union_all(scene_obstacles(scene, *HEAD_BAND)))
@@ -39,7 +39,7 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
     """Of all furniture with receptacles: its name, the edge or outline from which it is used, how near one must come."""
     import shapely
 
-    from h3data.scene._footprints import shape_footprint
+    from h3data.scene.freespace._footprints import shape_footprint
 
     names, edges, near = [], [], []
     for instance in scene.static_instances:

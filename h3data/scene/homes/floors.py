@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from h3data.mesh.records import Mesh
 from h3data.scene.homes.layout import RoomPlan
 from h3data.scene.homes.materials import BOARDS, MATERIALS, TILES
 from h3data.scene.homes.solids import MeshBuilder, vary
 from h3data.scene.homes.style import Style
 from h3data.scene.homes.zoning import Rect
-from h3data.scene.records import Mesh
 
 _PLANK_LENGTH, _PLANK_WIDTH = MATERIALS["boards"].size_m[0], MATERIALS["boards"].size_m[1] / BOARDS
 TILE_M = MATERIALS["tiles"].size_m[0] / TILES

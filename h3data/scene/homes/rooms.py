@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from h3data.scene.homes import furniture_bath as bath
-from h3data.scene.homes import furniture_bed as sleeping
-from h3data.scene.homes import furniture_kitchen as kitchen
-from h3data.scene.homes import furniture_living as living
-from h3data.scene.homes.furniture import Furniture
-from h3data.scene.homes.groups import (
+from h3data.scene.homes.furnishing import furniture_bath as bath
+from h3data.scene.homes.furnishing import furniture_bed as sleeping
+from h3data.scene.homes.furnishing import furniture_kitchen as kitchen
+from h3data.scene.homes.furnishing import furniture_living as living
+from h3data.scene.homes.furnishing.furniture import Furniture
+from h3data.scene.homes.furnishing.groups import (
     backed,
     hang,
     hang_pictures,
@@ -26,8 +26,8 @@ from h3data.scene.homes.groups import (
     place_talk,
     talk_group,
 )
-from h3data.scene.homes.place import Member, Placed, RoomState, commit, side_depth, turned
-from h3data.scene.homes.search import place_at_wall, place_free
+from h3data.scene.homes.furnishing.place import Member, Placed, RoomState, commit, side_depth, turned
+from h3data.scene.homes.furnishing.search import place_at_wall, place_free
 from h3data.scene.homes.style import Style
 
 _LARGE_M2 = 45.0

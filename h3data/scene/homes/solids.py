@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from h3data.mesh.records import Mesh
 from h3data.scene.homes import primitives
 from h3data.scene.homes.materials import MATERIALS, Finish, texture
 from h3data.scene.homes.primitives import Solid
-from h3data.scene.records import Mesh
 
 Color = tuple[int, int, int]
 """sRGB, 0-255; a `Finish` says of what material the part is, too."""

@@ -1,0 +1,1 @@
+"""Motion clips of other sources: files, retargeting, cycles."""

@@ -1,0 +1,1 @@
+"""People: skeleton, skin, gait, arms, reaching."""

@@ -1,0 +1,264 @@
+"""Motion clips: cycles that are played by the distance walked, not by the clock, so that planted feet stay put."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.people.gait import (
+    JOG,
+    TURN_PER_CYCLE_RAD,
+    TURN_START_PHASE,
+    WALK,
+    GaitStyle,
+    gait_posture,
+    jog_stride,
+    on_ground,
+    settled,
+    stand_posture,
+    start_phase,
+    turn_posture,
+    walk_stride,
+)
+from h3data.bodies.people.legs import Legs, Posture, solve_legs, within_reach
+from h3data.errors import InputError
+from h3data.geometry import Array, normalized, quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
+from h3data.geometry import quat_sign_continuous as sign_continuous
+
+STAND_BELOW_MPS = 0.15
+"""Slower than this nobody steps: the standing clip plays."""
+WALK_SPEEDS_MPS = (0.6, 1.0, 1.3, 1.6)
+JOG_SPEED_MPS = 2.5
+"""The speed of the social-navigation task (spec/habitat.md: 10 units)."""
+JOG_ABOVE_MPS = 2.0
+CLIP_FRAMES = 128
+"""Frames are interpolated linearly: planted feet creep less than 0.1 mm (measured over all bodies)."""
+_TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
+"""Body frame (+Z forward) to agent root frame (x forward)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clip:
+    """One cycle of a motion, in the agent root frame (x forward, y up, z right)."""
+
+    name: str
+    speed_mps: float
+    """Speed at which it was made; 0 = on the spot."""
+    stride_m: float
+    """Way per cycle (two steps): the phase advances by distance / stride. 1 for clips on the spot."""
+    period_s: float
+    """Duration of a cycle at ``speed_mps``."""
+    stance: float
+    """Share of the cycle that one foot spends on the floor, from its heel strike on (left 0, right 0.5)."""
+    start_phase: float = 0.0
+    """Where to begin from standing: the left foot is where it stands, the right one in the air beside it."""
+    turn_rad: float = 0.0
+    """Turn of the root to the left per cycle, of clips that turn on the spot: the phase advances by turn / turn_rad."""
+    quats: Array
+    """Local joint rotations xyzw, shape [F, 55, 4]; frame k is at phase k / F; the signs are continuous round the cycle."""
+    pelvis: Array
+    """Pelvis joint relative to the root, shape [F, 3] [m]."""
+    ankle: Array
+    """Ankles in the body frame, shape [F, 2, 3] [m]; see `h3data.bodies.people.legs.Posture`."""
+    foot: Array
+    """Pitch, yaw and toe bend of the feet, shape [F, 2, 3] [deg]."""
+
+    def __len__(self) -> int:
+        return len(self.quats)
+
+    def __repr__(self) -> str:
+        return f"Clip({self.name!r}, {self.speed_mps} m/s, stride {self.stride_m:.3f} m, {len(self)} frames)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gaits:
+    """How one body walks: its legs, and what was fitted to it (see `h3data.bodies.people.gait.PARAMETERS`)."""
+
+    legs: Legs
+    height_m: float
+    walk: Array
+    """Fitted values at `WALK_SPEEDS_MPS`, shape [4, P]."""
+    jog: Array
+    """Fitted values at `JOG_SPEED_MPS`, shape [P']."""
+
+    def stride_m(self, speed_mps: ArrayLike) -> Array:
+        """Way per cycle [...] [m] at speeds [...] [m/s]."""
+        speed = np.abs(np.asarray(speed_mps, np.float64))
+        return np.where(
+            speed > JOG_ABOVE_MPS, jog_stride(self.height_m, speed), walk_stride(self.legs, np.minimum(speed, 2.0))
+        )
+
+    def posture(self, speed_mps: Array, phase: Array) -> Posture:
+        """Postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
+        if np.all(speed_mps > JOG_ABOVE_MPS):
+            return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
+        values = np.stack([np.interp(speed_mps, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=1)
+        return gait_posture(WALK, self.legs, self.stride_m(speed_mps), values, phase)
+
+
+def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
+    """Standing, the walks, the jog and the two stepping turns of a body, sampled for fast reading (30 ms)."""
+    legs, phase = gaits.legs, np.arange(CLIP_FRAMES) / CLIP_FRAMES
+    clips = [_clip("stand", legs, stand_posture(legs))]
+    for speed in (*WALK_SPEEDS_MPS, JOG_SPEED_MPS):
+        style: GaitStyle = JOG if speed > JOG_ABOVE_MPS else WALK
+        values = gaits.jog if style is JOG else gaits.walk[WALK_SPEEDS_MPS.index(speed)]
+        stride = float(gaits.stride_m(speed))
+        clips.append(
+            _clip(
+                f"{'jog' if style is JOG else 'walk'}_{speed}", legs, gaits.posture(np.full(CLIP_FRAMES, speed), phase),
+                speed_mps=speed, stride_m=stride, period_s=stride / speed, stance=style.stance,
+                start_phase=start_phase(style, values, stride),
+            )
+        )  # fmt: skip
+    for side in ("left", "right"):
+        turn = TURN_PER_CYCLE_RAD if side == "left" else -TURN_PER_CYCLE_RAD
+        posture = turn_posture(legs, phase, left=side == "left")
+        clips.append(_clip(f"turn_{side}", legs, posture, start_phase=TURN_START_PHASE, turn_rad=turn))
+    return tuple(clips)
+
+
+def _clip(
+    name: str, legs: Legs, posture: Posture, *, speed_mps: float = 0.0, stride_m: float = 1.0, period_s: float = 1.0,
+    stance: float = 1.0, start_phase: float = 0.0, turn_rad: float = 0.0,
+) -> Clip:  # fmt: skip
+    posture = within_reach(legs, posture)
+    quats, pelvis = _posed(legs, posture)
+    return Clip(
+        name=name, speed_mps=speed_mps, stride_m=stride_m, period_s=period_s, stance=stance, start_phase=start_phase,
+        turn_rad=turn_rad, quats=sign_continuous(quats), pelvis=pelvis, ankle=posture.ankle, foot=posture.foot,
+    )  # fmt: skip
+
+
+def _posed(legs: Legs, posture: Posture) -> tuple[Array, Array]:
+    """Local rotations [T, 55, 4] and pelvis places [T, 3] of a posture in the agent root frame."""
+    quats = solve_legs(legs, posture).quats
+    quats[:, 0] = quat_multiply(_TO_ROOT, quats[:, 0])
+    return quats, quat_rotate(_TO_ROOT, posture.pelvis)
+
+
+def pose_at_speed(
+    gaits: Gaits, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame of moving at any speed [T] [m/s].
+
+    ``phase`` [T], ``blend`` [T] and ``ground`` as in `sample_clips`.
+    """
+    speed, phase, blend = (
+        np.array(a, np.float64)
+        for a in np.broadcast_arrays(np.atleast_1d(speed_mps), np.atleast_1d(phase), np.atleast_1d(blend))
+    )
+    if not np.isfinite(speed).all() or (speed.size and speed.min() < 0):
+        raise InputError(f"Expected speeds of 0 m/s or more, got {speed.min()} to {speed.max()}.")
+    quats, pelvis = np.empty((len(speed), 55, 4)), np.empty((len(speed), 3))
+    jogs = speed > JOG_ABOVE_MPS
+    for rows in (np.nonzero(jogs)[0], np.nonzero(~jogs)[0]):
+        if len(rows):
+            moving = gaits.posture(speed[rows], phase[rows])
+            floor = None if ground is None else np.broadcast_to(ground, (len(speed), 2))[rows]
+            quats[rows], pelvis[rows] = _blended(gaits.legs, moving, phase[rows], blend[rows], floor)
+    return quats, pelvis
+
+
+@lru_cache(maxsize=64)
+def _standing(legs: Legs) -> Posture:
+    """One frame of standing, which all frames are blended with."""
+    return stand_posture(legs)
+
+
+def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array | None) -> tuple[Array, Array]:
+    stand = _standing(legs)
+    posture = settled(legs, stand, moving, phase, np.clip(blend, 0, 1))
+    return _posed(legs, posture if ground is None else on_ground(legs, posture, ground))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClipTable:
+    """All clips of a body in one array, so that frames of different clips are read by one gather."""
+
+    legs: Legs
+    first: NDArray[np.int64]
+    """Row of each clip's first frame."""
+    frames: NDArray[np.int64]
+    """Number of frames of each clip."""
+    quats: Array
+    """Shape [sum of frames, 55, 4]."""
+    pelvis: Array
+    """Shape [sum of frames, 3]."""
+    ankle: Array
+    """Shape [sum of frames, 2, 3]."""
+    foot: Array
+    """Shape [sum of frames, 2, 3]."""
+
+
+def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
+    """The clips, one below the other; the first one must be the standing pose."""
+    frames = np.array([len(c) for c in clips])
+    return ClipTable(
+        legs=legs,
+        first=np.concatenate([[0], np.cumsum(frames)[:-1]]),
+        frames=frames,
+        quats=np.concatenate([c.quats for c in clips]),
+        pelvis=np.concatenate([c.pelvis for c in clips]),
+        ankle=np.concatenate([c.ankle for c in clips]),
+        foot=np.concatenate([c.foot for c in clips]),
+    )
+
+
+def sample_clips(
+    table: ClipTable, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike, ground: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+
+    ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
+    ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see
+    `h3data.bodies.people.gait.settled`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
+    relative to the root. Frames are interpolated: the motion is continuous.
+    """
+    motion, phase, blend = np.broadcast_arrays(
+        np.atleast_1d(motion_id), np.atleast_1d(np.asarray(phase, np.float64)), np.atleast_1d(blend)
+    )
+    if motion.size and (motion.min() < 0 or motion.max() >= len(table.frames)):
+        raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {motion.min()}..{motion.max()}.")
+    place = (phase - np.floor(phase)) * table.frames[motion]
+    lower = np.floor(place)
+    weight = place - lower
+    index = lower.astype(np.int64) % table.frames[motion]
+    upper = table.first[motion] + (index + 1) % table.frames[motion]
+    index = table.first[motion] + index
+
+    def mixed(values: Array, rows: NDArray[np.intp]) -> Array:
+        low, share = values[index[rows]], weight[rows]
+        return low + share.reshape(-1, *[1] * (low.ndim - 1)) * (values[upper[rows]] - low)
+
+    # neighbouring frames share a hemisphere, so a plain mix and one normalisation are enough
+    every = np.arange(len(index))
+    quats, pelvis = normalized(mixed(table.quats, every)), mixed(table.pelvis, every)
+    rows = np.nonzero((blend < 1) | (ground is not None))[0]
+    if len(rows):
+        back = quat_conjugate(_TO_ROOT)
+        body_quats = quats[rows]
+        body_quats[:, 0] = quat_multiply(back, body_quats[:, 0])
+        moving = Posture(
+            quats=body_quats, pelvis=quat_rotate(back, pelvis[rows]), ankle=mixed(table.ankle, rows),
+            foot=mixed(table.foot, rows),
+        )  # fmt: skip
+        floor = None if ground is None else np.broadcast_to(ground, (len(blend), 2))[rows]
+        quats[rows], pelvis[rows] = _blended(
+            table.legs, moving, phase[rows], np.asarray(blend, np.float64)[rows], floor
+        )
+    return quats, pelvis
+
+
+def nearest_clip(clips: Sequence[Clip], speed_mps: float) -> int:
+    """Index of the clip whose speed is nearest in ratio; a standing clip below `STAND_BELOW_MPS`."""
+    speeds = np.array([c.speed_mps for c in clips])
+    speed = abs(speed_mps)
+    if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
+        return int(np.argmin(speeds))
+    ratio = np.abs(np.log(np.where(speeds > 0, speeds, 1e-9) / speed))
+    return int(np.argmin(ratio))

@@ -1,0 +1,293 @@
+"""Foot-planted walking, jogging and turning: the feet are given, the legs follow by closed-form inverse kinematics.
+
+During stance a foot pivots about its heel (toes up) or its ball (heel up, toes bent flat); the pivot rests on the floor,
+so nothing slides by construction. In swing the ankle flies along a Hermite curve with bumps. What is fitted per body and
+speed (pelvis height, bumps, pitch offsets) makes hip, knee and ankle follow normative curves (research/humanoids.md 2).
+
+Everything here is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from h3data.bodies.people.legs import SIDES, Legs, Posture, X, Y, Z, lowest_point, rotation, within_reach
+from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX
+from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix, quat_nlerp
+
+STAND_ANKLE_Z_M = -0.03
+"""A standing person's ankles are this far behind the pelvis' place."""
+TURN_PER_CYCLE_RAD = np.pi / 4
+"""A stepping turn sets each foot anew every 45 degrees."""
+_TURN_STANCE, _TURN_LIFT_M, _SETTLE_LIFT = 0.56, 0.05, 0.3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaitStyle:
+    """What distinguishes walking from jogging. Angles in degrees, phases as shares of the cycle."""
+
+    stance: float
+    pitch: tuple[tuple[float, float], ...]
+    """Foot pitch over the cycle from heel strike: (phase, degrees, positive = toes up)."""
+    loose: tuple[int, ...]
+    """Rows of ``pitch`` whose offsets are fitted."""
+    yaw: float
+    list: float
+    sway_m: float
+    lean: float
+    arm_mean: float
+    arm_swing: float
+    arm_down: float
+    elbow_mean: float
+    elbow_swing: float
+
+
+WALK = GaitStyle(
+    stance=0.61,
+    pitch=(
+        (0, 20), (.03, 14), (.08, 0), (.12, 0), (.32, -1), (.42, -12), (.52, -32), (.61, -58), (.68, -66), (.76, -36),
+        (.85, -4), (.92, 16), (.97, 21),
+    ),
+    loose=(5, 6, 7, 8),
+    yaw=4.5, list=3.5, sway_m=0.018, lean=3.0,
+    arm_mean=2, arm_swing=17, arm_down=77, elbow_mean=24, elbow_swing=9,
+)  # fmt: skip
+JOG = GaitStyle(
+    stance=0.39,
+    pitch=(
+        (0, 9), (.04, 3), (.08, 0), (.18, -1), (.26, -14), (.33, -34), (.39, -54), (.48, -78), (.58, -90), (.68, -80),
+        (.76, -48), (.86, -4), (.94, 13),
+    ),
+    loose=(4, 5, 6, 7, 8, 9, 10),
+    yaw=6.0, list=3.0, sway_m=0.010, lean=7.0,
+    arm_mean=-4, arm_swing=30, arm_down=73, elbow_mean=88, elbow_swing=12,
+)  # fmt: skip
+PARAMETERS = ("height", "cos2", "sin2", "cos4", "sin4", "shift", "lift", "lift_skew", "reach", "reach_skew")
+"""Fitted values of a gait; the offsets [deg] of its loose pitch knots follow them."""
+
+
+def walk_stride(legs: Legs, speed_mps: ArrayLike) -> Array:
+    """Way per cycle [...] [m]: step = sqrt(WR 60 v), walk ratio WR = 0.0062 m per step/min at 0.86 m of leg (Sekiya et al.:
+    0.0065)."""
+    ratio = 0.0062 * legs.length / 0.86
+    return 2 * np.sqrt(ratio * 60 * np.asarray(speed_mps, np.float64))
+
+
+def jog_stride(height_m: float, speed_mps: ArrayLike) -> Array:
+    """Way per cycle [...] [m]: 160 steps a minute at 1.72 m; shorter people step faster."""
+    return 2 * np.asarray(speed_mps, np.float64) / (160 / 60 * float(np.sqrt(1.72 / height_m)))
+
+
+def amplitude(legs: Legs, stride_m: Array) -> Array:
+    """Slow gaits with short steps move less: scale of all angles, 1 for a step of 0.82 leg lengths."""
+    return np.minimum(1.0, stride_m / 2 / (0.82 * legs.length))
+
+
+def start_phase(style: GaitStyle, values: Array, stride_m: float) -> float:
+    """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
+    return float(_ahead(style, values[PARAMETERS.index("shift")]) - STAND_ANKLE_Z_M / stride_m)
+
+
+TURN_START_PHASE = _TURN_STANCE / 2
+
+
+def gait_posture(
+    style: GaitStyle, legs: Legs, stride_m: ArrayLike, values: Array, phase: Array, *, floored: bool = True
+) -> Posture:
+    """Postures at ``phase`` [T] of a gait with fitted ``values`` [T, P] or [P] and strides [T] or one [m].
+
+    ``floored`` lifts a swinging foot whose heel or toes would pierce the floor.
+    """
+    phase = np.asarray(phase, np.float64)
+    stride = np.broadcast_to(np.asarray(stride_m, np.float64), phase.shape)
+    table = np.broadcast_to(values, (len(phase), values.shape[-1]))
+    p = {name: table[:, k] for k, name in enumerate(PARAMETERS)}
+    loose, scale, wave = table[:, len(PARAMETERS) :], amplitude(legs, stride), 2 * np.pi * phase
+    yaw = -style.yaw * scale * np.cos(wave)
+    listing = style.list * scale * np.sin(wave + 0.35)
+    pelvis_turn = rotation(Y, yaw) @ rotation(Z, listing) @ rotation(X, np.full(len(phase), style.lean))
+    mean_turn = rotation(X, style.lean)
+    height = legs.length + legs.ankle_height - (mean_turn @ legs.hips[0])[1] + p["height"]
+    height = height + p["cos2"] * np.cos(2 * wave) + p["sin2"] * np.sin(2 * wave)
+    height = height + p["cos4"] * np.cos(4 * wave) + p["sin4"] * np.sin(4 * wave)
+    sway = style.sway_m * scale * np.sin(wave - 0.04 * np.pi)
+    quats = np.tile([0.0, 0, 0, 1], (len(phase), JOINT_COUNT, 1))
+    quats[:, 0] = quat_from_matrix(pelvis_turn)
+    _set_trunk(quats, yaw, listing, style.lean)
+    ankle, foot = np.zeros((len(phase), 2, 3)), np.zeros((len(phase), 2, 3))
+    for k, (side, sign, start) in enumerate(SIDES):
+        own = (phase - start) % 1.0
+        ankle[:, k], foot[:, k, 0] = _foot_path(style, legs.feet[k], legs.ankle_height, stride, scale, own, p, loose)
+        ankle[:, k, 0] = sign * legs.half_width
+        foot[:, k, 2] = _toe_bend(style, own, foot[:, k, 0])
+        swing = -np.cos(2 * np.pi * (phase - start) - 0.15)
+        flexion = (style.arm_mean + style.arm_swing * swing) * scale
+        _set_arm(quats, side, sign, flexion, style.elbow_mean + style.elbow_swing * swing * scale, style.arm_down)
+    if floored:
+        ankle[..., 1] += np.maximum(-lowest_point(legs, ankle, foot), 0)
+    return Posture(quats=quats, pelvis=np.stack([sway, height, 0 * sway], axis=1), ankle=ankle, foot=foot)
+
+
+def _ahead(style: GaitStyle, shift: Array | float) -> Array | float:
+    """How far ahead of the pelvis a foot strikes, in strides."""
+    return style.stance / 2 - 0.045 + shift
+
+
+def _pitch_curve(style: GaitStyle, loose: Array, phase: Array, scale: Array) -> Array:
+    """Foot pitch [T] [deg] at phases [T] through the knots, the loose ones moved by [T, L]: monotone between knots, without
+    the overshoot of a cubic spline, which would lift a flat foot's toes by 5 mm."""
+    x = np.array([knot[0] for knot in style.pitch])
+    y = np.tile(np.array([knot[1] for knot in style.pitch], np.float64), (len(phase), 1))
+    rows = list(style.loose)
+    y[:, rows] = np.minimum(y[:, rows] + loose, -1)  # heel up: only so the pivot stays at the ball
+    return scale * _periodic_pchip(x, y, phase)
+
+
+def _periodic_pchip(x: Array, y: Array, phase: Array) -> Array:
+    """Monotone cubic through knots x [K] in [0, 1), y [T, K], repeated with period 1, at one phase [T] per row
+    (Fritsch and Butland's slopes)."""
+    width = np.diff(x, append=x[0] + 1)
+    slope = (np.roll(y, -1, axis=1) - y) / width
+    before, w0 = np.roll(slope, 1, axis=1), np.roll(width, 1)
+    a, b = 2 * width + w0, width + 2 * w0
+    product = before * slope
+    safe = np.where(product > 0, product, 1.0)
+    tangent = np.where(product > 0, (a + b) * safe / np.where(product > 0, a * slope + b * before, 1.0), 0.0)
+    place = phase % 1.0
+    k = (np.searchsorted(x, place, side="right") - 1) % len(x)
+    rows, after = np.arange(len(phase)), (k + 1) % len(x)
+    u = ((place - x[k]) % 1.0) / width[k]
+    h = width[k]
+    return (
+        (2 * u**3 - 3 * u**2 + 1) * y[rows, k]
+        + (u**3 - 2 * u**2 + u) * h * tangent[rows, k]
+        + (3 * u**2 - 2 * u**3) * y[rows, after]
+        + (u**3 - u**2) * h * tangent[rows, after]
+    )
+
+
+def _foot_path(
+    style: GaitStyle, points: Array, ankle_height: float, stride: Array, scale: Array, phase: Array,
+    p: Mapping[str, Array], loose: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Ankle [T, 3] and pitch [T] [deg] of a foot over its own cycle."""
+    stance = style.stance
+
+    def standing(at: Array) -> tuple[Array, Array]:
+        """Ankle and pitch of a foot on the floor: its pivot moves back exactly as fast as the body forth."""
+        pitch = _pitch_curve(style, loose, at, scale)
+        pivot = np.where((pitch > 0)[:, None], points[0], points[1])
+        ankle = pivot - (rotation(X, -pitch) @ pivot[..., None])[..., 0]
+        travel = stride * (_ahead(style, p["shift"]) - at)
+        return np.stack([0 * at, ankle[:, 1] + ankle_height, ankle[:, 2] + travel], axis=1), pitch
+
+    on_floor, pitch = standing(phase)
+    step, span = 1e-3, 1 - stance
+    zero = np.zeros_like(phase)
+    off, on = standing(zero + stance)[0], standing(zero)[0]
+    leave = (off - standing(zero + stance - step)[0]) / step * span * 0.6
+    arrive = (standing(zero + step)[0] - on) / step * span * 0.5
+    u = np.clip((phase - stance) / span, 0, 1)[:, None]
+    swing = (2 * u**3 - 3 * u**2 + 1) * off + (u**3 - 2 * u**2 + u) * leave
+    swing += (3 * u**2 - 2 * u**3) * on + (u**3 - u**2) * arrive
+    bump, skew = np.sin(np.pi * u[:, 0]) ** 2, np.sin(2 * np.pi * u[:, 0]) * np.sin(np.pi * u[:, 0])
+    swing[:, 1] += scale * (p["lift"] * bump + p["lift_skew"] * skew)
+    swing[:, 2] += scale * (p["reach"] * bump + p["reach_skew"] * skew)
+    return np.where((phase < stance)[:, None], on_floor, swing), pitch
+
+
+def _toe_bend(style: GaitStyle, phase: Array, pitch: Array) -> Array:
+    """Toe joint angle [deg]: flat on the floor while the heel is up, relaxing over the first third of the swing."""
+    u = np.clip((phase - style.stance) / (0.35 * (1 - style.stance)), 0, 1)
+    return (1 - 0.85 * u * u * (3 - 2 * u)) * np.maximum(-pitch, 0)
+
+
+def _set_trunk(quats: Array, yaw: Array, listing: Array, lean: float) -> None:
+    """The trunk turns against the pelvis and the head stays level."""
+    for name, share in (("spine1", 0.5), ("spine2", 0.6), ("spine3", 0.6)):
+        turn = rotation(Y, -share * yaw) @ rotation(Z, -0.33 * listing) @ rotation(X, np.full(len(yaw), 0.5))
+        quats[:, JOINT_INDEX[name]] = quat_from_matrix(turn)
+    quats[:, JOINT_INDEX["neck"]] = quat_from_axis_angle(X, np.radians(-0.4 * lean - 0.8))
+    quats[:, JOINT_INDEX["head"]] = quat_from_axis_angle(X, np.radians(-0.3 * lean))
+
+
+def _set_arm(quats: Array, side: str, sign: float, flexion: Array, elbow: Array, down: float) -> None:
+    """One arm hanging, swung forward by ``flexion`` [T] [deg], elbow bent by ``elbow`` [T] [deg], fingers half curled."""
+    hang = rotation(X, -flexion) @ rotation(Z, np.full(len(flexion), -sign * down))
+    quats[:, JOINT_INDEX[f"{side}_shoulder"]] = quat_from_matrix(hang)
+    quats[:, JOINT_INDEX[f"{side}_elbow"]] = quat_from_axis_angle(Y, np.radians(-sign * elbow))
+    quats[:, JOINT_INDEX[f"{side}_collar"]] = quat_from_axis_angle(Z, np.radians(-sign * 4.0))
+    for finger, curl in zip(FINGERS[:4], (14, 18, 24, 22), strict=True):
+        for k in (1, 2, 3):
+            quats[:, JOINT_INDEX[f"{side}_{finger}{k}"]] = quat_from_axis_angle(Z, np.radians(-sign * curl))
+
+
+# --- standing, turning on the spot, and the ways between ----------------------------------------------------------------
+def stand_posture(legs: Legs, frames: int = 1) -> Posture:
+    """Standing: feet flat, knees hardly bent, arms hanging."""
+    quats = np.tile([0.0, 0, 0, 1], (frames, JOINT_COUNT, 1))
+    turn = rotation(X, 2.0)
+    quats[:, 0] = quat_from_matrix(turn[None])
+    zero = np.zeros(frames)
+    _set_trunk(quats, zero, zero, 2.0)
+    ankle = np.zeros((frames, 2, 3))
+    for k, (side, sign, _) in enumerate(SIDES):
+        ankle[:, k] = sign * legs.half_width, legs.ankle_height, STAND_ANKLE_Z_M
+        _set_arm(quats, side, sign, zero + 1.0, zero + 16.0, 78)
+    pelvis = np.zeros((frames, 3))
+    pelvis[:, 1] = legs.length * 0.996 + legs.ankle_height - (turn @ legs.hips[0])[1]
+    return Posture(quats=quats, pelvis=pelvis, ankle=ankle, foot=np.zeros((frames, 2, 3)))
+
+
+def turn_posture(legs: Legs, phase: Array, *, left: bool) -> Posture:
+    """Turning on the spot by small steps: the root turns by `TURN_PER_CYCLE_RAD` per cycle, feet on the floor do not."""
+    stand = stand_posture(legs, len(phase))
+    ankle, foot, pelvis = stand.ankle.copy(), stand.foot.copy(), stand.pelvis.copy()
+    way = np.degrees(TURN_PER_CYCLE_RAD) * (1 if left else -1)
+    for k, (_, _, start) in enumerate(SIDES):
+        own, span = (phase - start) % 1.0, 1 - _TURN_STANCE
+        u = np.clip((own - _TURN_STANCE) / span, 0, 1)
+        swing = (2 * u**3 - 3 * u**2 + 1) * (-_TURN_STANCE / 2) + (3 * u**2 - 2 * u**3) * _TURN_STANCE / 2
+        swing -= span * ((u**3 - 2 * u**2 + u) + (u**3 - u**2))
+        yaw = way * np.where(own < _TURN_STANCE, _TURN_STANCE / 2 - own, swing)
+        ankle[:, k] = (rotation(Y, yaw) @ stand.ankle[:, k][..., None])[..., 0]
+        ankle[:, k, 1] += _TURN_LIFT_M * np.sin(np.pi * u) ** 2
+        foot[:, k, 1] = yaw
+    pelvis[:, 0] += 0.012 * np.cos(2 * np.pi * (phase - TURN_START_PHASE))
+    pelvis[:, 1] -= 0.012
+    return replace(stand, pelvis=pelvis, ankle=ankle, foot=foot)
+
+
+def settled(legs: Legs, stand: Posture, moving: Posture, phase: Array, blend: Array) -> Posture:
+    """Between standing (``blend`` [T] 0) and ``moving`` at its ``phase`` [T] (1), by steps instead of sliding.
+
+    From 1 to 0.5 the foot that is up, or about to leave the floor, goes to its standing place; below 0.5 the other one
+    does. A foot on its way is lifted, so a stop on the spot drags nothing. A start jumps to more than 0.5 and begins at
+    the clip's start phase, where the left foot needs no move.
+    """
+    quats = quat_nlerp(stand.quats, moving.quats, np.broadcast_to(blend[:, None], moving.quats.shape[:-1]))
+    pelvis = stand.pelvis + blend[:, None] * (moving.pelvis - stand.pelvis)
+    own = (phase[:, None] - np.array([start for _, _, start in SIDES])) % 1.0
+    first = own >= 0.5
+    s = np.clip(np.where(first, 2 * blend[:, None] - 1, 2 * blend[:, None]), 0, 1)[..., None]
+    s = s * s * (3 - 2 * s)
+    ankle = stand.ankle + s * (moving.ankle - stand.ankle)
+    foot = stand.foot + s * (moving.foot - stand.foot)
+    apart = np.linalg.norm((moving.ankle - stand.ankle)[..., [0, 2]], axis=-1)
+    apart += 0.2 * np.radians(np.abs(moving.foot - stand.foot)[..., 1])
+    lift = _SETTLE_LIFT * np.minimum(apart, 0.3) + 0.015 * np.minimum(apart / 0.004, 1)
+    ankle[..., 1] += lift * 4 * (s * (1 - s))[..., 0]
+    ankle[..., 1] += np.maximum(-lowest_point(legs, ankle, foot), 0)
+    return within_reach(legs, Posture(quats=quats, pelvis=pelvis, ankle=ankle, foot=foot))
+
+
+def on_ground(legs: Legs, posture: Posture, ground: Array) -> Posture:
+    """The same with the floor at ``ground`` [T, 2] [m] under the left and the right foot, relative to the root."""
+    ankle, pelvis = posture.ankle.copy(), posture.pelvis.copy()
+    ankle[..., 1] += ground
+    pelvis[:, 1] += ground.mean(axis=1)
+    return within_reach(legs, replace(posture, ankle=ankle, pelvis=pelvis))

@@ -1,0 +1,235 @@
+"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision shapes. `h3data.bodies.people.humanoid_file` reads them.
+
+Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and lies
+on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation contains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.clips import (
+    Clip,
+    ClipTable,
+    Gaits,
+    clip_table,
+    make_clips,
+    nearest_clip,
+    pose_at_speed,
+    sample_clips,
+)
+from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
+from h3data.bodies.people.skinning import Skin, apply_skin, build_skin, skin_chunks
+from h3data.geometry import Array, normalized, pose_to_matrix, quat_to_matrix
+from h3data.mesh.records import Mesh
+
+LOD_BELOW_PX = 220.0
+"""Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""
+BONE_BOX_M, BONE_PAD_M = 0.02, 0.02
+"""Habitat's collision boxes are this wide and end this far before the joints (spec/habitat.md 1.6)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkinnedMesh:
+    """A rest mesh with its skin weights."""
+
+    mesh: Mesh
+    """Rest pose (arms in A-pose) in the body frame; colours and normals per vertex."""
+    joints: NDArray[np.uint8]
+    """Joints of the four weights, shape [V, 4]."""
+    weights: NDArray[np.float32]
+    """They sum to 1, shape [V, 4]."""
+    regions: NDArray[np.uint8]
+    """Index into `Humanoid.region_names` per vertex: skin, shirt, trousers, ... Shape [V]."""
+    weld: NDArray[np.uint16]
+    """Vertices with the same number and colour are one surface, shaded smooth across. Shape [V]."""
+
+    @cached_property
+    def skin(self) -> Skin:
+        """The sparse skinning operators, built at first use (20 ms for the full mesh)."""
+        mesh = self.mesh
+        assert mesh.normals is not None
+        return build_skin(mesh.vertices, mesh.normals, self.joints, self.weights, len(JOINT_NAMES))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyCapsule:
+    """A collision capsule that moves with one joint."""
+
+    name: str
+    joint: int
+    start: Array
+    """In the joint frame, shape [3] [m]."""
+    end: Array
+    """In the joint frame, shape [3] [m]."""
+    radius: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Humanoid:
+    """A person that can be posed, drawn and bumped into. Immutable: share it freely."""
+
+    name: str
+    height_m: float
+    """Stature [m], hair and soles not counted."""
+    joint_names: tuple[str, ...] = JOINT_NAMES
+    parents: tuple[int, ...] = PARENTS
+    joint_offsets: Array
+    """Each joint in its parent's frame, shape [55, 3] [m]; the pelvis' row is its height in the T-pose."""
+    inverse_bind: Array
+    """Body frame of the rest mesh to joint frames, shape [55, 4, 4]; holds the step from T-pose to A-pose."""
+    full: SkinnedMesh
+    lod: SkinnedMesh
+    """About 3,000 vertices: the default for cameras that are not close (surface error below 5 mm)."""
+    region_names: tuple[str, ...]
+    capsules: tuple[BodyCapsule, ...]
+    gaits: Gaits
+    """How she walks; `clips` are sampled from it."""
+    phenotype: Mapping[str, float] = field(default_factory=dict)
+    """The shape parameters from which the body was baked."""
+
+    @property
+    def mesh(self) -> Mesh:
+        """The full mesh in the rest pose, body frame."""
+        return self.full.mesh
+
+    @property
+    def lod_mesh(self) -> Mesh:
+        """The light mesh in the rest pose, body frame."""
+        return self.lod.mesh
+
+    @cached_property
+    def clips(self) -> tuple[Clip, ...]:
+        """Standing first, then the walks, the jog and the stepping turns; made at first use (30 ms)."""
+        return make_clips(self.gaits)
+
+    @property
+    def motion_names(self) -> tuple[str, ...]:
+        """Names of the clips, in the order of motion ids."""
+        return tuple(c.name for c in self.clips)
+
+    @cached_property
+    def _clip_table(self) -> ClipTable:
+        return clip_table(self.clips, self.gaits.legs)
+
+    @cached_property
+    def _capsule_arrays(self) -> tuple[NDArray[np.intp], Array, Array, Array]:
+        joints = np.array([c.joint for c in self.capsules])
+        start, end = np.array([c.start for c in self.capsules]), np.array([c.end for c in self.capsules])
+        return joints, start, end, np.array([c.radius for c in self.capsules])
+
+    def clip_for_speed(self, speed_mps: float) -> int:
+        """Motion id of the clip that fits ``speed_mps``; 0 (standing) when there is hardly any."""
+        return nearest_clip(self.clips, speed_mps)
+
+    def clip_pose(
+        self, motion_id: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, arms: ArrayLike | None = None,
+        ground: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
+
+        ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is the clip.
+        ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.people.arms`).
+        ``ground`` [T, 2]: height of the floor under the left and the right foot, relative to the root [m].
+        """
+        quats, pelvis = sample_clips(self._clip_table, motion_id, phase, blend, ground)
+        if arms is not None:
+            draw_in(quats, arms)
+        return quats, pelvis
+
+    def walk_pose(
+        self, speed_mps: ArrayLike, phase: ArrayLike, blend: ArrayLike = 1.0, *, ground: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """As `clip_pose`, at any speed [T] [m/s]: walking up to 2 m/s, a jog above; exact instead of from a table.
+
+        The phase [T] advances by distance / `stride_m`. While the speed changes within a step, the planted foot creeps by
+        the change of the stride; change it between steps to avoid that.
+        """
+        return pose_at_speed(self.gaits, speed_mps, phase, blend, ground)
+
+    def stride_m(self, speed_mps: ArrayLike) -> Array:
+        """Way per cycle of two steps [...] [m] at speeds [...] [m/s]."""
+        return self.gaits.stride_m(speed_mps)
+
+    def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
+        """World matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and what `clip_pose` returned."""
+        root = np.broadcast_to(np.eye(4), (len(quats), 4, 4)).copy()
+        root[:, :3, :3] = quat_to_matrix(np.asarray(quats, np.float64)[:, 0])
+        root[:, :3, 3] = pelvis
+        world = pose_to_matrix(np.asarray(base_pose, np.float64)) @ root
+        return forward_kinematics(np.asarray(quats, np.float64), world, self.joint_offsets)
+
+    def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:
+        """World matrices [T, 55, 4, 4] of a free-form pose: pelvis frames [T, 7] in the world (body axes: +Z forward) and
+        the local rotations of the other joints [T, 54, 4], SMPL-X order."""
+        root, rest = np.asarray(root_pose, np.float64), np.asarray(joint_quat, np.float64)
+        quats = np.concatenate([root[:, None, 3:], rest], axis=1)
+        return forward_kinematics(quats, pose_to_matrix(root), self.joint_offsets)
+
+    def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
+        """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4]: frames, worlds, or worlds and frames (one
+        sparse matrix product)."""
+        part = self.lod if lod else self.full
+        return apply_skin(part.skin.points, joint_matrices @ self.inverse_bind)
+
+    def skin_chunks(self, joint_matrices: Array, *, lod: bool = True) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """`skin` for long recordings: frames [t] of [T, 55, 4, 4] and their vertices [t, V, 3], some at a time."""
+        part = self.lod if lod else self.full
+        return skin_chunks(part.skin.points, joint_matrices @ self.inverse_bind)
+
+    def skin_normals(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
+        """World shading normals, float32 [T, V, 3], unit length, for the vertices of `skin`."""
+        part = self.lod if lod else self.full
+        return normalized(apply_skin(part.skin.normals, joint_matrices @ self.inverse_bind)).astype(np.float32)
+
+    def capsules_world(self, joint_matrices: Array) -> tuple[Array, Array, Array]:
+        """Segment starts [T, C, 3], ends [T, C, 3] and radii [C] [m] of the collision capsules."""
+        joints, start, end, radius = self._capsule_arrays
+        frames = joint_matrices[:, joints]
+        rotation, origin = frames[..., :3, :3], frames[..., :3, 3]
+        return (rotation @ start[..., None])[..., 0] + origin, (rotation @ end[..., None])[..., 0] + origin, radius
+
+    def bone_boxes_world(self, joint_matrices: Array) -> tuple[Array, Array]:
+        """Habitat's collision profile: a thin box along every bone (spec/habitat.md 1.6, 3.1).
+
+        Returns centres with rotations, [T, K, 4, 4] with y along the bone, and full sizes [K, 3] [m].
+        """
+        start, end = self._bones
+        frame, b = joint_matrices[:, start], joint_matrices[:, end][..., :3, 3]
+        a = frame[..., :3, 3]
+        length = np.linalg.norm(self.joint_offsets[end], axis=1)
+        y = (b - a) / length[:, None]
+        z = np.cross(frame[..., :3, 0], y)
+        flat = np.linalg.norm(z, axis=-1, keepdims=True) < 0.3  # the bone runs along the joint's x axis
+        z = normalized(np.where(flat, np.cross(frame[..., :3, 2], y), z))
+        frames = np.zeros((*a.shape[:2], 4, 4))
+        frames[..., :3, :3] = np.stack([np.cross(y, z), y, z], axis=-1)
+        frames[..., :3, 3] = (a + b) / 2
+        frames[..., 3, 3] = 1
+        across = np.full_like(length, BONE_BOX_M)
+        return frames, np.stack([across, length - 2 * BONE_PAD_M, across], axis=1)
+
+    @cached_property
+    def _bones(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Start and end joints [K] of the bones long enough for a box."""
+        length = np.linalg.norm(self.joint_offsets, axis=1)
+        end = np.array(
+            [j for j, parent in enumerate(self.parents) if parent >= 0 and length[j] > 2 * BONE_PAD_M + 1e-3]
+        )
+        return np.array(self.parents)[end], end
+
+    def light_enough(self, focal_px: float, distance_m: float) -> bool:
+        """Whether the light mesh will do for a camera of this focal length [pixels] at this distance [m]."""
+        return focal_px * self.height_m < LOD_BELOW_PX * max(distance_m, 1e-6)
+
+    def __repr__(self) -> str:
+        return (
+            f"Humanoid({self.name!r}, {self.height_m:.2f} m, {self.mesh}, LOD {self.lod_mesh}, "
+            f"{len(self.capsules)} capsules, clips {', '.join(self.motion_names)})"
+        )

@@ -1,0 +1,327 @@
+"""Reaching: where a person must be, and how she stands, so that her hand is at a point.
+
+One table of trunk postures over a box of targets, in units of the standing shoulder's height, serves all bodies and, mirrored,
+both hands; legs and arm follow in closed form, so the hand is exactly at the target and the feet stay where they are. Every
+answer is checked: lengths, joint limits, balance, and that forearm and hand stay out of the body (research/humanoids.md 3).
+
+Points and poses are in the agent root frame: x forward, y up, z right, the origin on the floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.people import reach_kernel as kernel
+from h3data.bodies.people.humanoid import Humanoid
+from h3data.bodies.people.humanoid_file import read_arrays
+from h3data.bodies.people.reach_kernel import ReachBody, reach_many
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.builtin import builtin_path
+from h3data.errors import FormatError, InputError
+from h3data.geometry import (
+    Array,
+    ground_pose,
+    pose_multiply,
+    quat_conjugate,
+    quat_from_axis_angle,
+    quat_multiply,
+    quat_rotate,
+)
+
+Hand = Literal["left", "right"]
+ReachStatus = Literal["reached", "outside_box", "invalid_posture", "too_far"]
+HANDS: tuple[Hand, Hand] = ("right", "left")
+STATUSES: tuple[ReachStatus, ...] = ("reached", "outside_box", "invalid_posture", "too_far")
+"""In the order of the kernel's codes."""
+TABLE_FILE, TABLE_FORMAT = "bodies/reach/table.npz", "h3data.reach/1"
+"""In a folder of its own: beside the bodies it would count as one."""
+ROOT_OF_BODY = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
+"""The kernel's body frame (+Z forward, +X left) as the agent root sees it."""
+PALM_SHARE, PALM_DROP = 0.9, 0.018
+"""The grasp point: along the hand to the middle finger's root, and this share of the shoulder's height out of the palm."""
+ARM_RADIUS = 0.026
+"""Radius of forearm and hand for the clearance, as a share of the shoulder's height."""
+INSET = 0.02
+"""Advice stays this share of the way inside the valid volume."""
+_TRIED = 24
+"""Nearest table points from which the nearest valid one is sought."""
+_OBSTACLES = {
+    "pelvis": 0, "abdomen": 1, "chest_low": 2, "chest_high": 3, "head": 4, "left_thigh": 5, "right_thigh": 6,
+}  # fmt: skip
+
+
+class BaseMotion(NamedTuple):
+    """A move of the agent root, in the frame that it has before."""
+
+    forward_m: float
+    right_m: float
+    turn_rad: float
+    """To the left, after the move."""
+
+    def of(self, base_pose: ArrayLike) -> Array:
+        """The pose7 of a root at ``base_pose`` after this move."""
+        step = ground_pose(np.array([self.forward_m, self.right_m]), np.array(self.turn_rad))
+        return pose_multiply(np.asarray(base_pose, np.float64), step)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReachResult:
+    """What comes of reaching for one point."""
+
+    status: ReachStatus
+    """``reached``; ``outside_box``: beyond what postures were solved for; ``too_far``: inside, but the arm is too short (or
+    the point too near the shoulder); ``invalid_posture``: the hand gets there only by falling over, bending too far or
+    passing through the body."""
+    quats: Array
+    """Local rotations, shape [55, 4], as one row of `Humanoid.clip_pose`."""
+    pelvis: Array
+    """In the agent root frame, shape [3] [m]. When not reached, the pose is the one for `nearest_valid`."""
+    hand_error_m: float
+    """From the target to the palm of this pose."""
+    nearest_valid: Array
+    """The target itself when reached, else a valid point near it, shape [3] [m]: exact to about 2 cm."""
+    base_motion: BaseMotion | None
+    """How to move the base so that the target is reached from there; zero when it is already, None when nothing helps (too
+    high, below the floor)."""
+
+    @property
+    def reached(self) -> bool:
+        return self.status == "reached"
+
+
+class ReachPoses(NamedTuple):
+    """Poses for many points, without advice."""
+
+    quats: Array
+    """Shape [T, 55, 4]."""
+    pelvis: Array
+    """Shape [T, 3] [m]."""
+    status: NDArray[np.int8]
+    """Index into `STATUSES`, shape [T]."""
+    measures: Array
+    """Shape [T, M]; columns are named in `h3data.bodies.people.reach_kernel`."""
+
+
+def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:
+    """The pose in which the palm of ``hand`` is at ``target`` [3] [m], feet as in standing, or why there is none.
+
+    Raises:
+        InputError: the target is not three finite numbers, or there is no such hand.
+    """
+    solver = reacher(body, hand)
+    point = _points(target)
+    if point.shape != (3,):
+        raise InputError(f"Expected one target of shape [3], got {list(point.shape)}. Hint: reach_poses takes many.")
+    poses = solver.poses(point[None])
+    if poses.status[0] == kernel.REACHED:
+        return ReachResult(
+            status="reached", quats=poses.quats[0], pelvis=poses.pelvis[0], hand_error_m=0.0, nearest_valid=point,
+            base_motion=BaseMotion(0.0, 0.0, 0.0),
+        )  # fmt: skip
+    nearest = solver.nearest_valid(point)
+    instead = solver.poses(nearest[None])
+    return ReachResult(
+        status=STATUSES[poses.status[0]], quats=instead.quats[0], pelvis=instead.pelvis[0],
+        hand_error_m=float(np.linalg.norm(nearest - point)), nearest_valid=nearest,
+        base_motion=solver.base_motion(point),
+    )  # fmt: skip
+
+
+def reach_poses(
+    body: Humanoid, targets: ArrayLike, hand: Hand = "right", *, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0
+) -> ReachPoses:
+    """Poses with the palm at ``targets`` [T, 3] [m], for frames or worlds; where the status is not 0 as near as it gets.
+
+    ``trunk`` and ``arm`` [T] (0 to 1) lead from the standing trunk and the elbow of the hanging arm to those of the solved
+    posture: at (0, 0) with the hand where it hangs, this is the standing pose.
+    """
+    return reacher(body, hand).poses(_points(targets), trunk, arm)
+
+
+def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> Array:
+    """World places [T, 3] [m] of a palm (the grasp point) from joint frames [T, 55, 4, 4]."""
+    frames = joint_matrices[:, JOINT_INDEX[f"{hand}_wrist"]]
+    return frames[:, :3, :3] @ grasp_point(body, hand) + frames[:, :3, 3]
+
+
+def grasp_point(body: Humanoid, hand: Hand) -> Array:
+    """The palm's grasp point in the wrist's frame, shape [3] [m]."""
+    return PALM_SHARE * body.joint_offsets[JOINT_INDEX[f"{hand}_middle1"]] - [0, PALM_DROP * _shoulder(body), 0]
+
+
+@lru_cache(maxsize=64)
+def reacher(body: Humanoid, hand: Hand = "right") -> Reacher:
+    """The solver of one hand, made once per body (5 ms)."""
+    if hand not in HANDS:
+        raise InputError(f"Expected the left or the right hand, got {hand!r}.")
+    return Reacher(body, hand)
+
+
+class Table(NamedTuple):
+    """Solved postures of the right hand on a grid of targets, in units of the standing shoulder's height."""
+
+    values: NDArray[np.float32]
+    """Shape [X, Y, Z, P], axes left, up, forward."""
+    low: Array
+    step: Array
+
+    @property
+    def points(self) -> Array:
+        """All grid points, shape [N, 3]."""
+        axes = [self.low[k] + self.step[k] * np.arange(self.values.shape[k]) for k in range(3)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+@lru_cache(maxsize=1)
+def reach_table() -> Table:
+    """The table that ships, read once."""
+    path = builtin_path(TABLE_FILE)
+    data = read_arrays(path, TABLE_FORMAT)
+    values = (data["values"] * data["unit"]).astype(np.float32)
+    if values.ndim != 4 or values.shape[3] != kernel.PARAMETER_COUNT:
+        raise FormatError(
+            f"The table of reaching postures has the shape {list(values.shape)}. Hint: bake it. File: {path}"
+        )
+    return Table(values, data["low"].astype(np.float64), data["step"].astype(np.float64))
+
+
+class Reacher:
+    """Reaches with one hand of one body."""
+
+    def __init__(self, body: Humanoid, hand: Hand, table: Table | None = None) -> None:
+        self.table = reach_table() if table is None else table
+        self.body = reach_body(body, hand)
+        self._mirror = np.array([-self.body.sign, 1.0, 1.0])
+        self._valid: Array | None = None
+        quats, pelvis = body.clip_pose([0], [0.0])
+        root = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
+        self.rest = hand_points(body.joint_matrices(root, quats, pelvis), body, hand)[0]
+        """Where the palm is when standing, shape [3] [m]."""
+
+    def poses(self, targets: Array, trunk: ArrayLike = 1.0, arm: ArrayLike = 1.0) -> ReachPoses:
+        """As `reach_poses`."""
+        count = len(targets)
+        quats, pelvis = np.empty((count, 55, 4)), np.empty((count, 3))
+        measures, status = np.empty((count, kernel.MEASURE_COUNT)), np.empty(count, np.int8)
+        points = np.empty((count, 3))
+        points[:, 0], points[:, 1], points[:, 2] = -targets[:, 2], targets[:, 1], targets[:, 0]
+        reach_many(
+            self.body, self.table.values, self.table.low, self.table.step, points, _each(trunk, count), _each(arm, count),
+            ROOT_OF_BODY, quats, pelvis, measures, status,
+        )  # fmt: skip
+        return ReachPoses(quats, pelvis, status, measures)
+
+    def reachable(self, targets: Array) -> NDArray[np.bool_]:
+        """Whether points [T, 3] are reached."""
+        return self.poses(targets).status == kernel.REACHED
+
+    @property
+    def valid_points(self) -> Array:
+        """The table's points that this body reaches, shape [N, 3] [m]."""
+        if self._valid is None:
+            points = self.table.points * self._mirror * self.body.scale
+            points = np.stack([points[:, 2], points[:, 1], -points[:, 0]], axis=1)
+            self._valid = points[self.reachable(points)]
+            if not len(self._valid):
+                raise InputError("This body reaches nothing with this hand. Hint: are its joint offsets in metres?")
+        return self._valid
+
+    def nearest_valid(self, target: Array) -> Array:
+        """A valid point [3] near ``target``: from the nearest valid table points towards it, as far as all stays valid."""
+        gap = np.linalg.norm(self.valid_points - target, axis=1)
+        starts = self.valid_points[np.argsort(gap)[:_TRIED]]
+        found = self._towards(starts, np.broadcast_to(target, starts.shape))
+        return found[int(np.argmin(np.linalg.norm(found - target, axis=1)))]
+
+    def base_motion(self, target: Array) -> BaseMotion | None:
+        """The smallest found move of the base from which ``target`` [3] is reached; turns to it when it is not in front."""
+        forward, height, right = target
+        if abs(right) < forward or np.hypot(forward, right) < 0.3 * self.body.scale:
+            turn = 0.0
+        else:  # towards where the hand is most at ease: in front, a little to its side
+            turn = -float(np.arctan2(right, forward)) - 0.3 * self.body.sign
+        c, s = np.cos(turn), np.sin(turn)
+        seen = np.array([forward * c - right * s, height, right * c + forward * s])  # axes turned, origin kept
+        starts = self.valid_points.copy()
+        starts = starts[np.abs(starts[:, 1] - height) < 1.01 * self.table.step[1] * self.body.scale]
+        starts[:, 1] = height
+        starts = starts[self.reachable(starts)] if len(starts) else starts
+        if not len(starts):
+            return None
+        starts = starts[np.argsort(np.hypot(*(starts - seen)[:, [0, 2]].T))[:_TRIED]]
+        found = self._towards(starts, np.broadcast_to(seen, starts.shape))
+        x, _, z = seen - found[int(np.argmin(np.linalg.norm(found - seen, axis=1)))]
+        return BaseMotion(float(x * c + z * s), float(z * c - x * s), turn)
+
+    def _towards(self, starts: Array, ends: Array) -> Array:
+        """How far one gets from valid ``starts`` [N, 3] on straight lines to ``ends`` [N, 3], by bisection."""
+        low, high = np.zeros((len(starts), 1)), np.ones((len(starts), 1))
+        for _ in range(10):
+            middle = (low + high) / 2
+            good = self.reachable(starts + middle * (ends - starts))[:, None]
+            low, high = np.where(good, middle, low), np.where(good, high, middle)
+        inner = np.maximum(low - INSET, 0) * (ends - starts) + starts
+        fine = self.reachable(inner)[:, None]
+        return np.where(fine, inner, starts)
+
+
+def _each(share: ArrayLike, count: int) -> Array:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(share, np.float64), count))
+
+
+def _points(targets: ArrayLike) -> Array:
+    points = np.asarray(targets, np.float64)
+    if points.ndim not in (1, 2) or points.shape[-1] != 3 or not np.isfinite(points).all():
+        raise InputError(f"Expected finite points of shape [3] or [T, 3], got shape {list(points.shape)}: {targets!r}")
+    return points
+
+
+# --- what the kernel knows of a body ------------------------------------------------------------------------------------
+def _shoulder(body: Humanoid) -> float:
+    """Height of the shoulders in the zero pose [m]."""
+    chain = ("pelvis", "spine1", "spine2", "spine3", "right_collar", "right_shoulder")
+    return float(sum(body.joint_offsets[JOINT_INDEX[name], 1] for name in chain))
+
+
+def reach_body(body: Humanoid, hand: Hand) -> ReachBody:
+    """Measures of one body and hand, body frame."""
+    sign, other = (1.0, "right") if hand == "left" else (-1.0, "left")
+    stand, frames = _standing(body)
+    names = [f"{hand}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")] + [f"{other}_shoulder"]
+    names += [f"{side}_{part}" for part in ("hip", "knee", "ankle") for side in ("left", "right")]
+    obstacles = [c for c in body.capsules if c.name in _OBSTACLES]
+    legs, ankles = body.gaits.legs, frames[[JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]], :3, 3]
+    scale = _shoulder(body)
+    return ReachBody(
+        scale=scale, sign=sign, stand=stand, pelvis=frames[0, :3, 3].copy(),
+        pole=_hanging_pole(body, frames, hand, sign), offsets=np.ascontiguousarray(body.joint_offsets, np.float64),
+        ankles=np.ascontiguousarray(ankles), support=ankles[:, 2].mean() + legs.feet[:, :2, 2].mean(axis=0),
+        bones=np.array([legs.thigh, legs.shank]), joints=np.array([JOINT_INDEX[name] for name in names]),
+        palm=grasp_point(body, hand),
+        obstacles=np.array([[*c.start, *c.end, c.radius] for c in obstacles]).reshape(-1, 7),
+        obstacle_joints=np.array([_OBSTACLES[c.name] for c in obstacles], np.int64), arm_radius=ARM_RADIUS * scale,
+    )  # fmt: skip
+
+
+def _standing(body: Humanoid) -> tuple[Array, Array]:
+    """Local rotations [55, 4] and joint frames [55, 4, 4] of standing, in the body frame."""
+    quats, pelvis = body.clip_pose([0], [0.0])
+    back = quat_conjugate(ROOT_OF_BODY)
+    quats[:, 0] = quat_multiply(back, quats[:, 0])
+    frames = body.joint_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), quats, quat_rotate(back, pelvis))
+    return quats[0], frames[0]
+
+
+def _hanging_pole(body: Humanoid, frames: Array, hand: Hand, sign: float) -> Array:
+    """The elbow direction [3] of the standing arm in the chest frame, so that the kernel gives back the standing pose."""
+    shoulder, wrist = frames[JOINT_INDEX[f"{hand}_shoulder"]], frames[JOINT_INDEX[f"{hand}_wrist"]]
+    palm = wrist[:3, :3] @ grasp_point(body, hand) + wrist[:3, 3]
+    along = (palm - shoulder[:3, 3]) / np.linalg.norm(palm - shoulder[:3, 3])
+    axis = shoulder[:3, 1] - (shoulder[:3, 1] @ along) * along
+    pole = -sign * np.cross(along, axis / np.linalg.norm(axis))
+    return frames[JOINT_INDEX["spine3"], :3, :3].T @ pole

@@ -1,0 +1,334 @@
+"""One reaching posture, compiled: trunk from a table, legs and arm in closed form, and what can be wrong with it.
+
+Everything is in the body frame (+Z forward, +Y up, +X left) with the origin at the agent's root on the floor. Vectors and
+quaternions (xyzw) are tuples here. The table is for the right hand; the left hand is its mirror image in the plane x = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from h3data.bodies.people.legs import LEG_MAX
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.bodies.people.tuple_math import (
+    cross,
+    dot,
+    from_axes,
+    from_vector,
+    inverse,
+    multiply,
+    plus,
+    put,
+    row3,
+    row4,
+    segments_apart,
+    to_vector,
+    turned,
+    unit,
+)
+from h3data.geometry import Array
+from h3data.kernels import kernel
+
+# --- the parameters of a posture, in units of `ReachBody.scale` and radians, relative to standing -----------------------
+SHIFT, PELVIS, SPINE, COLLAR, POLE, PARAMETER_COUNT = 0, 3, 6, 9, 11, 14
+"""First columns: pelvis shift (3), pelvis turn (3), turn of the whole spine (3), collar about y and z (2), and the direction
+in which the elbow sticks out, in the chest frame (3)."""
+
+# --- the measures of a posture -----------------------------------------------------------------------------------------
+MISS, ELBOW, KNEE, SHANK, BALANCE, CLEARANCE, STRETCH, SPREAD, SHOULDER, MEASURE_COUNT = 0, 1, 2, 3, 4, 5, 6, 7, 8, 11
+"""How far the arm is too short or too long [m], flexion of elbow and knees [rad], forward lean of the shanks [rad], how far
+the centre of mass is outside the feet [m] (negative: inside), clearance of forearm and hand [m], how far the pelvis had to
+sink for the legs to be long enough [m], sine between elbow direction and arm, rotation vector of the shoulder from hanging
+down (3) [rad]."""
+
+ELBOW_MIN, ELBOW_MAX = math.radians(12.0), math.radians(145.0)
+KNEE_MAX, SHANK_MAX = math.radians(132.0), math.radians(37.0)
+CLEARANCE_MIN_M, STRETCH_MAX_M, SPREAD_MIN = -0.012, 0.03, 0.25
+REACHED, OUTSIDE_BOX, INVALID_POSTURE, TOO_FAR = 0, 1, 2, 3
+
+_SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
+_SPINE_SHARE = (0.30, 0.35, 0.35)
+_NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
+_GAZE_YAW, _GAZE_PITCH, _NECK_SHARE = 0.9, 0.75, 0.4
+"""The head turns by this much [rad] towards a target straight aside or below."""
+_HANG = 0.85
+"""Share of the trunk's lean that the other arm does not follow: it hangs."""
+_KNEES_OUT = 0.10
+"""As in `h3data.bodies.people.legs.solve_legs`."""
+_COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
+"""The centre of mass keeps this far behind the toe joints, before the heels, and outside the ankles at most."""
+
+
+class ReachBody(NamedTuple):
+    """What the kernel knows of one body and one of its hands."""
+
+    scale: float
+    """Height of the standing shoulder [m], the unit of the table."""
+    sign: float
+    """+1 left hand, -1 right hand."""
+    stand: Array
+    """Local rotations of standing, the pelvis' in the body frame, shape [55, 4]."""
+    pelvis: Array
+    """The standing pelvis joint, shape [3] [m]."""
+    pole: Array
+    """Elbow direction of the hanging arm in the chest frame, shape [3]."""
+    offsets: Array
+    """Joints in their parents' frames, shape [55, 3] [m]."""
+    ankles: Array
+    """Where the ankles stay: left, right, shape [2, 3] [m]."""
+    support: Array
+    """Heels and balls of the feet [m], along z."""
+    bones: Array
+    """Thigh and shank [m]."""
+    joints: NDArray[np.int64]
+    """Collar, shoulder, elbow, wrist of the hand; shoulder of the other; left and right hip, knee, ankle."""
+    palm: Array
+    """The grasp point in the wrist frame, shape [3] [m]."""
+    obstacles: Array
+    """Capsules that forearm and hand must not enter: start, end, radius in joint frames, shape [C, 7] [m]."""
+    obstacle_joints: NDArray[np.int64]
+    """0 pelvis, 1-3 spine, 4 head, 5-6 thighs, shape [C]."""
+    arm_radius: float
+    """Of the forearm [m]; the hand's is as large."""
+
+
+@njit(nogil=True)
+def _solve_leg(body, k, pelvis_turn, hip, quats):
+    """One leg from its hip to its ankle; returns knee flexion, lean of the shank and the knee."""
+    thigh, shank = body.bones[0], body.bones[1]
+    ankle = row3(body.ankles, k)
+    way = plus(ankle, hip, -1.0)
+    distance = math.sqrt(dot(way, way))
+    reach = min(distance, (thigh + shank) * 0.9999)
+    down = (way[0] / distance, way[1] / distance, way[2] / distance)
+    forward = (_KNEES_OUT if k == 0 else -_KNEES_OUT, 0.0, 1.0)
+    pole = unit(plus(forward, down, -dot(forward, down)))
+    c = min(max((thigh * thigh + reach * reach - shank * shank) / (2 * thigh * reach), -1.0), 1.0)
+    s = math.sqrt(1 - c * c)
+    inner = min(max((thigh * thigh + shank * shank - reach * reach) / (2 * thigh * shank), -1.0), 1.0)
+    flexion = math.pi - math.acos(inner)
+    bone = plus((c * down[0], c * down[1], c * down[2]), pole, s)
+    front = plus((c * pole[0], c * pole[1], c * pole[2]), down, -s)
+    up = (-bone[0], -bone[1], -bone[2])
+    thigh_turn = from_axes(cross(up, front), up, front)
+    knee_turn = from_vector(flexion, 0.0, 0.0)
+    put(quats, body.joints[5 + k], multiply(inverse(pelvis_turn), thigh_turn))
+    put(quats, body.joints[7 + k], knee_turn)
+    put(quats, body.joints[9 + k], inverse(multiply(thigh_turn, knee_turn)))
+    knee = plus(hip, bone, thigh)
+    return flexion, math.atan2(knee[2] - ankle[2], knee[1] - ankle[1]), knee, thigh_turn
+
+
+@njit(nogil=True)
+def _bend(body, x, trunk, k, turn, at, quats):
+    """One joint of the spine: frame and place from those of the one below."""
+    share, m, joint = trunk * _SPINE_SHARE[k], -body.sign, _SPINE[k]
+    local = multiply(
+        from_vector(share * x[SPINE], share * m * x[SPINE + 1], share * m * x[SPINE + 2]), row4(body.stand, joint)
+    )
+    put(quats, joint, local)
+    return multiply(turn, local), plus(at, turned(turn, row3(body.offsets, joint)), 1.0)
+
+
+@njit(nogil=True)
+def pose_arm(body, collar, shoulder, target, pole, quats):
+    """Shoulder and elbow so that the palm is at ``target``, the elbow towards ``pole``. All in the body frame.
+
+    The elbow is a hinge about the shoulder frame's y axis, so the distance gives its angle, and the plane of the arm the
+    rest. Returns by how much the arm is too short or too long [m], the flexion, the shoulder's turn and the sine between
+    pole and arm.
+    """
+    upper, lower = row3(body.offsets, body.joints[2]), row3(body.offsets, body.joints[3])
+    lower = (lower[0] + body.palm[0], lower[1] + body.palm[1], lower[2] + body.palm[2])
+    way = plus(target, shoulder, -1.0)
+    distance = math.sqrt(dot(way, way))
+    # |upper + R_y(angle) lower|^2 = distance^2 is a cos(angle) + b sin(angle) = c
+    a = upper[0] * lower[0] + upper[2] * lower[2]
+    b = upper[0] * lower[2] - upper[2] * lower[0]
+    squares = dot(upper, upper) + dot(lower, lower)
+    c = (distance * distance - squares) / 2 - upper[1] * lower[1]
+    size = math.sqrt(a * a + b * b)
+    flexion = math.acos(min(max(c / size, -1.0), 1.0))
+    miss = 0.0
+    if flexion < ELBOW_MIN or flexion > ELBOW_MAX:
+        flexion = min(max(flexion, ELBOW_MIN), ELBOW_MAX)
+        longest = squares + 2 * (size * math.cos(flexion) + upper[1] * lower[1])
+        miss = distance - math.sqrt(longest)
+    hinge = from_vector(0.0, math.atan2(b, a) - body.sign * flexion, 0.0)
+    along = unit(plus(upper, turned(hinge, lower), 1.0))
+    axis = unit(plus((0.0, 1.0, 0.0), along, -along[1]))
+    toward = unit(way)
+    sideways = cross(pole, toward)
+    spread = math.sqrt(dot(sideways, sideways))
+    normal = unit((-body.sign * sideways[0], -body.sign * sideways[1], -body.sign * sideways[2]))
+    here, there = from_axes(along, axis, cross(along, axis)), from_axes(toward, normal, cross(toward, normal))
+    turn = multiply(there, inverse(here))
+    put(quats, body.joints[1], multiply(inverse(collar), turn))
+    put(quats, body.joints[2], hinge)
+    return miss, flexion, turn, spread
+
+
+@njit(nogil=True)
+def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
+    """Write the posture with parameters ``x`` whose palm is at ``target``: local ``quats`` [55, 4], ``pelvis`` [3].
+
+    ``trunk`` and ``arm`` (0 to 1) lead from the standing trunk and the hanging arm's elbow to those of ``x``; the palm is
+    at the target in any case, as far as the arm reaches. ``measures`` is written as the names above say.
+    """
+    m = -body.sign
+    quats[:] = body.stand
+    pelvis_turn = multiply(
+        from_vector(trunk * x[PELVIS], trunk * m * x[PELVIS + 1], trunk * m * x[PELVIS + 2]), row4(body.stand, 0)
+    )
+    place = (
+        body.pelvis[0] + trunk * m * x[SHIFT] * body.scale,
+        body.pelvis[1] + trunk * x[SHIFT + 1] * body.scale,
+        body.pelvis[2] + trunk * x[SHIFT + 2] * body.scale,
+    )
+    # --- legs: the pelvis sinks where they would be too short
+    stretch = 0.0
+    longest = LEG_MAX * (body.bones[0] + body.bones[1])
+    for k in range(2):
+        hip = plus(place, turned(pelvis_turn, row3(body.offsets, body.joints[5 + k])), 1.0)
+        x_gap, z_gap = hip[0] - body.ankles[k, 0], hip[2] - body.ankles[k, 2]
+        highest = body.ankles[k, 1] + math.sqrt(max(longest * longest - x_gap * x_gap - z_gap * z_gap, 0.0))
+        stretch = max(stretch, hip[1] - highest)
+    place = (place[0], place[1] - stretch, place[2])
+    hips = (
+        plus(place, turned(pelvis_turn, row3(body.offsets, body.joints[5])), 1.0),
+        plus(place, turned(pelvis_turn, row3(body.offsets, body.joints[6])), 1.0),
+    )
+    knee_left, lean_left, left, left_thigh = _solve_leg(body, 0, pelvis_turn, hips[0], quats)
+    knee_right, lean_right, right, right_thigh = _solve_leg(body, 1, pelvis_turn, hips[1], quats)
+    # --- trunk
+    turn1, at1 = _bend(body, x, trunk, 0, pelvis_turn, place, quats)
+    turn2, at2 = _bend(body, x, trunk, 1, turn1, at1, quats)
+    chest, at3 = _bend(body, x, trunk, 2, turn2, at2, quats)
+    neck = plus(at3, turned(chest, row3(body.offsets, _NECK)), 1.0)
+    # --- the arm
+    collar = multiply(
+        from_vector(0.0, trunk * m * x[COLLAR], trunk * m * x[COLLAR + 1]), row4(body.stand, body.joints[0])
+    )
+    put(quats, body.joints[0], collar)
+    collar_at = plus(at3, turned(chest, row3(body.offsets, body.joints[0])), 1.0)
+    collar_turn = multiply(chest, collar)
+    shoulder = plus(collar_at, turned(collar_turn, row3(body.offsets, body.joints[1])), 1.0)
+    pole = (
+        (1 - arm) * body.pole[0] + arm * m * x[POLE],
+        (1 - arm) * body.pole[1] + arm * x[POLE + 1],
+        (1 - arm) * body.pole[2] + arm * x[POLE + 2],
+    )
+    miss, flexion, arm_turn, spread = pose_arm(body, collar_turn, shoulder, target, turned(chest, unit(pole)), quats)
+    elbow = plus(shoulder, turned(arm_turn, row3(body.offsets, body.joints[2])), 1.0)
+    fore_turn = multiply(arm_turn, row4(quats, body.joints[2]))
+    wrist = plus(elbow, turned(fore_turn, row3(body.offsets, body.joints[3])), 1.0)
+    palm = plus(wrist, turned(fore_turn, (body.palm[0], body.palm[1], body.palm[2])), 1.0)
+    # --- the head looks at the target, the other arm hangs
+    head_at = plus(neck, turned(multiply(chest, row4(body.stand, _NECK)), row3(body.offsets, _HEAD)), 1.0)
+    look = turned(inverse(chest), unit(plus(target, head_at, -1.0)))
+    for joint, share in ((_NECK, _NECK_SHARE), (_HEAD, 1 - _NECK_SHARE)):
+        gaze = from_vector(-trunk * share * _GAZE_PITCH * look[1], trunk * share * _GAZE_YAW * look[0], 0.0)
+        put(quats, joint, multiply(gaze, row4(body.stand, joint)))
+    neck_turn = multiply(chest, row4(quats, _NECK))
+    head_turn, head_at = (
+        multiply(neck_turn, row4(quats, _HEAD)),
+        plus(neck, turned(neck_turn, row3(body.offsets, _HEAD)), 1.0),
+    )
+    upright = turned(inverse(chest), (0.0, 1.0, 0.0))
+    tilt = cross((0.0, 1.0, 0.0), upright)
+    lean = math.sqrt(dot(tilt, tilt))
+    amount = trunk * _HANG * math.atan2(lean, upright[1]) / max(lean, 1e-9)
+    other = body.joints[4]
+    hang = from_vector(amount * tilt[0], amount * tilt[1], amount * tilt[2])
+    put(quats, other, multiply(hang, row4(body.stand, other)))
+    put(quats, 0, pelvis_turn)
+    pelvis[0], pelvis[1], pelvis[2] = place
+    # --- what can be wrong; the shares of the mass are Winter's (research/humanoids.md 3)
+    weight = (0.142 * place[0], 0.142 * place[1], 0.142 * place[2])
+    weight = plus(weight, plus(at2, neck, 1.0), 0.355 / 2)
+    weight = plus(weight, head_at, 0.081 + 0.050)  # with the other arm
+    weight = plus(weight, plus(shoulder, elbow, 1.0), 0.028 / 2)
+    weight = plus(weight, plus(elbow, wrist, 1.0), 0.016 / 2)
+    weight = plus(weight, palm, 0.006)
+    weight = plus(weight, plus(hips[0], hips[1], 1.0), 0.100 / 2)
+    weight = plus(weight, plus(left, right, 1.0), 0.100 / 2 + 0.061 / 2)
+    weight = plus(weight, plus(row3(body.ankles, 0), row3(body.ankles, 1), 1.0), 0.061 / 2)
+    behind, ahead = body.support[0] + _COM_BEHIND_M - weight[2], weight[2] - body.support[1] + _COM_AHEAD_M
+    aside = max(weight[0] - body.ankles[0, 0], body.ankles[1, 0] - weight[0]) - _COM_ASIDE_M
+    turns = (pelvis_turn, turn1, turn2, chest, head_turn, left_thigh, right_thigh)
+    places = (place, at1, at2, at3, head_at, hips[0], hips[1])
+    gap = 1.0
+    for k in range(len(body.obstacle_joints)):
+        q, p, o = turns[body.obstacle_joints[k]], places[body.obstacle_joints[k]], body.obstacles[k]
+        start, end = plus(p, turned(q, (o[0], o[1], o[2])), 1.0), plus(p, turned(q, (o[3], o[4], o[5])), 1.0)
+        near = min(segments_apart(elbow, wrist, start, end), segments_apart(wrist, palm, start, end))
+        gap = min(gap, near - o[6] - body.arm_radius)
+    measures[MISS] = miss
+    measures[ELBOW] = flexion
+    measures[KNEE] = max(knee_left, knee_right)
+    measures[SHANK] = max(lean_left, lean_right)
+    measures[BALANCE] = max(behind, max(ahead, aside))
+    measures[CLEARANCE] = gap
+    measures[STRETCH] = stretch
+    measures[SPREAD] = spread
+    hanging = multiply(row4(quats, body.joints[1]), inverse(row4(body.stand, body.joints[1])))
+    measures[SHOULDER], measures[SHOULDER + 1], measures[SHOULDER + 2] = to_vector(hanging)
+
+
+@njit(nogil=True)
+def look_up(table, low, step, u, x):
+    """Trilinear interpolation of ``table`` [X, Y, Z, P] at ``u`` into ``x`` [P]; False where that is outside (clamped)."""
+    inside = True
+    cell, share = np.empty(3, np.int64), np.empty(3)
+    for k in range(3):
+        place, last = (u[k] - low[k]) / step[k], table.shape[k] - 1
+        inside = inside and -1e-9 <= place <= last + 1e-9
+        place = min(max(place, 0.0), float(last))
+        cell[k] = min(int(place), last - 1)
+        share[k] = place - cell[k]
+    x[:] = 0.0
+    for corner in range(8):
+        a, b, c = corner >> 2, corner >> 1 & 1, corner & 1
+        weight = share[0] if a else 1 - share[0]
+        weight *= share[1] if b else 1 - share[1]
+        weight *= share[2] if c else 1 - share[2]
+        for p in range(len(x)):
+            x[p] += weight * table[cell[0] + a, cell[1] + b, cell[2] + c, p]
+    return inside
+
+
+@njit(nogil=True)
+def fault(measures):
+    """What is wrong with a posture: `REACHED` when nothing, `TOO_FAR`, or `INVALID_POSTURE`."""
+    if abs(measures[MISS]) > 1e-6:
+        return TOO_FAR
+    bad = measures[KNEE] > KNEE_MAX or measures[SHANK] > SHANK_MAX or measures[BALANCE] > 0.0
+    bad = (
+        bad
+        or measures[CLEARANCE] < CLEARANCE_MIN_M
+        or measures[STRETCH] > STRETCH_MAX_M
+        or measures[SPREAD] < SPREAD_MIN
+    )
+    return INVALID_POSTURE if bad else REACHED
+
+
+@kernel(error_model="numpy")
+def reach_many(body, table, low, step, targets, trunk, arm, root, quats, pelvis, measures, status):
+    """Postures for ``targets`` [T, 3] [m]: ``quats`` [T, 55, 4], ``pelvis`` [T, 3], ``measures`` [T, M], ``status`` [T].
+
+    ``root`` [4] turns the pelvis into the frame that the caller wants; the targets are in the body frame.
+    """
+    x, turn = np.empty(PARAMETER_COUNT), (root[0], root[1], root[2], root[3])
+    for t in range(len(targets)):
+        target = row3(targets, t)
+        u = (-body.sign * target[0] / body.scale, target[1] / body.scale, target[2] / body.scale)
+        inside = look_up(table, low, step, u, x)
+        pose_for(body, x, target, trunk[t], arm[t], quats[t], pelvis[t], measures[t])
+        put(quats[t], 0, multiply(turn, row4(quats[t], 0)))
+        pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(turn, row3(pelvis, t))
+        status[t] = fault(measures[t]) if inside else OUTSIDE_BOX

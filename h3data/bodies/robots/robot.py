@@ -1,0 +1,217 @@
+"""A robot: links, joints, looks, shapes and cameras, and where they all are (`h3data.bodies.load_robot` makes one).
+
+Link frames are URDF's. The agent root frame (x forward, y up, z right, on the floor) is turned into the URDF base frame
+(x forward, y left, z up) and lifted by ``base_height_m``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array, pose_to_matrix
+from h3data.mesh.records import Mesh
+from h3data.scene.records import Cylinder, Shape
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotLink:
+    """One rigid part."""
+
+    name: str
+    parent: int
+    """Index of the parent link, -1 for the base; parents come first."""
+    mesh: Mesh | None
+    """All visuals in the link frame."""
+    shapes: tuple[Shape, ...]
+    """Collision parts in the link frame."""
+    inertial: Array
+    """Centre-of-mass frame in the link frame, 4x4: Habitat gives link poses in it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotCamera:
+    """A camera fixed to a link. It sees colour and depth at once: a pair of an RGB and a depth camera is one of these."""
+
+    name: str
+    link: int
+    pose: Array
+    """4x4, camera (OpenCV: x right, y down, z forward) to link frame."""
+    width: int
+    height: int
+    hfov_deg: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotLeg:
+    """A leg with hip roll, hip pitch and knee."""
+
+    columns: tuple[int, int, int]
+    """Their columns in the joint positions."""
+    foot: Array
+    """Middle of the foot in the frame of the link that the knee moves, shape [3] [m]."""
+
+
+class JointTargets(NamedTuple):
+    """Joint positions that the robot can take."""
+
+    positions: NDArray[np.float64]
+    """Inside the limits, shape [..., J] [rad or m]."""
+    clamped: NDArray[np.bool_]
+    """Which of them were asked for beyond a limit, shape [..., J]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robot:
+    """A kinematic tree with looks, shapes and cameras. Immutable: share it freely."""
+
+    name: str
+    links: tuple[RobotLink, ...]
+    joint_names: tuple[str, ...]
+    """The columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint has four
+    (``name.x`` to ``name.w``, a quaternion)."""
+    rest: Array
+    """Joint positions of the resting posture, shape [J] [rad or m]."""
+    lower: Array
+    """Joint limits, shape [J]; infinite where there are none."""
+    upper: Array
+    joint_links: NDArray[np.int64]
+    """The link that each joint moves, shape [J]; those that follow it by mimic are not named."""
+    base_height_m: float
+    """Height of the URDF base frame above the floor, feet down in the resting posture."""
+    body_height_m: float
+    """Height of the highest point that counts as the body's, for ``base_shapes`` [m]."""
+    base_discs: Array
+    """Places along x of the discs in which the base must stay free, shape [D] [m]."""
+    base_profiles: dict[str, Array] = field(default_factory=dict)
+    """Other such places, by name."""
+    base_radius_m: float
+    hand_link: int = -1
+    """The link that grasps; -1 = none."""
+    hand_position: Array = field(default_factory=lambda: np.zeros(3))
+    """Where it holds things, in the frame of that link, shape [3] [m]."""
+    legs: tuple[RobotLeg, ...] = ()
+    cameras: tuple[RobotCamera, ...]
+    to_base: Array
+    """URDF base frame to agent root frame, 4x4."""
+    origins: NDArray[np.float64]
+    """Joint frame in the parent link's frame for each link, shape [L, 4, 4]."""
+    axes: NDArray[np.float64]
+    """Joint axis of each link, shape [L, 3]."""
+    kinds: NDArray[np.int64]
+    """0 fixed, 1 turns, 2 slides, 3 takes a quaternion (`h3data.bodies.robots.kinematics`), shape [L]."""
+    columns: NDArray[np.int64]
+    """Which joint position moves each link (the first of four by a quaternion), shape [L]; 0 where none does."""
+    gains: NDArray[np.float64]
+    """A link moves by gain * position + offset (URDF mimic), shape [L]."""
+    offsets: NDArray[np.float64]
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        return tuple(link.name for link in self.links)
+
+    @cached_property
+    def base_shapes(self) -> tuple[Cylinder, ...]:
+        """The base as the paper has it: upright cylinders over ``base_discs``, in the agent root frame."""
+        return self.base_cylinders()
+
+    def base_cylinders(self, profile: str = "") -> tuple[Cylinder, ...]:
+        """Upright cylinders over the discs of a profile (``base_profiles``; empty = ``base_discs``), agent root frame."""
+        if profile and profile not in self.base_profiles:
+            known = ", ".join(self.base_profiles) or "none"
+            raise InputError(f"Robot {self.name} has no base profile {profile!r}. It has: {known}.")
+        half = self.body_height_m / 2
+        return tuple(
+            Cylinder(pose=np.array([x, half, 0, 0, 0, 0, 1.0]), radius=self.base_radius_m, half_height=half)
+            for x in (self.base_profiles[profile] if profile else self.base_discs)
+        )
+
+    @cached_property
+    def _parents(self) -> NDArray[np.int64]:
+        return np.array([link.parent for link in self.links], np.int64)
+
+    def link_index(self, name: str) -> int:
+        """The place of a link in ``links``."""
+        if name not in self.link_names:
+            raise InputError(f"Robot {self.name} has no link {name!r}. It has: {', '.join(self.link_names[:40])}.")
+        return self.link_names.index(name)
+
+    def clamp(self, joint_pos: ArrayLike) -> JointTargets:
+        """The nearest joint positions inside the limits, and which ones had to be moved there.
+
+        Raises:
+            InputError: not [..., J] numbers, or some are NaN or infinite.
+        """
+        wanted = self._joints(joint_pos)
+        if not np.isfinite(wanted).all():
+            bad = sorted({self.joint_names[j] for j in np.argwhere(~np.isfinite(wanted))[:, -1]})
+            raise InputError(
+                f"Expected finite joint positions of {self.name}, got NaN or infinity for {', '.join(bad)}."
+            )
+        return JointTargets(np.clip(wanted, self.lower, self.upper), (wanted < self.lower) | (wanted > self.upper))
+
+    def link_matrices(self, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
+        """World matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
+        from h3data.bodies.robots.kinematics import link_frames
+
+        roots = np.ascontiguousarray(pose_to_matrix(np.asarray(base_pose, np.float64)) @ self.to_base)
+        positions = np.ascontiguousarray(joint_pos, np.float64)
+        if positions.shape != (len(roots), len(self.joint_names)):
+            raise InputError(
+                f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
+            )
+        out = np.empty((len(roots), len(self.links), 4, 4))
+        tree = (self._parents, self.origins, self.kinds, self.axes, self.columns, self.gains, self.offsets)
+        link_frames(roots, positions, *tree, out)
+        return out
+
+    def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
+        """The same in torch, on the device of ``joint_pos`` and differentiable: link frames [*batch, L, 4, 4] from agent
+        roots [*batch, 4, 4] and joint positions [*batch, J]."""
+        from h3data.bodies.robots.kinematics import link_frames_torch
+
+        if joint_pos.shape[-1:] != (len(self.joint_names),) or base.shape[-2:] != (4, 4):
+            raise InputError(
+                f"Expected roots [..., 4, 4] and joint positions [..., {len(self.joint_names)}] of {self.name}, got "
+                f"{list(base.shape)} and {list(joint_pos.shape)}."
+            )
+        return link_frames_torch(self, base, joint_pos)
+
+    def _joints(self, joint_pos: ArrayLike) -> NDArray[np.float64]:
+        try:
+            positions = np.asarray(joint_pos, np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"Expected joint positions of {self.name}, got something else ({error}).") from None
+        if positions.shape[-1:] != (len(self.joint_names),):
+            raise InputError(
+                f"Expected joint positions [..., {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
+            )
+        return positions
+
+    def camera(self, name: str) -> RobotCamera:
+        """The camera of that name."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        known = ", ".join(c.name for c in self.cameras) or "none"
+        raise InputError(f"Robot {self.name} has no camera {name!r}. It has: {known}.")
+
+    def camera_poses(self, name: str, link_matrices: Array) -> Array:
+        """Camera (OpenCV) to world, [T, 4, 4], of what `link_matrices` returned."""
+        camera = self.camera(name)
+        return link_matrices[:, camera.link] @ camera.pose
+
+    def __repr__(self) -> str:
+        triangles = sum(len(link.mesh.faces) for link in self.links if link.mesh is not None)
+        return (
+            f"Robot({self.name!r}, {len(self.links)} links, {len(self.joint_names)} joints, {triangles} triangles, "
+            f"cameras {', '.join(c.name for c in self.cameras) or 'none'})"
+        )

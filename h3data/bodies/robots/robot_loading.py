@@ -1,0 +1,201 @@
+"""Robots from files: a URDF with meshes and, beside it, a small ``robot.toml`` with what URDF cannot say."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
+from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
+from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
+from h3data.builtin import builtin_path
+from h3data.errors import InputError, did_you_mean
+from h3data.geometry import normalized, pose_from_matrix
+from h3data.mesh.link_meshes import DEFAULT_COLOR, box_mesh, load_mesh, moved, round_mesh
+from h3data.mesh.meshes import joined
+from h3data.mesh.records import Mesh
+from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
+
+Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""URDF base frame (x forward, y left, z up) to agent root axes (x forward, y up, z right)."""
+
+
+def robot_names() -> tuple[str, ...]:
+    """Names of the built-in robots."""
+    return tuple(sorted(p.parent.name for p in builtin_path("robots").glob("*/robot.urdf")))
+
+
+def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z") -> Robot:
+    """A built-in robot by name (`robot_names`), or any URDF by its path. Loaded once, then shared until its files change.
+
+    ``up`` is the axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
+    """
+    path = _find(name_or_path)
+    return _loaded(path, up, _version(path), _version(path.with_name("robot.toml")))
+
+
+@lru_cache(maxsize=32)
+def _loaded(path: Path, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
+    del versions  # only part of the key: changed files are read again
+    urdf = read_urdf(path)
+    return _robot(urdf, read_settings(path.with_name("robot.toml"), urdf), up)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """Time stamp [ns] and size of a file; zeros if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
+
+
+def _find(name_or_path: str | Path) -> Path:
+    if str(name_or_path).lower().endswith(".urdf"):
+        return Path(name_or_path)
+    if str(name_or_path) not in robot_names():
+        known = ", ".join(robot_names()) or "none"
+        near = did_you_mean(str(name_or_path), robot_names())
+        raise InputError(
+            f"No built-in robot {str(name_or_path)!r}.{near} There are: {known}; or give the path of a .urdf."
+        )
+    return builtin_path("robots") / str(name_or_path) / "robot.urdf"
+
+
+# --- building ---------------------------------------------------------------------------------------------------------
+def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
+    order = _parents_first(urdf)
+    index = {link.name: k for k, link in enumerate(order)}
+    above: dict[str, UrdfJoint] = {j.child: j for j in urdf.joints}
+    joints = [above.get(link.name) for link in order]
+    names, lower, upper, rest, moves = [], [], [], [], []
+    column: dict[str, int] = {}
+    for joint in urdf.movable:
+        column[joint.name] = len(names)
+        ball = joint.kind == "spherical"
+        names += [f"{joint.name}.{part}" for part in "xyzw"] if ball else [joint.name]
+        lower += [-1.0] * 4 if ball else [joint.lower]
+        upper += [1.0] * 4 if ball else [joint.upper]
+        rest += [0.0, 0.0, 0.0, 1.0] if ball else [min(max(0.0, joint.lower), joint.upper)]
+        moves += [index[joint.child]] * joint.width
+    leaders = [None if j is None else j.mimic for j in joints]
+    kinds = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 2, "spherical": 3}
+    to_base = Z_UP_TO_ROOT.copy() if up == "z" else np.eye(4)
+    to_base[1, 3] = settings.base_height_m
+    return Robot(
+        name=urdf.name,
+        links=tuple(
+            _robot_link(link, -1 if j is None else index[j.parent]) for link, j in zip(order, joints, strict=True)
+        ),
+        joint_names=tuple(names),
+        rest=np.array(settings.rest or rest, np.float64),
+        lower=np.array(lower, np.float64),
+        upper=np.array(upper, np.float64),
+        joint_links=np.array(moves, np.int64),
+        base_height_m=settings.base_height_m,
+        body_height_m=settings.body_height_m,
+        base_discs=np.array(settings.base_discs_m, np.float64),
+        base_profiles={name: np.array(places) for name, places in settings.base_profiles.items()},
+        base_radius_m=settings.base_radius_m,
+        hand_link=index[settings.hand_link] if settings.hand_link else -1,
+        hand_position=np.array(settings.hand_position),
+        legs=tuple(
+            RobotLeg(
+                columns=(column[leg.joints[0]], column[leg.joints[1]], column[leg.joints[2]]), foot=np.array(leg.foot)
+            )
+            for leg in settings.legs
+        ),
+        cameras=tuple(_camera(c, index[c.link]) for c in settings.cameras),
+        to_base=to_base,
+        origins=np.stack([np.eye(4) if j is None else j.origin for j in joints]).astype(np.float64),
+        axes=np.stack([np.array([1.0, 0, 0]) if j is None else j.axis for j in joints]).astype(np.float64),
+        kinds=np.array([0 if j is None else kinds[j.kind] for j in joints], np.int64),
+        columns=np.array(
+            [0 if j is None else column.get(m.joint if m else j.name, 0) for j, m in zip(joints, leaders, strict=True)],
+            np.int64,
+        ),
+        gains=np.array([1.0 if m is None else m.multiplier for m in leaders]),
+        offsets=np.array([0.0 if m is None else m.offset for m in leaders]),
+    )
+
+
+def _parents_first(urdf: Urdf) -> list[UrdfLink]:
+    links = {link.name: link for link in urdf.links}
+    below: dict[str, list[str]] = {}
+    for joint in urdf.joints:
+        below.setdefault(joint.parent, []).append(joint.child)
+    order, waiting = [], [urdf.root]
+    while waiting:
+        name = waiting.pop()
+        order.append(links[name])
+        waiting += reversed(below.get(name, []))
+    return order
+
+
+def _robot_link(link: UrdfLink, parent: int) -> RobotLink:
+    meshes = [_visual(part) for part in link.visuals]
+    shapes = tuple(_shape(part) for part in link.collisions)
+    return RobotLink(
+        name=link.name, parent=parent, mesh=joined(meshes) if meshes else None, shapes=shapes, inertial=link.inertial
+    )
+
+
+def _visual(part: UrdfPart) -> Mesh:
+    g = part.geometry
+    color = part.color or DEFAULT_COLOR
+    match g.kind:
+        case "box":
+            return moved(box_mesh(g.size, color), part.origin)
+        case "mesh":
+            assert g.file is not None
+            return moved(load_mesh(g.file, color=part.color), part.origin, g.scale)
+        case kind:
+            return moved(round_mesh(g.radius, g.length, color, caps=kind != "cylinder"), part.origin)
+
+
+def _shape(part: UrdfPart) -> Shape:
+    g, origin = part.geometry, part.origin
+    match g.kind:
+        case "box":
+            return Box(pose=pose_from_matrix(origin).astype(np.float64), half_extents=np.array(g.size) / 2)
+        case "cylinder":  # ours stand along y, URDF's along z
+            y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+            return Cylinder(
+                pose=pose_from_matrix(origin @ y_to_z).astype(np.float64), radius=g.radius, half_height=g.length / 2
+            )
+        case "mesh":
+            assert g.file is not None
+            return Hull(points=_hull_points(moved(load_mesh(g.file), origin, g.scale)))
+        case _:
+            along = origin[:3, 2] * g.length / 2
+            return Capsule(start=origin[:3, 3] - along, end=origin[:3, 3] + along, radius=g.radius)
+
+
+def _hull_points(mesh: Mesh) -> NDArray[np.float64]:
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = mesh.vertices.astype(np.float64)
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # flat: all its points are as good
+        return np.unique(points, axis=0)
+
+
+def _camera(settings: CameraSettings, link: int) -> RobotCamera:
+    forward = normalized(np.array(settings.forward))
+    right = normalized(np.cross(forward, np.array(settings.up)))
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(forward, right), forward
+    pose[:3, 3] = settings.position
+    return RobotCamera(
+        name=settings.name,
+        link=link,
+        pose=pose,
+        width=settings.width,
+        height=settings.height,
+        hfov_deg=settings.hfov_deg,
+    )

@@ -1,0 +1,103 @@
+"""``robot.toml``: what URDF cannot say about a robot - posture, base profiles, hand, legs, cameras."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.bodies.robots.urdf import Urdf
+from h3data.errors import FormatError
+
+
+class CameraSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A ``[[cameras]]`` table."""
+
+    name: str
+    link: str
+    position: tuple[float, float, float]
+    """In the link frame [m]."""
+    forward: tuple[float, float, float]
+    """Viewing direction in the link frame."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction in the link frame that the picture shows upwards."""
+    width: int
+    height: int
+    hfov_deg: float
+
+
+class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A ``[[legs]]`` table: a leg that can step."""
+
+    joints: tuple[str, str, str]
+    """Hip roll (about x), hip pitch and knee (about y)."""
+    foot: tuple[float, float, float]
+    """Middle of the foot in the frame of the link that the knee moves [m]."""
+
+
+class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What ``robot.toml`` says."""
+
+    base_height_m: float = 0.0
+    body_height_m: float = 0.5
+    base_discs_m: tuple[float, ...] = (0.0,)
+    """Places along x of the discs in which the base must stay free."""
+    base_profiles: dict[str, tuple[float, ...]] = {}
+    """Other sets of such places, by name."""
+    base_radius_m: float = 0.25
+    rest: tuple[float, ...] = ()
+    """Joint positions in URDF order; empty = zeros, put inside the limits."""
+    hand_link: str = ""
+    """Link that grasps; empty = the robot has no hand."""
+    hand_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where things are held, in the frame of that link [m]."""
+    legs: tuple[LegSettings, ...] = ()
+    cameras: tuple[CameraSettings, ...] = ()
+
+
+def read_settings(path: Path, urdf: Urdf) -> RobotSettings:
+    """The settings in a file, checked against the URDF they belong to; defaults if there is no such file."""
+    if not path.is_file():
+        return RobotSettings()
+    try:
+        settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise FormatError(f"Not a robot description: {error}. File: {path}") from error
+    if not _finite(msgspec.to_builtins(settings)):
+        raise FormatError(f"Expected finite numbers in a robot description, got nan or inf. File: {path}")
+    movable, links = {j.name: j for j in urdf.movable}, {link.name for link in urdf.links}
+    width = sum(j.width for j in urdf.movable)
+    faults = []
+    if settings.rest and len(settings.rest) != width:
+        faults.append(f"rest has {len(settings.rest)} positions, the URDF {width} movable joints")
+    faults += [
+        f"camera {c.name} is fixed to {c.link!r}, which is no link" for c in settings.cameras if c.link not in links
+    ]
+    names = [c.name for c in settings.cameras]
+    faults += [f"camera {n} is there twice" for n in sorted({n for n in names if names.count(n) > 1})]
+    for camera in settings.cameras:
+        sight = np.cross(camera.forward, camera.up)
+        if not (np.linalg.norm(sight) > 1e-6 and 0 < camera.hfov_deg < 180 and min(camera.width, camera.height) > 0):
+            faults.append(f"camera {camera.name} has no picture: look at its forward, up, hfov_deg, width and height")
+    if settings.hand_link and settings.hand_link not in links:
+        faults.append(f"hand_link is {settings.hand_link!r}, which is no link")
+    for name in (name for leg in settings.legs for name in leg.joints):
+        if name not in movable or movable[name].width != 1:
+            faults.append(f"a leg has the joint {name!r}, which is no movable one")
+    if not settings.base_discs_m or settings.base_radius_m <= 0 or not all(settings.base_profiles.values()):
+        faults.append("the base has no discs")
+    if faults:
+        raise FormatError(f"The robot description does not fit its URDF: {'; '.join(faults[:8])}. File: {path}")
+    return settings
+
+
+def _finite(value: Any) -> bool:
+    """Whether no number in nested lists and tables is NaN or infinite."""
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
+    if isinstance(value, (list, tuple)):
+        return all(map(_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)

@@ -1,0 +1,128 @@
+"""Legs that step while the base moves: a trot made from the track of the base alone, for pictures.
+
+Diagonal legs move together; how far they are in their cycle depends on the distance covered, so they stand when the robot
+stands and step backwards when it backs up. A standing foot keeps its place in the world: where it is at rest, seen from
+the base in the middle of that stance. The simulation does not know of it: as in Habitat, the legs of its robot are posed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.robots.robot import Robot, RobotLeg
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, transform_points
+
+STRIDE_M = 0.7
+"""Distance covered in one cycle of a leg."""
+DUTY = 0.55
+"""Fraction of the cycle in which a foot stands."""
+LIFT_M = 0.08
+SETTLE_STEPS = 4
+"""Feet come down within so many steps of a stop."""
+SETTLE_M = 0.05
+"""Feet are lifted fully where the base covers at least this distance in the steps around."""
+JUMP_M = 0.5
+"""A base that moves farther in one step was put there: the trot begins anew."""
+MAX_STRETCH = 0.999
+"""Of the length of a leg, so that the knee keeps its side."""
+_BLOCK_STEPS = 4096
+"""Worked out at once: the matrices of a long track would take a hundred times its memory."""
+
+
+def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
+    """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
+
+    Args:
+        robot: A robot; one without legs gets its joint positions back.
+        base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
+        joint_pos: Its joint positions, shape [T, J].
+    """
+    bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
+    if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
+        raise InputError(
+            f"Expected a base track [T, 7] and joint positions [T, {len(robot.joint_names)}] of {robot.name}, got "
+            f"{list(bases.shape)} and {list(out.shape)}."
+        )
+    if not robot.legs:
+        return out
+    rest = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), robot.rest[None])[0]
+    shanks = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
+    feet = np.stack([rest[k, :3, :3] @ leg.foot + rest[k, :3, 3] for k, leg in zip(shanks, robot.legs, strict=True)])
+    there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1)
+    jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > JUMP_M
+    begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
+    for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
+        if there[first]:
+            track = bases[first:last]
+            heading, way = _headings_and_way(track, feet)
+            for start in range(0, len(track), _BLOCK_STEPS):
+                rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
+                to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
+                places = _feet(track, heading, way, feet, rows)
+                spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
+                for k, leg in enumerate(robot.legs):
+                    out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
+    return out
+
+
+def legs_are_posed(robot: Robot, joint_pos: ArrayLike) -> bool:
+    """Whether the robot has legs and they keep their resting posture throughout joint positions [T, J]."""
+    columns = [c for leg in robot.legs for c in leg.columns]
+    return bool(columns) and np.allclose(np.asarray(joint_pos)[:, columns], robot.rest[columns], atol=1e-4)
+
+
+def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
+    """Heading, without jumps, and distance that the feet have covered along a base track [T, 7]; both [T]."""
+    heading = np.unwrap(heading_from_quat(bases[:, 3:]))
+    covered = np.hypot(*np.diff(bases[:, [0, 2]], axis=0).T)
+    covered = covered + np.abs(np.diff(heading)) * np.hypot(feet[:, 0], feet[:, 2]).mean()
+    return heading, np.concatenate([[0.0], np.cumsum(covered)])
+
+
+def _feet(bases: Array, heading: Array, way: Array, feet: Array, rows: NDArray[np.integer]) -> Array:
+    """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
+    edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
+    lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
+    out = np.empty((len(rows), len(feet), 3))
+    for k, foot in enumerate(feet):
+        begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
+        place = begin + way[rows] / STRIDE_M
+        cycle = np.floor(place)
+
+        def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
+            """Where the foot stands in a cycle; before the first step it stands as at rest."""
+            middle = np.where(number <= begin, 0.0, (number + DUTY / 2 - begin) * STRIDE_M)
+            x, y, z, turn = (np.interp(middle, way, v) for v in (*bases[:, :3].T, heading))
+            return transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
+
+        lifts_off = np.maximum(cycle + DUTY, begin)
+        swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
+        weight = (swing * swing * (3 - 2 * swing))[:, None]
+        out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
+        out[:, k, 1] += lift * np.sin(np.pi * swing)
+    return out
+
+
+def leg_angles(robot: Robot, leg: RobotLeg, foot: ArrayLike) -> NDArray[np.float64]:
+    """Hip roll, hip pitch and knee [..., 3] that bring a foot to points [..., 3] in the URDF base frame.
+
+    Closed form: the roll turns the plane of the leg through the point, two sides of a triangle do the rest. Points out of
+    reach are approached along the line from the hip, angles end at their limits.
+    """
+    hip, pitch, knee = (robot.origins[robot.joint_links[c], :3, 3] for c in leg.columns)
+    x, y, z = np.moveaxis(np.asarray(foot, np.float64) - hip, -1, 0)
+    side = pitch[1] + knee[1] + leg.foot[1]
+    x, down = x - pitch[0], np.sqrt(np.maximum(y * y + z * z - side * side, 1e-12))
+    roll = np.arctan2(z, y) - np.arctan2(-down, side)
+    thigh, shank = np.hypot(knee[0], knee[2]), np.hypot(leg.foot[0], leg.foot[2])
+    thigh_lean, shank_lean = np.arctan2(-knee[0], -knee[2]), np.arctan2(-leg.foot[0], -leg.foot[2])
+    away = np.clip(np.hypot(x, down), 1e-6, MAX_STRETCH * (thigh + shank))
+    side_of_knee = np.sign(robot.rest[leg.columns[2]] + shank_lean - thigh_lean) or -1.0
+    cosine = np.clip((away**2 - thigh**2 - shank**2) / (2 * thigh * shank), -1, 1)
+    bend = side_of_knee * np.arccos(cosine)
+    lean = np.arctan2(-x, down) - np.arctan2(shank * np.sin(bend), thigh + shank * np.cos(bend))
+    angles = np.stack([(roll + np.pi) % (2 * np.pi) - np.pi, lean - thigh_lean, bend + thigh_lean - shank_lean], -1)
+    columns = list(leg.columns)
+    return np.clip(angles, robot.lower[columns], robot.upper[columns])

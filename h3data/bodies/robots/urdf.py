@@ -1,0 +1,270 @@
+"""URDF files as typed records: links, joints, visual and collision geometry. Frames stay URDF's own (x forward, z up).
+
+A minimal reader on the standard library. Read: box, cylinder, sphere, capsule, mesh; revolute, continuous, prismatic and
+fixed joints, mimic, and the spherical joints that Bullet and Habitat add to URDF; origins, axes, limits, material colours,
+inertial origins. Refused: xacro (expand it first), DOCTYPE and entities (they can read other files or blow up), other
+joint types, joints that do not make one tree, meshes that lie far outside the folder of the URDF.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+from xml.etree import ElementTree
+
+import numpy as np
+
+from h3data.bodies.robots.urdf_parts import UrdfGeometry, UrdfPart, read_color, read_numbers, read_origin, read_parts
+from h3data.errors import FormatError, InputError, MissingAssetError
+from h3data.geometry import Array
+
+__all__ = ["Urdf", "UrdfGeometry", "UrdfJoint", "UrdfLink", "UrdfMimic", "UrdfPart", "read_urdf"]
+
+JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
+MAX_BYTES = 16 << 20
+"""Larger files are refused: no robot description is."""
+MAX_LINKS = 10_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UrdfLink:
+    """A rigid body."""
+
+    name: str
+    visuals: tuple[UrdfPart, ...]
+    collisions: tuple[UrdfPart, ...]
+    inertial: Array
+    """Centre-of-mass frame to link frame, shape [4, 4]; identity if the file gives none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrdfMimic:
+    """Position = ``multiplier`` * position of ``joint`` + ``offset``. ``joint`` is one that mimics nothing itself."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UrdfJoint:
+    """What holds ``child`` to ``parent``."""
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    origin: Array
+    """Joint frame (= the child's link frame at position 0) to parent link frame, shape [4, 4]."""
+    axis: Array
+    """Unit vector in the joint frame, shape [3]."""
+    lower: float
+    """Least position [rad or m]; -inf if the file gives none."""
+    upper: float
+    mimic: UrdfMimic | None = None
+    """The joint that this one follows, if it has no position of its own."""
+
+    @property
+    def width(self) -> int:
+        """How many numbers its position is: 1, or 4 of a spherical joint (a quaternion xyzw)."""
+        return 4 if self.kind == "spherical" else 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Urdf:
+    """A kinematic tree. Links and joints are in the order of the file."""
+
+    name: str
+    path: Path
+    root: str
+    links: tuple[UrdfLink, ...]
+    joints: tuple[UrdfJoint, ...]
+
+    @property
+    def movable(self) -> tuple[UrdfJoint, ...]:
+        """The joints that have a position of their own (neither fixed nor mimic), in the order of the file."""
+        return tuple(j for j in self.joints if j.kind != "fixed" and j.mimic is None)
+
+
+def read_urdf(path: str | Path) -> Urdf:
+    """The robot described by a URDF file; all faults are told at once.
+
+    Raises:
+        InputError: there is no such file.
+        FormatError: it is not URDF, or not one that this can use.
+        MissingAssetError: mesh files that it names are not there.
+    """
+    path = Path(path)
+    robot = _parse(path)
+    faults: list[str] = []
+    materials = {
+        m.get("name", ""): color
+        for m in robot.findall("material")
+        if (color := read_color(m.find("color"), faults)) is not None
+    }
+    count = len(robot.findall("link"))
+    if count > MAX_LINKS:
+        raise FormatError(f"Expected a URDF of at most {MAX_LINKS} links, got {count}. File: {path}")
+    links = tuple(_link(e, path.parent, materials, faults) for e in robot.findall("link"))
+    joints = tuple(j for e in robot.findall("joint") if (j := _joint(e, faults)) is not None)
+    joints = _followers(joints, faults)
+    root = _tree_root(links, joints, faults)
+    if faults:
+        raise FormatError(f"Not a usable URDF: {'; '.join(faults[:8])}. File: {path}")
+    missing = sorted({str(f) for f in _mesh_files(links) if not f.is_file()})
+    if missing:
+        raise MissingAssetError(
+            f"The URDF names {len(missing)} mesh file(s) that are not there. Hint: keep the folder of the URDF whole. "
+            f"Missing: {', '.join(missing[:4])}"
+        )
+    return Urdf(name=robot.get("name", path.stem), path=path, root=root, links=links, joints=joints)
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    if not path.is_file():
+        raise InputError(f"Expected a URDF file, found none there: {path}")
+    if path.stat().st_size > MAX_BYTES:
+        raise FormatError(
+            f"Expected a URDF of at most {MAX_BYTES >> 20} MiB, got {path.stat().st_size >> 20}. File: {path}"
+        )
+    text = path.read_bytes()
+    if re.search(rb"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) or b"\0" in text:
+        raise FormatError(
+            f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}"
+        )
+    try:
+        robot = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise FormatError(f"Expected URDF, this is not well-formed XML ({error}). File: {path}") from error
+    if robot.tag != "robot":
+        raise FormatError(f"Expected URDF with the root element <robot>, got <{robot.tag}>. File: {path}")
+    if any("xacro" in e.tag for e in robot.iter()):
+        raise FormatError(f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}")
+    return robot
+
+
+def _mesh_files(links: tuple[UrdfLink, ...]) -> Iterator[Path]:
+    for link in links:
+        for part in (*link.visuals, *link.collisions):
+            if part.geometry.file is not None:
+                yield part.geometry.file
+
+
+def _link(
+    element: ElementTree.Element, folder: Path, materials: dict[str, tuple[int, int, int]], faults: list[str]
+) -> UrdfLink:
+    name = element.get("name", "")
+    if not name:
+        faults.append("a link has no name")
+    return UrdfLink(
+        name=name,
+        visuals=tuple(read_parts(element, "visual", folder, materials, faults)),
+        collisions=tuple(read_parts(element, "collision", folder, materials, faults)),
+        inertial=read_origin(element.find("inertial"), f"link {name}, inertial", faults),
+    )
+
+
+def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
+    name, kind = element.get("name", ""), element.get("type", "")
+    where = f"joint {name}"
+    parent, child = element.find("parent"), element.find("child")
+    known = get_args(JointKind)
+    if kind not in known:
+        faults.append(f"{where}: expected type {', '.join(known)}, got {kind!r}")
+        return None
+    if parent is None or child is None:
+        faults.append(f"{where}: it needs <parent> and <child>")
+        return None
+    axis_element, limit = element.find("axis"), element.find("limit")
+    default = (1.0, 0.0, 0.0)
+    axis = np.array(
+        default if axis_element is None else read_numbers(axis_element.get("xyz"), 3, default, where, faults)
+    )
+    length = float(np.linalg.norm(axis))
+    if length == 0:
+        faults.append(f"{where}: its axis is zero")
+    lower, upper = -np.inf, np.inf
+    if limit is not None and kind != "continuous":
+        lower, upper = (read_numbers(limit.get(side), 1, (0.0,), where, faults)[0] for side in ("lower", "upper"))
+        if lower > upper:
+            faults.append(f"{where}: its lower limit {lower} is above the upper one {upper}")
+    return UrdfJoint(
+        name=name,
+        kind=kind,  # pyright: ignore[reportArgumentType]  # one of the known ones, see above
+        parent=parent.get("link", ""),
+        child=child.get("link", ""),
+        origin=read_origin(element, where, faults),
+        axis=axis / (length or 1.0),
+        lower=lower,
+        upper=upper,
+        mimic=_mimic(element.find("mimic"), where, faults),
+    )
+
+
+def _mimic(element: ElementTree.Element | None, where: str, faults: list[str]) -> UrdfMimic | None:
+    if element is None:
+        return None
+    (multiplier,) = read_numbers(element.get("multiplier"), 1, (1.0,), f"{where}, mimic", faults)
+    (offset,) = read_numbers(element.get("offset"), 1, (0.0,), f"{where}, mimic", faults)
+    return UrdfMimic(joint=element.get("joint", ""), multiplier=multiplier, offset=offset)
+
+
+def _followers(joints: tuple[UrdfJoint, ...], faults: list[str]) -> tuple[UrdfJoint, ...]:
+    """The joints, with every mimic traced to the joint that leads it."""
+    by_name = {j.name: j for j in joints}
+    one_number = ("revolute", "continuous", "prismatic")
+    out = []
+    for joint in joints:
+        mimic, seen = joint.mimic, {joint.name}
+        while mimic is not None:
+            leader = by_name.get(mimic.joint)
+            if leader is None or joint.kind not in one_number or leader.kind not in one_number:
+                faults.append(f"joint {joint.name}: it cannot mimic {mimic.joint!r}")
+                break
+            if leader.name in seen:
+                faults.append(f"joint {joint.name}: it mimics itself in a circle")
+                break
+            seen.add(leader.name)
+            if leader.mimic is None:
+                break
+            mimic = UrdfMimic(
+                joint=leader.mimic.joint,
+                multiplier=mimic.multiplier * leader.mimic.multiplier,
+                offset=mimic.multiplier * leader.mimic.offset + mimic.offset,
+            )
+        out.append(replace(joint, mimic=mimic))
+    return tuple(out)
+
+
+def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], faults: list[str]) -> str:
+    """Name of the one link without a parent; faults if the joints do not make one tree of all links."""
+    names = [link.name for link in links]
+    known, children = set(names), Counter(j.child for j in joints)
+    faults += [f"link {n} is there twice" for n, count in Counter(names).items() if count > 1]
+    faults += [f"joint {n} is there twice" for n, count in Counter(j.name for j in joints).items() if count > 1]
+    faults += [
+        f"joint {j.name}: there is no link {end!r}" for j in joints for end in (j.parent, j.child) if end not in known
+    ]
+    faults += [f"link {c} has two parents" for c, count in children.items() if count > 1]
+    roots = [n for n in names if n not in children]
+    if faults:
+        return ""
+    if len(roots) != 1:
+        found = ", ".join(roots[:4]) or "none (the joints form a cycle)"
+        faults.append(f"expected one link without a parent, got {found}")
+        return ""
+    below: dict[str, list[str]] = defaultdict(list)
+    for joint in joints:
+        below[joint.parent].append(joint.child)
+    reached, waiting = {roots[0]}, [roots[0]]
+    while waiting:
+        here = waiting.pop()
+        reached.update(below[here])
+        waiting += below[here]
+    if len(reached) != len(names):
+        faults.append(f"links {', '.join(sorted(known - reached)[:4])} hang in a cycle, not on {roots[0]}")
+    return roots[0]

@@ -1,0 +1,1 @@
+"""Recordings and scenes written in other programs' formats."""

@@ -1,0 +1,385 @@
+"""Our homes in Habitat's own formats: a scene dataset folder that habitat-sim loads, and that our reader gives back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError, SceneError
+from h3data.geometry import normalized
+from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
+from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
+from h3data.mesh.glb_write import GlbNode, glb_bytes
+from h3data.mesh.records import Mesh
+from h3data.scene.records import Asset, Instance, Receptacle, Room, Scene, instance_matrix
+from h3data.scene.scene_json import asset_record
+
+STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stage"))
+"""Static instances of these categories are the building: Habitat's stage. All others become objects."""
+
+NAVMESH_SETTINGS: Mapping[str, float | bool] = {
+    "cellSize": 0.05,
+    "cellHeight": 0.2,
+    "agentHeight": 1.41,
+    "agentRadius": 0.25,
+    "agentMaxClimb": 0.2,
+    "agentMaxSlope": 45.0,
+    "regionMinSize": 20.0,
+    "regionMergeSize": 20.0,
+    "edgeMaxLen": 12.0,
+    "edgeMaxError": 1.3,
+    "vertsPerPoly": 6.0,
+    "detailSampleDist": 6.0,
+    "detailSampleMaxError": 1.0,
+    "filterLowHangingObstacles": True,
+    "filterLedgeSpans": True,
+    "filterWalkableLowHeightSpans": True,
+    "includeStaticObjects": True,
+}
+"""habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7)."""
+
+_AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
+"""Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
+_SHADER = "phong"
+"""Needs no image-based light, and shows the colours as they are."""
+_LEXICON = "semantics/h3data_semantic_lexicon.json"
+_ROOM_HEIGHT_M = 2.6
+_MARK = "h3data.habitat_export"
+"""Stands in the dataset config: ``force`` deletes no folder without it."""
+
+
+def export_habitat(scene: Scene, folder: str | Path, *, force: bool = False) -> Path:
+    """Path of the ``*.scene_dataset_config.json`` of a new folder with one scene in Habitat's formats.
+
+    As `export_habitat_dataset` with one scene.
+    """
+    return export_habitat_dataset([scene], folder, force=force)
+
+
+def export_habitat_dataset(
+    scenes: Sequence[Scene], folder: str | Path, *, name: str | None = None, force: bool = False
+) -> Path:
+    """Path of the ``*.scene_dataset_config.json`` of a new folder with scenes that share their objects.
+
+    The building (`STAGE_CATEGORIES`) becomes the stage, everything else objects with ``asset_local`` poses and a centre
+    of mass at the asset's origin, so that both of Habitat's origins are the same point (spec/habitat.md 6.1-6.4, 6.7;
+    what is written and what Habitat has no place for: docs/scenes.md). Equal scenes give equal bytes. The folder
+    appears when it is complete.
+
+    Args:
+        scenes: Their names must differ.
+        folder: Must not exist, or be empty.
+        name: Name of the dataset; by default that of its only scene, else of the folder.
+        force: Replace a folder that an earlier export made; any other is refused still.
+    """
+    folder = Path(folder)
+    if not scenes:
+        raise InputError("Expected at least one scene to export.")
+    handles = [_file_name(s.name) for s in scenes]
+    if len(set(handles)) < len(handles):
+        raise InputError(f"Scenes of one dataset need different names, got {', '.join(sorted(handles))}.")
+    name = _file_name(name or (handles[0] if len(scenes) == 1 else folder.name))
+    _refuse(folder, force=force)
+    files = _Files()
+    for handle, scene in zip(handles, scenes, strict=True):
+        _add_scene(files, handle, scene)
+    config = f"{name}{DATASET_ENDING}"
+    files.json(config, _dataset_config())
+    files.json(_LEXICON, {"classes": [{"id": k, "name": v} for k, v in sorted(files.classes.items())]})
+    _write(folder, files.content, force=force)
+    return folder / config
+
+
+@dataclass
+class _Files:
+    """What the folder will hold, and which asset has which template already."""
+
+    content: dict[str, bytes] = field(default_factory=dict)
+    classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
+    _templates: dict[tuple[int, int], str] = field(default_factory=dict)
+    _alive: list[Asset] = field(default_factory=list)
+
+    def json(self, path: str, value: Mapping[str, Any]) -> None:
+        self.content[path] = (json.dumps(value, indent=1, allow_nan=False) + "\n").encode()
+
+    def template(self, asset: Asset, semantic_id: int) -> str:
+        """Handle of the object template of an asset; written at its first use. Equal assets have the same."""
+        if (id(asset), semantic_id) not in self._templates:
+            self._alive.append(asset)  # keeps its id unique
+            self._templates[id(asset), semantic_id] = _add_object(self, asset, semantic_id)
+        return self._templates[id(asset), semantic_id]
+
+    def glb(self, folder: str, mesh: Mesh) -> str:
+        """Name of the GLB with a mesh, beside which a config may name it; equal meshes share one file."""
+        data = glb_bytes([mesh])
+        file = f"{hashlib.sha256(data).hexdigest()[:16]}.glb"
+        self.content[f"{folder}/{file}"] = data
+        return file
+
+
+def _dataset_config() -> dict[str, Any]:
+    """Lists the folders, as HSSD's own config does."""
+    return {
+        "stages": {"default_attributes": {"shader_type": _SHADER, **_AXES}, "paths": {".json": ["stages"]}},
+        "objects": {"default_attributes": {"shader_type": _SHADER, **_AXES}, "paths": {".json": ["objects"]}},
+        "light_setups": {"paths": {".json": ["lighting"]}},
+        "semantic_scene_descriptor_instances": {
+            "default_attributes": {"semantic_descriptor_filename": f"../{Path(_LEXICON).name}"},
+            "paths": {".json": ["semantics/scenes"]},
+        },
+        "scene_instances": {"paths": {".json": ["scenes"]}},
+        "user_defined": {"made_by": _MARK},
+    }
+
+
+# --- one scene --------------------------------------------------------------------------------------------------------
+def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
+    for instance in scene.instances:
+        if not (np.isfinite(instance.pose).all() and np.isfinite(instance.scale).all() and np.all(instance.scale)):
+            raise SceneError(f"Scene {scene.name!r}: {instance.name!r} has a pose or scale that cannot be written.")
+    stage = tuple(
+        i for i in scene.static_instances
+        if scene.assets[i.asset].category in STAGE_CATEGORIES and len(scene.assets[i.asset].mesh.faces)
+    )  # fmt: skip
+    if not stage:
+        raise SceneError(
+            f"Scene {scene.name!r} has no building, so there is no stage to write. Expected static instances of a "
+            f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
+        )
+    _add_stage(files, handle, scene, stage)
+    objects, receptacles = [], [f"stage|{e['name']}" for _, e in _stage_receptacles(scene, stage)]
+    counts: dict[str, int] = {}
+    inside = {i.name for i in stage}
+    for instance in scene.instances:
+        asset = scene.assets[instance.asset]
+        if instance.name in inside or not len(asset.mesh.faces):
+            continue
+        files.classes.setdefault(int(instance.semantic_id), asset.category)
+        template = files.template(scaled_asset(asset, instance.scale), int(instance.semantic_id))
+        objects.append(_object_instance(instance, template, asset.category))
+        number = counts[template] = counts.get(template, -1) + 1
+        receptacles += [f"{template}_:{number:04d}|{r.name}" for r in asset.receptacles]
+    regions = _region_annotations(scene.rooms)
+    filter_file = f"scene_filter_files/{handle}.rec_filter.json"
+    instance_file = {
+        "translation_origin": "asset_local",
+        "stage_instance": {"template_name": f"stages/{handle}.stage_config.json", "translation_origin": "asset_local"},
+        "object_instances": objects,
+        "default_lighting": f"lighting/{handle}.lighting_config.json",
+        **({"semantic_scene_instance": f"{handle}.semantic_config.json"} if regions else {}),
+        "user_defined": {"scene_filter_file": filter_file},
+    }
+    files.json(f"scenes/{handle}.scene_instance.json", instance_file)
+    files.json(filter_file, _receptacle_filter(receptacles))
+    files.json(f"lighting/{handle}.lighting_config.json", _lights())
+    files.json(f"navmeshes/{handle}.navmesh_settings.json", NAVMESH_SETTINGS)
+    if regions:
+        files.json(f"semantics/scenes/{handle}.semantic_config.json", {"region_annotations": regions})
+
+
+def _object_instance(instance: Instance, template: str, category: str) -> dict[str, Any]:
+    x, y, z, w = normalized(instance.pose[3:]).tolist()
+    ours = {"name": instance.name, "category": category, "layer": instance.layer}
+    return {
+        "template_name": template,
+        "translation_origin": "asset_local",
+        "translation": instance.pose[:3].tolist(),
+        "rotation": [w, x, y, z],
+        "motion_type": instance.motion.upper(),
+        "user_defined": {"h3data": ours},
+    }
+
+
+def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instance]) -> None:
+    names = list(dict.fromkeys(i.asset for i in stage))
+    nodes = []
+    for instance in stage:
+        category = scene.assets[instance.asset].category
+        files.classes.setdefault(int(instance.semantic_id), category)
+        extras = {"category": category, "semantic_id": int(instance.semantic_id), "layer": instance.layer}
+        nodes.append(
+            GlbNode(
+                name=instance.name,
+                mesh=names.index(instance.asset),
+                pose=instance.pose,
+                scale=instance.scale,
+                extras={"h3data": extras},
+            )
+        )
+    files.content[f"stages/{handle}.glb"] = glb_bytes([scene.assets[n].mesh for n in names], nodes)
+    config = {
+        "render_asset": f"{handle}.glb",
+        "collision_asset": f"{handle}.glb",
+        **_AXES,
+        "origin": [0, 0, 0],
+        "scale": [1, 1, 1],
+        "gravity": [0, -9.8, 0],
+        "units_to_meters": 1.0,
+        "is_collidable": True,
+        "shader_type": _SHADER,
+        "user_defined": dict(_stage_receptacles(scene, stage)),
+    }
+    files.json(f"stages/{handle}.stage_config.json", config)
+
+
+def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, dict[str, Any]]]:
+    """Receptacles of the building (name, entry), in the world frame."""
+    found = []
+    for instance in stage:
+        matrix = instance_matrix(instance)
+        size = np.abs(instance.scale)
+        x, y, z, w = normalized(instance.pose[3:]).tolist()
+        for receptacle in scene.assets[instance.asset].receptacles:
+            entry = _receptacle(receptacle, size, f"{instance.name}_{receptacle.name}")
+            entry["position"] = (matrix[:3, :3] @ np.array(entry["position"]) + matrix[:3, 3]).tolist()
+            entry["rotation"] = [w, x, y, z]
+            found.append((_receptacle_key(entry["name"]), entry))
+    return found
+
+
+def _receptacle_filter(names: list[str]) -> dict[str, list[str]]:
+    """All receptacles are to be used; habitat-lab expects the other lists as well (spec/habitat.md 6.4)."""
+    empty = ("manually_filtered", "access_filtered", "stability_filtered", "height_filtered", "within_set")
+    return {"active": names, **{key: [] for key in empty}}
+
+
+def _lights() -> dict[str, Any]:
+    """Light from above and weaker from four sides, the same in every room: directions only, so that no wall is dark."""
+    sides = ((-0.8, -0.5, -0.3), (0.8, -0.5, 0.3), (0.3, -0.5, -0.8), (-0.3, -0.5, 0.8))
+    lights: list[dict[str, Any]] = [
+        {"type": "directional", "direction": [0, -1, 0], "intensity": 0.4, "color": [1, 0.98, 0.95]}
+    ]
+    lights += [{"type": "directional", "direction": list(d), "intensity": 0.35, "color": [1, 1, 1]} for d in sides]
+    return {"lights": {str(k): light for k, light in enumerate(lights)}}
+
+
+def _region_annotations(rooms: Sequence[Room]) -> list[dict[str, Any]]:
+    """Rooms as Habitat's semantic regions: a prism over each rectangle (spec/habitat.md 6.3)."""
+    found = []
+    for room in rooms:
+        rectangles = np.asarray(room.rectangles, np.float64).tolist()
+        for k, (x0, z0, x1, z1) in enumerate(rectangles):
+            y = float(room.floor_y)
+            found.append(
+                {
+                    "name": room.name if len(rectangles) == 1 else f"{room.name}.{k}",
+                    "label": room.category,
+                    "poly_loop": [[x0, y, z0], [x0, y, z1], [x1, y, z1], [x1, y, z0]],
+                    "floor_height": y,
+                    "extrusion_height": _ROOM_HEIGHT_M,
+                    "min_bounds": [x0, y, z0],
+                    "max_bounds": [x1, y + _ROOM_HEIGHT_M, z1],
+                }
+            )
+    return found
+
+
+# --- one object -------------------------------------------------------------------------------------------------------
+def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
+    """Writes the config and the GLBs of one kind of object; gives its handle.
+
+    Handles end in a hash, so that none is a part of another: habitat-sim takes the first that *contains* a name.
+    Collision parts go into a GLB of their own, one mesh each, and stay apart (``join_collision_meshes`` false).
+    Habitat's ``use_bounding_box_for_collision`` is not used: it puts the box's middle at the centre of mass.
+    """
+    identity = json.dumps([asset_record(replace(asset, name=""), None), semantic_id], sort_keys=True).encode()
+    file = files.glb("objects", asset.mesh)
+    digest = hashlib.sha256(identity + file.encode()).hexdigest()[:16]
+    handle = f"{_file_name(asset.category)}_{digest}"
+    config: dict[str, Any] = {
+        "render_asset": file,
+        **_AXES,
+        "scale": [1, 1, 1],
+        "units_to_meters": 1.0,
+        "COM": [0, 0, 0],
+        "compute_COM_from_shape": False,
+        "semantic_id": semantic_id,
+        "shader_type": _SHADER,
+        "is_collidable": bool(asset.shapes),
+        "use_bounding_box_for_collision": False,
+        "join_collision_meshes": False,
+    }
+    if asset.shapes:
+        collider = f"{handle}.collider.glb"
+        files.content[f"objects/{collider}"] = glb_bytes([part_mesh(s) for s in asset.shapes])
+        config["collision_asset"] = collider
+    entries = [_receptacle(r, np.ones(3), r.name) for r in asset.receptacles]
+    config["user_defined"] = {
+        **{_receptacle_key(e["name"]): e for e in entries},
+        "h3data": {"category": asset.category},
+    }
+    files.json(f"objects/{handle}.object_config.json", config)
+    return handle
+
+
+def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -> dict[str, Any]:
+    """A box above the surface: its bottom is the surface, its height the clearance (half extents, spec/habitat.md 6.4)."""
+    lift = np.array([0.0, receptacle.clearance_m / 2, 0.0])
+    half = np.array([receptacle.half_size[0], lift[1], receptacle.half_size[1]]) * scale
+    return {
+        "name": name,
+        "position": (np.asarray(receptacle.center, np.float64) + lift).tolist(),
+        "rotation": [1, 0, 0, 0],
+        "scale": half.tolist(),
+        "up": [0, 1, 0],
+    }
+
+
+def _receptacle_key(name: str) -> str:
+    return f"receptacle_aabb_{_file_name(name)}"
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+def _file_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", text) or "scene"
+
+
+def _refuse(folder: Path, *, force: bool) -> None:
+    """`InputError` unless the folder is absent, empty, or an earlier export that may be replaced."""
+    try:
+        if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+            return
+        if not folder.is_dir():
+            raise InputError(f"Expected a folder to export to, this is a file: {folder}")
+        if not force:
+            raise InputError(
+                f"The folder to export to is not empty. Replace it with force (--force), or choose another: {folder}"
+            )
+        configs = [p.read_text(errors="replace") for p in folder.glob("*" + DATASET_ENDING)]
+    except OSError as error:
+        raise InputError(f"Cannot look into the folder to export to ({error.strerror}): {folder}") from None
+    if not any(_MARK in text for text in configs):
+        raise InputError(f"force would delete this, but h3data did not export it. Remove it yourself: {folder}")
+
+
+def _write(folder: Path, content: Mapping[str, bytes], *, force: bool) -> None:
+    """All files into ``<folder>.part``, which then takes the place of the folder."""
+    part, old = (folder.with_name(folder.name + ending) for ending in (".part", ".old"))
+    try:
+        if part.exists():
+            shutil.rmtree(part)  # of an export that was killed
+        part.mkdir(parents=True)
+        for path, data in sorted(content.items()):
+            file = part / path
+            file.parent.mkdir(exist_ok=True, parents=True)
+            file.write_bytes(data)
+        if force and folder.exists():
+            if old.exists():
+                shutil.rmtree(old)
+            folder.replace(old)
+        part.replace(folder)
+    except OSError as error:
+        with suppress(OSError):
+            shutil.rmtree(part)
+        raise InputError(f"Cannot write the Habitat dataset ({error.strerror or error}): {folder}") from None
+    shutil.rmtree(old, ignore_errors=True)

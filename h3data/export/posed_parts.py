@@ -1,0 +1,70 @@
+"""What a recording shows, posed at every step, in the form that writers of foreign formats take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from h3data.mesh.glb_write import Influences
+from h3data.mesh.records import Mesh
+from h3data.recording.records import Body
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Skeleton:
+    """The joints that deform a mesh. A vertex v goes to the sum of w_j J_j B_j v over its four joints."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """Index of each joint's parent, which comes first; -1 = it has none, or none is known."""
+    poses: Array
+    """J: pose7 of the joints in the world, shape [T, J, 7]; NaN where the body was not there."""
+    scale: float = 1.0
+    """Scale of the joint frames J."""
+    inverse_bind: Array
+    """B: rest mesh to joint frames, shape [J, 4, 4]."""
+    influences: Influences
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedPart:
+    """One thing that is drawn."""
+
+    name: str
+    mesh: Mesh
+    """In its own frame [m]; of a body with a skeleton in the rest pose."""
+    poses: Array
+    """pose7 mesh to world, shape [T, 7], or [1, 7] of what stands still; NaN where it was not there. Of a part with a
+    skeleton: where it stands."""
+    scale: Array = field(default_factory=lambda: np.ones(3))
+    semantic_id: int = 0
+    agent: int = -1
+    """Index of the agent that it belongs to; -1 = none."""
+    body: Body | None = None
+    """The body of the recording that it is; None = it is drawn by the model of its agent."""
+    placeholder: bool = False
+    """Its file was not found."""
+    skeleton: Skeleton | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedCamera:
+    """A camera that somebody or something carries."""
+
+    name: str
+    poses: Array
+    """pose7 [T, 7] in the world: x right, y up, looking along -z, as Habitat and glTF have it; NaN where absent."""
+    vfov_rad: float
+    aspect: float
+    """Width by height."""
+    near_m: float
+
+
+def spans(there: Sequence[bool] | NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First step and first step after each run of True in ``there`` [T]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(there, np.int8), [0]])))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]

@@ -1,0 +1,1 @@
+"""Episode files of habitat-lab and PARTNR."""

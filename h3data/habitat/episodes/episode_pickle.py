@@ -1,0 +1,85 @@
+"""habitat-lab's pickled episode datasets (spec/habitat.md 6.5), read without running anything that is in them.
+
+The file holds ``{all_transforms, idx_to_name, all_eps}`` with NumPy arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.array_pickle import PickledArray, unpickle_arrays
+from h3data.errors import FormatError
+from h3data.plain_values import PlainValues
+
+
+class _EpisodeValues(PlainValues):
+    of = "an episode"
+
+
+def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
+    """Each episode as the JSON text that the unpickled dataset would be written as."""
+    content = unpickle_arrays(data, path)
+    if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
+        keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__
+        raise FormatError(f"Expected a pickle with all_transforms, idx_to_name and all_eps, got {keys}: {path}")
+    names, transforms, episodes = (content[key] for key in ("idx_to_name", "all_transforms", "all_eps"))
+    transforms = _transforms(transforms, path)
+    if not isinstance(names, dict) or not all(isinstance(name, str) for name in names.values()):
+        raise FormatError(f"idx_to_name: Expected names by index: {path}")
+    if not isinstance(episodes, list) or not all(isinstance(episode, dict) for episode in episodes):
+        raise FormatError(f"all_eps: Expected a list of objects: {path}")
+    plain = _EpisodeValues(data)
+    return [_resolved(episode, k, names, transforms, plain, path) for k, episode in enumerate(episodes)]
+
+
+def _transforms(value: Any, path: Path) -> NDArray[Any]:
+    array = value.array if isinstance(value, PickledArray) else None
+    if array is not None and array.size == 0:
+        array = np.zeros((0, 4, 4))
+    if array is None or array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (4, 4):
+        got = type(value).__name__ if array is None else f"{array.dtype} {list(array.shape)}"
+        raise FormatError(f"all_transforms: Expected a float array [N, 4, 4], got {got}: {path}")
+    finite = np.isfinite(array).all(axis=(1, 2))
+    if not finite.all():
+        raise FormatError(f"all_transforms[{int(np.argmin(finite))}]: Expected finite numbers: {path}")
+    return array
+
+
+def _resolved(
+    episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], plain: PlainValues, path: Path
+) -> msgspec.Raw:
+    """The episode with names and matrices in place of their indices."""
+    where = f"all_eps[{index}]"
+    try:
+        content = {str(key): plain(value) for key, value in episode.items()}
+        if "rigid_objs" in content:
+            content["rigid_objs"] = [
+                [names[name], transforms[_inside(at, len(transforms))].tolist()] for name, at in content["rigid_objs"]
+            ]
+        if "ao_states" in content:
+            content["ao_states"] = {names[int(name)]: states for name, states in content["ao_states"].items()}
+        if "name_to_receptacle" in content:
+            pairs = content["name_to_receptacle"]
+            content["name_to_receptacle"] = {names[name]: names[receptacle] for name, receptacle in pairs}
+        if "markers" in content:
+            content["markers"] = [
+                {"name": names[n], "type": names[t], "params": {"offset": p, "link": names[k], "object": names[o]}}
+                for n, t, p, k, o in content["markers"]
+            ]
+        return msgspec.Raw(msgspec.json.encode(content))
+    except KeyError as fault:
+        raise FormatError(f"{where}: index {fault} is not in idx_to_name: {path}") from None
+    except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as fault:
+        raise FormatError(f"{where} does not have the layout of a pickled episode ({fault}): {path}") from None
+
+
+def _inside(at: Any, size: int) -> int:
+    if type(at) is not int or not 0 <= at < size:
+        raise IndexError(f"there is no transform {at}, all_transforms has {size}")
+    return at

@@ -1,0 +1,1 @@
+"""gfx-replays of habitat-sim."""

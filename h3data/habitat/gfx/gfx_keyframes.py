@@ -1,0 +1,284 @@
+"""The keyframes of a gfx-replay file, as typed records, read one by one.
+
+The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Lists that are empty
+are left out, unknown members are ignored, the enumeration ``type`` changed over the years and is never used.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+
+from h3data.errors import FormatError
+from h3data.json_stream import ArrayElements, ArrayFault
+from h3data.sniff import (
+    BYTE_ORDER_MARK,
+    CHUNK_BYTES,
+    KIND_WORDS,
+    REPLAY_MEMBERS,
+    byte_chunks,
+    decode_json,
+    json_kind,
+    not_json,
+    truncated,
+)
+
+Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+"""What fits a float32 also after a product or two."""
+Vec3 = tuple[Number, Number, Number]
+Quat = tuple[Number, Number, Number, Number]
+Key = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class Transform(msgspec.Struct):
+    """``rotation`` is w x y z."""
+
+    translation: Vec3
+    rotation: Quat
+
+
+class Frame(msgspec.Struct):
+    up: Vec3 = (0.0, 1.0, 0.0)
+    front: Vec3 = (0.0, 0.0, -1.0)
+
+
+class Phong(msgspec.Struct):
+    diffuse: Annotated[list[Number], msgspec.Meta(min_length=3)] | None = None
+
+
+class Load(msgspec.Struct):
+    filepath: str
+    frame: Frame = msgspec.field(default_factory=Frame)
+    virtualUnitToMeters: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 1.0
+    overridePhongMaterial: Phong | None = None
+
+
+class Creation(msgspec.Struct):
+    filepath: str
+    scale: Vec3 = (1.0, 1.0, 1.0)
+    isStatic: bool = False
+    rigId: int = -1
+
+
+class CreationItem(msgspec.Struct):
+    instanceKey: Key
+    creation: Creation
+
+
+class State(msgspec.Struct):
+    absTransform: Transform
+    semanticId: int | None = None
+
+
+class StateItem(msgspec.Struct):
+    instanceKey: Key
+    state: State
+
+
+class Metadata(msgspec.Struct):
+    semanticId: int | None = None
+    objectId: int | None = None
+
+
+class MetadataItem(msgspec.Struct):
+    instanceKey: Key
+    metadata: Metadata
+
+
+class BonePose(msgspec.Struct):
+    t: Vec3
+    r: Quat
+
+
+class RigCreation(msgspec.Struct):
+    id: int
+    boneNames: list[str] = []
+
+
+class RigUpdate(msgspec.Struct):
+    id: int
+    pose: list[BonePose]
+
+
+class UserTransform(msgspec.Struct):
+    name: str
+    transform: Transform
+
+
+class Keyframe(msgspec.Struct):
+    loads: list[Load] = []
+    rigCreations: list[RigCreation] = []
+    creations: list[CreationItem] = []
+    metadata: list[MetadataItem] = []
+    deletions: list[Key] = []
+    stateUpdates: list[StateItem] = []
+    rigUpdates: list[RigUpdate] = []
+    userTransforms: list[UserTransform] = []
+    lights: msgspec.Raw = msgspec.Raw()
+    """Text of a list of objects."""
+    lightsChanged: bool = False
+
+
+_Kind = TypeVar("_Kind")
+
+
+class _File(msgspec.Struct):
+    keyframes: list[msgspec.Raw] | None = None
+    keyframe: msgspec.Raw = msgspec.Raw()
+
+
+KEYFRAME_BYTES = 64 << 20
+"""One keyframe may be so long; what stands behind the keyframes as well."""
+WHOLE_BYTES = 256 << 20
+"""A file that does not begin with its keyframes is read as a whole, and may be so long."""
+
+_OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
+_OPENING_BYTES = 4096
+
+
+def read_keyframes(
+    path: Path, digest: Callable[[bytes], object], *, chunk_bytes: int = CHUNK_BYTES
+) -> Iterator[Keyframe]:
+    """Keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``, one by one.
+
+    A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
+    with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
+    """
+    chunks = _digested(byte_chunks(path, chunk_bytes), digest)
+    head = b""
+    while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
+        head += chunk
+    opening = _OPENING.match(head, len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0)
+    found = _streamed(path, head, opening.end(), chunks) if opening else _whole(path, head, chunks)
+    number, known, strange = -1, False, list[str]()
+    for number, (start, text) in enumerate(found):
+        keyframe = _decoded(path, number, start, text, Keyframe)
+        if not known:
+            members = list(_decoded(path, number, start, text, dict[str, msgspec.Raw]))
+            known = not REPLAY_MEMBERS.isdisjoint(members)
+            strange = strange or members
+        yield keyframe
+    if number < 0:
+        raise FormatError(f"A gfx-replay without keyframes: there is nothing to import. {path}")
+    if strange and not known:
+        held = ", ".join(strange[:8])
+        raise FormatError(f"Expected a gfx-replay, but its keyframes hold nothing of one; the first has {held}. {path}")
+
+
+def _digested(chunks: Iterator[bytes], digest: Callable[[bytes], object]) -> Iterator[bytes]:
+    for chunk in chunks:
+        digest(chunk)
+        yield chunk
+
+
+def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
+    """First byte and text of each keyframe; ``head`` is the beginning of the file, the list opens before ``start``."""
+
+    def behind() -> Iterator[bytes]:
+        yield head[start:]
+        yield from chunks
+
+    elements = ArrayElements(behind(), start, KEYFRAME_BYTES)
+    try:
+        yield from elements
+    except ArrayFault as fault:
+        if str(fault) == "truncated":
+            raise truncated(path, fault.at) from None
+        raise FormatError(
+            f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}"
+        ) from None
+    rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "what stands behind the keyframes")
+    stand_in = b'{"keyframes":[]'
+    try:
+        again = decode_json(stand_in + rest)["keyframes"]
+    except msgspec.DecodeError as fault:
+        raise not_json(path, stand_in + rest, fault, start=elements.rest_at - len(stand_in)) from None
+    if again != []:
+        raise FormatError(f"Not a valid gfx-replay: it has two lists of keyframes: {path}")
+
+
+def _whole(path: Path, head: bytes, chunks: Iterator[bytes]) -> Iterator[tuple[int, bytes]]:
+    data = _limited(path, head, chunks, WHOLE_BYTES, "a gfx-replay that does not begin with its keyframes")
+    try:
+        file = decode_json(data, _File)
+    except msgspec.ValidationError as fault:
+        content = _content(path, data)
+        if isinstance(content, dict) and not content.keys().isdisjoint(("keyframes", "keyframe")):
+            raise _invalid(path, str(fault)) from None
+        raise _other_kind(path, content) from None
+    except msgspec.DecodeError as fault:
+        raise not_json(path, data, fault) from None
+    single = bytes(file.keyframe)
+    if file.keyframes is None and not single:
+        raise _other_kind(path, _content(path, data))
+    yield from ((0, bytes(text)) for text in (file.keyframes if file.keyframes is not None else [single]))
+
+
+def _limited(path: Path, head: bytes, chunks: Iterator[bytes], most: int, what: str) -> bytes:
+    parts, size = [head], len(head)
+    for chunk in chunks:
+        parts.append(chunk)
+        size += len(chunk)
+        if size > most:
+            raise FormatError(f"Not a valid gfx-replay: {what} is longer than {most >> 20} MiB: {path}")
+    return b"".join(parts)
+
+
+def _decoded(path: Path, number: int, start: int, text: bytes, kind: type[_Kind]) -> _Kind:
+    try:
+        return decode_json(text, kind)
+    except msgspec.ValidationError as fault:
+        raise _explain(path, number, text, str(fault)) from None
+    except msgspec.DecodeError as fault:
+        raise not_json(path, text, fault, start=start) from None
+
+
+def _content(path: Path, data: bytes) -> Any:
+    try:
+        return decode_json(data)
+    except msgspec.DecodeError as fault:
+        raise not_json(path, data, fault) from None
+
+
+def _other_kind(path: Path, content: Any) -> FormatError:
+    if isinstance(content, dict):
+        keys = ", ".join(list(content)[:8]) or "none"
+        kind = json_kind(content, name=path.name)
+        shape = f"Its top-level keys are: {keys}; it looks like {KIND_WORDS.get(kind, kind)}."
+    else:
+        shape = f"It holds a JSON {type(content).__name__}."
+    return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}")
+
+
+def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
+    """An error that names keyframe and instance instead of an index path."""
+    reason, _, where = message.partition(" - at `")
+    where = where.rstrip("`").removeprefix("$").removeprefix(".")
+    place = f"keyframe {number}"
+    match = re.match(r"(\w+)(?:\[(\d+)\])?", where)
+    if match:
+        group, index = match.groups()
+        item = None if index is None else _item(text, group, int(index))
+        key = item.get("instanceKey", item.get("id", item.get("name"))) if isinstance(item, dict) else None
+        place += f", {group}"
+        place += f", instance {key}" if key is not None else f"[{index}]" if index is not None else ""
+        place += f" ({where})"
+    return _invalid(path, f"{reason} - at `{place}`")
+
+
+def _item(text: bytes, group: str, index: int) -> Any:
+    try:
+        return json.loads(text)[group][index]  # msgspec refuses numbers that are too large, which may be the very fault
+    except (ValueError, RecursionError, LookupError, TypeError):  # so is a member that is there twice
+        return None
+
+
+def _invalid(path: Path, message: str) -> FormatError:
+    reason, _, where = message.partition(" - at `")
+    place = where.rstrip("`").removeprefix("$.") or "its top level"
+    return FormatError(f"Not a valid gfx-replay: {reason[:1].lower() + reason[1:]} at {place}: {path}")

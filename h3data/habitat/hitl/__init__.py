@@ -1,0 +1,1 @@
+"""Human-in-the-loop sessions of habitat-hitl."""

@@ -1,0 +1,73 @@
+"""The home in which a HITL session happened: found below the user's folders, or a marked floor in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from h3data.errors import H3DataError
+from h3data.habitat.assets import AssetLibrary, clean_path
+from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, load_habitat_scene
+from h3data.recording.records import AssetRef, Body
+from h3data.scene.scene_file import scene_bytes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """What surrounds the agents, as records."""
+
+    name: str
+    assets: tuple[AssetRef, ...]
+    bodies: tuple[Body, ...]
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -> Place:
+    """The scene that a log names by ``scene_id``: with its file below a root of the library, the scene itself, attached;
+    else a striped floor at the height ``floor_y`` [m] under the agents' feet."""
+    path = clean_path(scene_id) if scene_id else ""
+    name = PurePosixPath(path).name.split(".")[0] or "unknown"
+    warnings = []
+    file = _scene_file(path, library)
+    if file is not None:
+        try:
+            scene = load_habitat_scene(file, allow_missing=True, assets=library.roots if library else None)
+            return Place(
+                name=scene.name,
+                assets=tuple(AssetRef(name=asset, uri=f"scene:{asset}") for asset in scene.assets),
+                bodies=tuple(
+                    Body(
+                        name=i.name, asset=i.asset, pose=i.pose.astype(np.float32), scale=i.scale.astype(np.float32),
+                        semantic_id=i.semantic_id, layer=i.layer,
+                    )
+                    for i in scene.instances
+                ),
+                attachments={"scene.glb": scene_bytes(scene)},
+                warnings=tuple(scene.source.get("warnings", ())),
+            )  # fmt: skip
+        except H3DataError as fault:
+            warnings.append(f"the scene cannot be used: {fault}")
+    ref = AssetRef(
+        name=f"stage_{name}", uri=f"stages/{name}.not_found"
+    )  # draws the marked floor, whatever is found later
+    pose = np.array(
+        [0, floor_y + 0.01, 0, 0, 0, 0, 1], np.float32
+    )  # the stand-in's upper side is 1 cm below its origin
+    floor = Body(name="stage", asset=ref.name, pose=pose, layer="floor")
+    return Place(name=name, assets=(ref,), bodies=(floor,), warnings=tuple(warnings))
+
+
+def _scene_file(path: str, library: AssetLibrary | None) -> Path | None:
+    """The recorded path below a root, or as much of its end as leads to a file."""
+    if library is None or not path.lower().endswith(HABITAT_ENDINGS):
+        return None
+    found = library.resolve(path)
+    if found is not None:
+        return found
+    parts = PurePosixPath(path).parts
+    tails = [Path(root, *parts[k:]) for root in library.roots for k in range(len(parts)) if parts[k] != "/"]
+    return next((tail for tail in tails if tail.is_file()), None)

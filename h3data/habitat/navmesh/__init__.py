@@ -1,0 +1,1 @@
+"""Navigation meshes as habitat-sim stores and walks them."""

@@ -1,0 +1,1 @@
+"""Scene datasets of habitat-sim: configurations, templates, instances."""

@@ -1,0 +1,135 @@
+"""Skinned meshes of glTF files, posed by the bones that a recording holds, as habitat-sim draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.skinning import apply_skin, build_skin
+from h3data.geometry import Array
+from h3data.mesh.accessors import entry
+from h3data.mesh.gltf import GltfFile
+from h3data.mesh.loading import frame_rotation, load_mesh, unreadable
+from h3data.mesh.records import Mesh
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkinnedMesh:
+    """The mesh of a file with its skin."""
+
+    mesh: Mesh
+    """Rest shape in our frame, as `load_mesh` gives it."""
+    points: csr_array
+    """Skinning operator over `joint_names` and one more, for parts without a skin (`h3data.bodies.people.skinning`)."""
+    joint_names: tuple[str, ...]
+    inverse_bind: Array
+    """Shape [J, 4, 4]."""
+    to_metres: Array
+    """File frame to ours, 4x4."""
+
+    def vertices(self, root: Array, bones: Array, names: Sequence[str]) -> NDArray[np.float32]:
+        """World vertices [T, V, 3] [m] of instances ``root`` [T, 4, 4] (scale included) with ``bones`` [T, B, 4, 4].
+
+        ``names`` says which joint each bone moves; a joint without a bone follows the root. Bones are world frames
+        without scale. The vertex of joint j is root F rigid(root)^-1 bone_j inverse_bind_j v, F turning the file's axes
+        into ours, rigid() the pose without its scale: the asset's frame and the instance's scale act on what the bones
+        made, as habitat-sim has it (its drawn bodies of scale 0.5 come out just so).
+        """
+        of_bone = {name: number for number, name in enumerate(names)}
+        relative = np.linalg.inv(_rigid(root))[:, None] @ bones
+        local = np.broadcast_to(np.eye(4), (len(root), len(self.joint_names) + 1, 4, 4)).copy()
+        for number, name in enumerate(self.joint_names):
+            if name in of_bone:
+                local[:, number] = relative[:, of_bone[name]] @ self.inverse_bind[number]
+        return apply_skin(self.points, (root @ self.to_metres)[:, None] @ local)
+
+
+def _rigid(matrices: Array) -> Array:
+    """Poses [T, 4, 4] without their scale."""
+    out = matrices.copy()
+    out[:, :3, :3] /= np.linalg.norm(out[:, :3, :3], axis=1, keepdims=True)
+    return out
+
+
+def load_skinned_mesh(
+    path: Path,
+    *,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    front: tuple[float, float, float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> SkinnedMesh | None:
+    """The skinned mesh of a glTF file, None if nothing in it is skinned; arguments and errors as `load_mesh`.
+
+    Parts that no skin moves follow the root. Only the four influences of ``JOINTS_0`` are read.
+    """
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        return None
+    mesh = load_mesh(path, up=up, front=front, units_m=units_m)
+    try:
+        return _read(GltfFile(path), mesh, frame_rotation(up, front) * units_m)
+    except Exception as fault:
+        raise unreadable(fault, path) from None
+
+
+def _read(file: GltfFile, mesh: Mesh, linear: Array) -> SkinnedMesh | None:
+    skins = [_joints(file, index) for index in range(len(file.document.get("skins", [])))]
+    starts = np.cumsum([0, *(len(names) for names, _ in skins)])
+    loose = int(starts[-1])
+    vertices, joints, weights = [], [], []
+    for part, matrix, skin in file.skinned_parts():
+        if not len(part.faces):
+            continue
+        points = part.vertices.astype(np.float64)
+        if skin is None or part.influences is None:
+            points = points @ matrix[:3, :3].T + matrix[:3, 3]
+            own, share = np.full((len(points), 4), loose), np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+        else:
+            if not isinstance(skin, int) or not 0 <= skin < len(skins):
+                raise ValueError(f"skins[{skin!r}] is referred to, there are {len(skins)} skins")
+            own, share = part.influences
+            if own.size and (own.min() < 0 or own.max() >= len(skins[skin][0])):
+                raise ValueError(f"JOINTS_0 goes up to {own.max()}, skins[{skin}] has {len(skins[skin][0])} joints")
+            own = own + starts[skin]
+        total = share.sum(1, keepdims=True)
+        if not (np.isfinite(total).all() and (total > 0).all()):
+            raise ValueError("WEIGHTS_0 leaves a vertex without weight")
+        vertices.append(points)
+        joints.append(own)
+        weights.append(share / total)
+    if not skins or all((own == loose).all() for own in joints):
+        return None
+    points = np.concatenate(vertices).astype(np.float32)
+    all_weights = np.concatenate(weights).astype(np.float32)
+    to_metres = np.eye(4)
+    to_metres[:3, :3] = linear
+    return SkinnedMesh(
+        mesh=mesh,
+        points=build_skin(points, np.zeros_like(points), np.concatenate(joints), all_weights, loose + 1).points,
+        joint_names=tuple(name for names, _ in skins for name in names),
+        inverse_bind=np.concatenate([binds for _, binds in skins]),
+        to_metres=to_metres,
+    )
+
+
+def _joints(file: GltfFile, index: int) -> tuple[list[str], Array]:
+    """Joint names of a skin and its inverse bind matrices [J, 4, 4]."""
+    where = f"skins[{index}]"
+    skin = entry(file.document, "skins", index)
+    nodes = skin.get("joints")
+    if not isinstance(nodes, list) or not nodes:
+        raise ValueError(f"{where}.joints is not a list of nodes")
+    names = [str(file.node(node).get("name", "")) for node in nodes]
+    if "inverseBindMatrices" not in skin:
+        return names, np.broadcast_to(np.eye(4), (len(names), 4, 4))
+    values = file.arrays.floats(skin["inverseBindMatrices"]).astype(np.float64)
+    if values.shape != (len(names), 16) or not np.isfinite(values).all():
+        raise ValueError(f"{where}.inverseBindMatrices is not an accessor of {len(names)} MAT4")
+    return names, values.reshape(-1, 4, 4).swapaxes(1, 2)  # stored by columns

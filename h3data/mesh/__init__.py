@@ -1,0 +1,1 @@
+"""Triangle meshes, textures, and the files that hold them."""

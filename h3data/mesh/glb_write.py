@@ -1,0 +1,265 @@
+"""Meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim draws.
+
+`h3data.scene.save_scene` keeps scenes exactly, with vertex colours; many programs drop those of meshes that have a
+material (habitat-sim's PBR shader among them), so what is meant for others comes from here: colours of triangles without
+a texture lie in a small palette image, triangles with a texture have a material for each pair of texture and colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.geometry import IDENTITY_POSE, normalized
+from h3data.mesh.glb import FLOAT32, INDICES, UINT8, UINT32, VERTICES, GlbChunk, pack_glb
+from h3data.mesh.meshes import face_texture_indices
+from h3data.mesh.png import png_bytes
+from h3data.mesh.records import Mesh, Texture
+from h3data.srgb import bytes_to_linear
+
+_PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
+"""Sampler: nearest, clamped."""
+_SMOOTH = {"magFilter": 9729, "minFilter": 9987}
+"""Sampler: linear with mipmaps, repeated."""
+_BLOCK_PX = 4
+"""Side of the square of one colour in the palette: the first two mipmaps of a viewer that makes some are still clean."""
+
+MAX_LOOKS = 32
+"""Pairs of texture and colour of one mesh."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GlbNode:
+    """One mesh placed in the file's frame."""
+
+    name: str
+    mesh: int
+    """Index into the meshes of the file."""
+    pose: NDArray[np.float64] = field(default_factory=IDENTITY_POSE.copy)
+    """pose7, shape [7]."""
+    scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    """Plain JSON that other programs keep or ignore."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Influences:
+    """Which joints of a skin move the vertices of a mesh."""
+
+    joints: NDArray[np.uint8]
+    """Indices into the joints of the skin, shape [V, 4]."""
+    weights: NDArray[np.float32]
+    """They sum to 1, shape [V, 4]."""
+
+
+def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
+    """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
+
+    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has one; a triangle whose
+    corners differ gets their mean. A mesh that has its textures in more than `MAX_LOOKS` colours, as a floor of boards
+    may, has similar ones drawn in their mean: every pair of texture and colour is one more thing to draw.
+    """
+    if nodes is None:
+        nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
+    chunk = GlbChunk()
+    document = {
+        "asset": {"version": "2.0", "generator": "h3data"},
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": [_node(node) for node in nodes],
+        **mesh_lists(chunk, meshes),
+        **chunk.lists(),
+    }
+    return pack_glb(document, chunk)
+
+
+def mesh_lists(
+    chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
+) -> dict[str, Any]:
+    """The members of a glTF document that hold these meshes and their looks; their arrays go into ``chunk``.
+
+    ``influences``: of the meshes that follow a skin, by index.
+    """
+    split = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
+    materials = _Materials(chunk, _plain_colors([mesh for mesh, _ in split]))
+    records = []
+    for k, (mesh, source) in enumerate(split):
+        moved = (influences or {}).get(k)
+        if moved is not None:
+            moved = Influences(joints=moved.joints[source], weights=moved.weights[source])
+        records.append({"name": f"mesh_{k}", "primitives": _primitives(chunk, mesh, materials, moved)})
+    return {
+        "meshes": records,
+        "materials": materials.materials,
+        "textures": materials.textures,
+        "samplers": [_PIXELS, _SMOOTH],
+        "images": materials.images,
+    }
+
+
+class _Materials:
+    """The materials of a file: the palette of colours without a texture, then pairs of texture and colour."""
+
+    def __init__(self, chunk: GlbChunk, palette: NDArray[np.uint8]) -> None:
+        self._chunk, self._palette = chunk, palette
+        self._side = int(np.ceil(np.sqrt(len(palette))))
+        self._images: dict[int, int] = {}
+        self._pairs: dict[tuple[int, int], int] = {}
+        self.materials: list[dict[str, Any]] = []
+        self.textures: list[dict[str, Any]] = []
+        self.images: list[dict[str, Any]] = []
+        if len(palette):
+            image = self._image("palette", _palette_pixels(palette, self._side), sampler=0)
+            self.materials.append({"name": "palette", "pbrMetallicRoughness": _matte(image)})
+
+    def palette_uv(self, colors: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Where the palette, which is material 0, has each colour; shape [V, 2]."""
+        index = np.searchsorted(_codes(self._palette), _codes(colors))  # np.unique sorts rows as the codes do
+        return (np.stack([index % self._side + 0.5, index // self._side + 0.5], -1) / self._side).astype(np.float32)
+
+    def pair(self, texture: Texture, color: NDArray[np.uint8]) -> int:
+        """The material that shows a texture in an sRGB colour [3]."""
+        key = (id(texture), int(_codes(color)))
+        if key not in self._pairs:
+            if id(texture) not in self._images:
+                self._images[id(texture)] = self._image(texture.name, texture.pixels, sampler=1)
+            factor = [*bytes_to_linear(color).tolist(), 1.0]
+            clear = {} if (texture.pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
+            look = {**_matte(self._images[id(texture)]), "baseColorFactor": factor}
+            name = f"{texture.name or 'texture'} #{bytes(color.tolist()).hex()}"
+            self._pairs[key] = len(self.materials)
+            self.materials.append({"name": name, "pbrMetallicRoughness": look, **clear})
+        return self._pairs[key]
+
+    def _image(self, name: str, pixels: NDArray[np.uint8], *, sampler: int) -> int:
+        view = self._chunk.view(png_bytes(pixels, gray=False))
+        self.images.append({"bufferView": view, "mimeType": "image/png", "name": name})
+        self.textures.append({"sampler": sampler, "source": len(self.images) - 1})
+        return len(self.textures) - 1
+
+
+def _matte(texture: int) -> dict[str, Any]:
+    return {"baseColorTexture": {"index": texture}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
+
+
+def _primitives(
+    chunk: GlbChunk, mesh: Mesh, materials: _Materials, influences: Influences | None
+) -> list[dict[str, Any]]:
+    """One primitive for the triangles without a texture, one for each pair of texture and colour."""
+    primitives = []
+    for kind, color, faces in _looks(mesh):
+        used, corners = np.unique(faces, return_inverse=True)
+        if kind < 0:
+            material, uv = 0, materials.palette_uv(mesh.colors[used])
+        else:
+            assert mesh.uv is not None
+            material, uv = materials.pair(mesh.textures[kind], color), mesh.uv[used]
+        primitive = _primitive(chunk, mesh, used, corners, uv, material)
+        if influences is not None:
+            joints = np.where(influences.weights[used] > 0, influences.joints[used], 0).astype(np.uint8)
+            weights = influences.weights[used].astype("<f4")
+            primitive["attributes"]["JOINTS_0"] = chunk.array(joints, "VEC4", UINT8, VERTICES)
+            primitive["attributes"]["WEIGHTS_0"] = chunk.array(weights, "VEC4", FLOAT32, VERTICES)
+        primitives.append(primitive)
+    return primitives
+
+
+def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int32]]]:
+    """Texture (-1: none), its sRGB colour and the triangles of each look of a mesh; at most `MAX_LOOKS` with textures."""
+    kinds = face_texture_indices(mesh).astype(np.int64)
+    colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
+    step = 1
+    while True:
+        keys, look = np.unique(np.column_stack([kinds, colors // step]), axis=0, return_inverse=True)
+        if np.count_nonzero(keys[:, 0] >= 0) <= max(MAX_LOOKS, len(mesh.textures)) or step == 256:
+            break
+        step *= 2
+    order, counts = np.argsort(look.ravel(), kind="stable"), np.bincount(look.ravel())
+    ends = np.cumsum(counts)[:-1]
+    for key, faces, members in zip(keys, np.split(mesh.faces[order], ends), np.split(colors[order], ends), strict=True):
+        yield int(key[0]), np.rint(members.mean(0)).astype(np.uint8), faces
+
+
+def _primitive(
+    chunk: GlbChunk,
+    mesh: Mesh,
+    used: NDArray[Any],
+    corners: NDArray[Any],
+    uv: NDArray[np.float32],
+    material: int,
+) -> dict[str, Any]:
+    points = mesh.vertices[used].astype("<f4")
+    low, high = points.min(0).tolist(), points.max(0).tolist()
+    attributes = {"POSITION": chunk.array(points, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+    if mesh.normals is not None:
+        attributes["NORMAL"] = chunk.array(mesh.normals[used].astype("<f4"), "VEC3", FLOAT32, VERTICES)
+    attributes["TEXCOORD_0"] = chunk.array(uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
+    faces = chunk.array(corners.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+    return {"attributes": attributes, "indices": faces, "material": material, "mode": 4}
+
+
+def _node(node: GlbNode) -> dict[str, Any]:
+    record = {
+        "name": node.name,
+        "mesh": node.mesh,
+        "translation": np.asarray(node.pose[:3], np.float64).tolist(),
+        "rotation": np.clip(normalized(np.asarray(node.pose[3:], np.float64)), -1, 1).tolist(),
+        "scale": np.asarray(node.scale, np.float64).tolist(),
+    }
+    return {**record, "extras": dict(node.extras)} if node.extras else record
+
+
+def _plain_colors(meshes: Sequence[Mesh]) -> NDArray[np.uint8]:
+    """The colours of all triangles without a texture, each once, shape [K, 3]."""
+    colors = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m in meshes]
+    return np.unique(np.concatenate(colors), axis=0)
+
+
+def _palette_pixels(palette: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    texels = np.full((side * side, 4), (0, 0, 0, 255), np.uint8)
+    texels[: len(palette), :3] = palette
+    return texels.reshape(side, side, 4).repeat(_BLOCK_PX, 0).repeat(_BLOCK_PX, 1)
+
+
+def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
+    return colors.astype(np.int64) @ np.array([65536, 256, 1])
+
+
+def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
+    """The mesh with corners of their own for triangles whose corners differ in colour, in the mean colour; and the
+    vertex of ``mesh`` that each of its vertices was."""
+    corners = mesh.colors[mesh.faces]
+    mixed = (corners != corners[:, :1]).any((1, 2))
+    source = np.arange(len(mesh.vertices))
+    if not mixed.any():
+        return mesh, source
+    old = mesh.faces[mixed]
+    mean = np.rint(corners[mixed].mean(1)).astype(np.uint8)
+    faces = mesh.faces.copy()
+    faces[mixed] = len(mesh.vertices) + np.arange(old.size, dtype=np.int32).reshape(-1, 3)
+    source = np.concatenate([source, old.ravel()])
+    split = replace(
+        mesh,
+        vertices=mesh.vertices[source],
+        faces=faces,
+        colors=np.concatenate([mesh.colors, np.repeat(mean, 3, axis=0)]),
+        normals=None if mesh.normals is None else mesh.normals[source],
+        uv=None if mesh.uv is None else mesh.uv[source],
+    )
+    return split, source
+
+
+def _checked(mesh: Mesh) -> Mesh:
+    faults = [
+        what for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv))
+        if values is not None and not np.isfinite(values).all()
+    ]  # fmt: skip
+    if faults or not len(mesh.faces):
+        what = f"{' and '.join(faults)} that are not finite" if faults else "no triangles"
+        raise SceneError(f"A mesh with {what} cannot be written as GLB.")
+    return mesh

@@ -1,0 +1,180 @@
+"""glTF 2.0 files (GLB, or JSON with files beside it) as meshes: accessors, primitives and the node graph.
+
+Triangles, strips and fans; triangles with a corner twice are dropped, as strips have them by design, all others stay as
+they are. Skins are left in their rest shape (`h3data.habitat.skinned_meshes` poses them), and so are morph targets; points
+and lines are left out.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import posixpath
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, unquote_to_bytes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.geometry import normalized, quat_to_matrix
+from h3data.mesh.accessors import GltfArrays, entry
+from h3data.mesh.glb import unpack_glb
+from h3data.mesh.gltf_materials import GltfMaterials
+from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, read_primitive, triangle_count
+
+_log = logging.getLogger(__name__)
+_KNOWN_EXTENSIONS = {
+    "KHR_draco_mesh_compression", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit",
+    "KHR_texture_basisu", "KHR_texture_ktx", "EXT_texture_webp", "KHR_mesh_quantization",
+}  # fmt: skip
+"""Read, or without effect on what is drawn. Quantised vertices are plain accessors of whole numbers."""
+
+
+class GltfFile:
+    """One glTF file. Faults raise `SceneError` or `ValueError` with the key; `h3data.mesh.loading` adds the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        data = path.read_bytes()
+        if data[:4] == b"glTF":
+            self.document, self._binary = unpack_glb(data, str(path))
+        elif not data:
+            raise ValueError("the file is empty")
+        else:
+            self.document, self._binary = json.loads(data), memoryview(b"")
+        if not isinstance(self.document, dict):
+            raise ValueError("its JSON is not an object")
+        _check_extensions(self.document.get("extensionsRequired", []), path)
+        self._buffers: dict[int, memoryview] = {}
+        self._meshes: dict[int, list[PlainMesh]] = {}
+        self.arrays = GltfArrays(self.document, self._buffer)
+        self.materials = GltfMaterials(self.arrays, self._resource, str(path))
+
+    # --- bytes --------------------------------------------------------------------------------------------------------
+    def _buffer(self, index: int) -> memoryview:
+        if index not in self._buffers:
+            record = entry(self.document, "buffers", index)
+            data = memoryview(self._resource(record["uri"])) if "uri" in record else self._binary
+            if "uri" not in record and index != 0:
+                raise ValueError(f"buffers[{index}] has no uri")
+            self._buffers[index] = data
+        return self._buffers[index]
+
+    def _resource(self, uri: Any) -> bytes:
+        """What a ``data:`` uri holds, or a file in the folder of this one or below; never one outside."""
+        if not isinstance(uri, str) or not uri:
+            raise SceneError("it has neither a bufferView nor a uri")
+        if uri.startswith("data:"):
+            head, _, body = uri.partition(",")
+            return base64.b64decode(unquote(body)) if head.endswith(";base64") else unquote_to_bytes(body)
+        name = posixpath.normpath(unquote(uri).replace("\\", "/"))
+        if name.startswith(("/", "../")) or name == ".." or ":" in name.split("/")[0]:
+            raise ValueError(f"the uri {uri[:200]!r} leads out of the file's folder, which is not followed")
+        file = self.path.parent / name
+        if not file.is_file():
+            raise SceneError(f"there is no file {uri[:200]!r} beside it")
+        return file.read_bytes()
+
+    # --- node graph ---------------------------------------------------------------------------------------------------
+    @cached_property
+    def nodes(self) -> list[tuple[int, int, NDArray[np.float64]]]:
+        """Nodes of the scene, parents before children: index, position of the parent in this list (-1: none), matrix.
+
+        The matrix [4, 4] is to the file's frame. Raises `ValueError` if a node has two parents or is its own ancestor.
+        """
+        found: list[tuple[int, int, NDArray[np.float64]]] = []
+        seen: set[int] = set()
+        waiting = [(index, -1) for index in reversed(self._roots())]
+        while waiting:
+            index, parent = waiting.pop()
+            record = entry(self.document, "nodes", index)
+            if index in seen:
+                raise ValueError(f"nodes[{index}] has two parents or is its own ancestor")
+            seen.add(index)
+            matrix = local_matrix(record, f"nodes[{index}]")
+            found.append((index, parent, found[parent][2] @ matrix if parent >= 0 else matrix))
+            waiting += [(child, len(found) - 1) for child in reversed(record.get("children", []))]
+        return found
+
+    def _roots(self) -> list[int]:
+        """Root nodes of the default scene; without scenes, all nodes that are nobody's children."""
+        if self.document.get("scenes"):
+            return entry(self.document, "scenes", self.document.get("scene", 0)).get("nodes", [])
+        nodes = self.document.get("nodes", [])
+        children = {child for node in nodes for child in node.get("children", [])}
+        return [index for index in range(len(nodes)) if index not in children]
+
+    def _placed_meshes(self) -> list[tuple[int, NDArray[np.float64], object]]:
+        """Index, 4x4 matrix and skin of every mesh that the scene shows; a file without nodes shows each once."""
+        if not self.document.get("nodes"):
+            return [(index, np.eye(4), None) for index in range(len(self.document.get("meshes", [])))]
+        placed = [(self.node(index), matrix) for index, _, matrix in self.nodes]
+        return [(node["mesh"], matrix, node.get("skin")) for node, matrix in placed if node.get("mesh") is not None]
+
+    def node(self, index: int) -> dict[str, Any]:
+        """``nodes[index]``."""
+        return entry(self.document, "nodes", index)
+
+    # --- triangles ----------------------------------------------------------------------------------------------------
+    def mesh(self, index: int) -> list[PlainMesh]:
+        """The primitives of ``meshes[index]`` that have triangles, in its own frame; read once."""
+        if index not in self._meshes:
+            self._meshes[index] = [read_primitive(self.arrays, self.materials, *p) for p in self._primitives(index)]
+        return self._meshes[index]
+
+    def _primitives(self, mesh: int) -> Iterator[tuple[dict[str, Any], str]]:
+        for k, primitive in enumerate(entry(self.document, "meshes", mesh).get("primitives", [])):
+            if primitive.get("mode", 4) in (4, 5, 6):
+                yield primitive, f"meshes[{mesh}].primitives[{k}]"
+
+    def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
+        """Every primitive that the scene shows, once per node, with its 4x4 matrix to the file's frame."""
+        yield from ((part, matrix) for part, matrix, _ in self.skinned_parts())
+
+    def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
+        """The same with the index of the node's skin; None if it has none."""
+        placed = self._placed_meshes()
+        counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh, _, _ in placed}
+        total = sum(counts[mesh] for mesh, _, _ in placed)
+        if total > MAX_TRIANGLES:
+            raise ValueError(f"its nodes show {total} triangles, the most that are read are {MAX_TRIANGLES}")
+        for mesh, matrix, skin in placed:
+            yield from ((part, matrix, skin) for part in self.mesh(mesh))
+
+
+def _check_extensions(required: Any, path: Path) -> None:
+    """Refuse or tell of what a reader must know to show the file rightly."""
+    if not isinstance(required, list):
+        raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
+    unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
+    packed = [name for name in unknown if "compression" in name]
+    if packed:
+        raise SceneError(f"its triangles are compressed ({packed[0]}), which is not read")
+    if unknown:
+        _log.warning("It needs glTF extensions that are not read, and may look different: %s: %s", unknown, path)
+
+
+def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:
+    """4x4 matrix of a node in its parent's frame."""
+    if "matrix" in node:
+        return _numbers(node, "matrix", 16, where).reshape(4, 4).T
+    matrix = np.eye(4)
+    rotation = normalized(_numbers(node, "rotation", 4, where, (0, 0, 0, 1)))
+    matrix[:3, :3] = quat_to_matrix(rotation) * _numbers(node, "scale", 3, where, (1, 1, 1))
+    matrix[:3, 3] = _numbers(node, "translation", 3, where, (0, 0, 0))
+    return matrix
+
+
+def _numbers(node: dict[str, Any], key: str, count: int, where: str, default: Any = None) -> NDArray[np.float64]:
+    try:
+        values = np.array(node.get(key, default), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise ValueError(f"{where}.{key} is not {count} numbers")
+    return values

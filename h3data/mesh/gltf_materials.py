@@ -1,0 +1,142 @@
+"""Materials of a glTF document: base colour factor, texture and which texture coordinates it takes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.mesh.accessors import GltfArrays, entry, natural
+from h3data.mesh.images import Alpha, image_size, image_texture, largest_side
+from h3data.mesh.records import Texture
+
+_log = logging.getLogger(__name__)
+
+_ALPHA_MODES: Mapping[str, Alpha] = {"OPAQUE": "OPAQUE", "MASK": "MASK", "BLEND": "BLEND"}
+_IMAGE_EXTENSIONS = ("EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_ktx")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Look:
+    """What one material does to the triangles that have it."""
+
+    factor: NDArray[np.float64]
+    """Linear base colour, shape [3]."""
+    texture: Texture | None = None
+    uv_set: int = 0
+    """The n of ``TEXCOORD_n``."""
+    uv_transform: NDArray[np.float64] | None = None
+    """2x3 matrix from the file's texture coordinates to those that count; None leaves them."""
+
+
+class GltfMaterials:
+    """The materials of one document. Images that cannot be had are warned of once; their materials keep the factor."""
+
+    def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
+        self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where
+        self._looks: dict[int, Look] = {}
+        self._images: dict[int, bytes | memoryview] = {}
+        self._side: int | None = None
+        self._warned = False
+
+    def look(self, index: object) -> Look:
+        """The look of ``materials[index]``."""
+        record = entry(self._document, "materials", index)
+        assert isinstance(index, int)
+        if index not in self._looks:
+            self._looks[index] = self._read(record, f"materials[{index}]")
+        return self._looks[index]
+
+    def _read(self, record: dict[str, Any], where: str) -> Look:
+        factor, info = _base_color(record)
+        rgb = np.array([1, 1, 1] if factor is None else factor[:3], np.float64)
+        if rgb.shape != (3,) or not np.isfinite(rgb).all():
+            raise ValueError(f"{where} has the base colour {factor!r}, not 4 numbers")
+        opacity = 1.0 if factor is None or len(factor) < 4 else float(factor[3])
+        if not 0 <= opacity <= 1:
+            raise ValueError(f"{where} has the opacity {factor!r}[3], not between 0 and 1")
+        if info is None:
+            return Look(factor=rgb)
+        alpha = _ALPHA_MODES.get(record.get("alphaMode", "OPAQUE"), "OPAQUE")
+        texture = self._texture(info, where, alpha, float(record.get("alphaCutoff", 0.5)), opacity)
+        moved = info.get("extensions", {}).get("KHR_texture_transform", {})
+        uv_set = natural(moved, "texCoord", where, natural(info, "texCoord", where, 0))
+        return Look(factor=rgb, texture=texture, uv_set=uv_set, uv_transform=_uv_transform(moved, where))
+
+    def _texture(self, info: dict[str, Any], where: str, alpha: Alpha, cutoff: float, opacity: float) -> Texture | None:
+        fault = f"{where} names no image"
+        for index in self._sources(info):
+            try:
+                data = self._image(index)
+                return image_texture(
+                    data, name=str(entry(self._document, "images", index).get("name", "")), side=self._largest_side(),
+                    alpha=alpha, cutoff=cutoff, opacity=opacity,
+                )  # fmt: skip
+            except SceneError as reason:
+                fault = f"images[{index}]: {reason}"
+        if not self._warned:
+            _log.warning(
+                "a texture is left out, its surfaces show their material's colour (%s): %s", fault, self._where
+            )
+            self._warned = True
+        return None
+
+    def _sources(self, info: dict[str, Any]) -> list[int]:
+        """Images that a texture can be had from, the plain one first."""
+        texture = entry(self._document, "textures", info.get("index"))
+        extensions = texture.get("extensions", {})
+        records = [texture, *(extensions[name] for name in _IMAGE_EXTENSIONS if name in extensions)]
+        return [r["source"] for r in records if "source" in r]
+
+    def _image(self, index: int) -> bytes | memoryview:
+        """The encoded bytes of ``images[index]``."""
+        if index not in self._images:
+            record = entry(self._document, "images", index)
+            if "bufferView" in record:
+                self._images[index] = self._arrays.view(record["bufferView"])
+            else:
+                self._images[index] = self._resource(record.get("uri", ""))
+        return self._images[index]
+
+    def _largest_side(self) -> int:
+        """The side to which images are reduced, so that all that are used as base colours fit into memory."""
+        if self._side is None:
+            wanted = set()
+            for material in self._document.get("materials", []):
+                info = _base_color(material)[1]
+                wanted |= set() if info is None else set(self._sources(info))
+            sizes = []
+            for index in wanted:
+                try:
+                    sizes.append(image_size(self._image(index)))
+                except SceneError:
+                    continue  # told when the image is needed
+            self._side = largest_side(sizes)
+        return self._side
+
+
+def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str, Any] | None]:
+    """Factor and texture of a material, metallic or of the older specular kind."""
+    older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+    if older is not None:
+        return older.get("diffuseFactor"), older.get("diffuseTexture")
+    metallic = material.get("pbrMetallicRoughness", {})
+    return metallic.get("baseColorFactor"), metallic.get("baseColorTexture")
+
+
+def _uv_transform(moved: dict[str, Any], where: str) -> NDArray[np.float64] | None:
+    """KHR_texture_transform: scaled, turned counter-clockwise as seen on the image, moved."""
+    if not {"offset", "rotation", "scale"} & set(moved):
+        return None
+    offset = np.array(moved.get("offset", (0, 0)), np.float64)
+    scale = np.array(moved.get("scale", (1, 1)), np.float64)
+    angle = float(moved.get("rotation", 0))
+    if offset.shape != (2,) or scale.shape != (2,) or not np.isfinite([*offset, *scale, angle]).all():
+        raise ValueError(f"{where} has a KHR_texture_transform that is none: {moved!r}")
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.column_stack([np.array([[cos, sin], [-sin, cos]]) * scale, offset])

@@ -1,0 +1,184 @@
+"""Images of mesh files as texels: PNG, JPEG, WebP and whatever else Pillow reads, and KTX2 with Basis Universal.
+
+The size is read from the header before anything is decoded, and no image takes more than it may.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import struct
+from functools import lru_cache
+from typing import Any, Literal
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.mesh.png import MAX_PX
+from h3data.mesh.records import Texture
+from h3data.srgb import bytes_to_linear, linear_to_bytes
+
+MAX_SIDE_PX = 2048
+"""Larger images are reduced by 2, 4, ... until they fit: what a picture of a room can show, and 16 MiB each."""
+MAX_FILE_PX = 1 << 27
+"""Texels of all images of one file (512 MiB): if there are more, the largest are reduced until they fit."""
+_BAND_PX = 1 << 20
+
+_KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+
+Alpha = Literal["OPAQUE", "MASK", "BLEND"]
+"""What an image's fourth channel means, as glTF's ``alphaMode``."""
+
+_textures: WeakValueDictionary[tuple[Any, ...], Texture] = WeakValueDictionary()
+"""Textures in use by their content, so that files which hold the same image share it."""
+
+
+def image_size(data: bytes | memoryview) -> tuple[int, int]:
+    """Width and height [px] from an image's header. Raises `SceneError` if it is none that we read."""
+    if data[:12] == _KTX2:
+        if len(data) < 80:
+            raise SceneError("it is cut off")
+        width, height = struct.unpack_from("<II", data, 20)
+        return _acceptable(width, height)
+    return _opened(data).size
+
+
+def largest_side(sizes: list[tuple[int, int]]) -> int:
+    """Side [px], at most `MAX_SIDE_PX`, to which images of one file must be reduced so that they take `MAX_FILE_PX`."""
+    side = MAX_SIDE_PX
+    while side > 1 and sum(np.prod(reduced_size(w, h, side), dtype=np.int64) for w, h in sizes) > MAX_FILE_PX:
+        side //= 2
+    return side
+
+
+def reduced_size(width: int, height: int, side: int) -> tuple[int, int]:
+    """The size of an image after it was divided by the least power of two that makes it fit into ``side``."""
+    divisor = 1
+    while max(width, height) > side * divisor:
+        divisor *= 2
+    return -(-width // divisor), -(-height // divisor)
+
+
+def image_texture(
+    data: bytes | memoryview, *, name: str = "", side: int = MAX_SIDE_PX, alpha: Alpha = "BLEND", cutoff: float = 0.5,
+    opacity: float = 1.0,
+) -> Texture:  # fmt: skip
+    """The texture of an encoded image, reduced to fit into ``side`` x ``side``; the same content gives the same object.
+
+    ``OPAQUE`` makes every texel opaque, ``MASK`` those whose opacity reaches ``cutoff`` and all others clear; before that
+    all are made less opaque by the factor ``opacity``.
+    Raises `SceneError` (the reason alone) if it cannot be read.
+    """
+    key = (hashlib.sha256(data).digest(), side, alpha)
+    key += (cutoff if alpha == "MASK" else 0.0, opacity if alpha != "OPAQUE" else 1.0)
+    found = _textures.get(key)
+    if found is None:
+        pixels = _ktx2_pixels(data, side) if data[:12] == _KTX2 else _pixels(_opened(data), side)
+        found = _textures[key] = Texture(pixels=_with_alpha(reduced(pixels, side), alpha, cutoff, opacity), name=name)
+    return found
+
+
+def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) -> Texture:
+    """The opaque texture of an open Pillow image, as `image_texture`."""
+    _acceptable(*picture.size)
+    pixels = reduced(_pixels(picture, side), side)
+    key = (hashlib.sha256(pixels.tobytes()).digest(), pixels.shape, "picture")
+    found = _textures.get(key)
+    if found is None:
+        found = _textures[key] = Texture(pixels=_with_alpha(pixels, "OPAQUE"), name=name)
+    return found
+
+
+def reduced(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    """sRGB texels [H, W, 4], averaged in linear light and by opacity until they fit into ``side`` x ``side``."""
+    import cv2
+
+    height, width = pixels.shape[:2]
+    columns, rows = reduced_size(width, height, side)
+    if (columns, rows) == (width, height):
+        return pixels
+    divisor = 1
+    while -(-height // divisor) != rows or -(-width // divisor) != columns:
+        divisor *= 2
+    out = np.empty((rows, columns, 4), np.uint8)
+    band = max(_BAND_PX // (width * divisor), 1)
+    for start in range(0, rows, band):
+        part = pixels[start * divisor : (start + band) * divisor]
+        opacity = part[..., 3:].astype(np.float32) / 255
+        seen = np.concatenate([_linear_table()[part[..., :3]] * opacity, opacity], -1)
+        small = cv2.resize(seen, (columns, -(-len(part) // divisor)), interpolation=cv2.INTER_AREA)
+        out[start : start + band, :, :3] = linear_to_bytes(small[..., :3] / np.maximum(small[..., 3:], 1e-6))
+        out[start : start + band, :, 3] = np.rint(small[..., 3] * 255)
+    return out
+
+
+@lru_cache(maxsize=1)
+def _linear_table() -> NDArray[np.float32]:
+    return bytes_to_linear(np.arange(256)).astype(np.float32)
+
+
+def _acceptable(width: int, height: int) -> tuple[int, int]:
+    if not 0 < width * height <= MAX_PX:
+        raise SceneError(f"{width} x {height} texels, the most that is read are {MAX_PX}")
+    return width, height
+
+
+def _opened(data: bytes | memoryview) -> Any:
+    """The image as Pillow opens it: its size is known, its texels are not decoded."""
+    from PIL import Image
+
+    try:
+        picture = Image.open(io.BytesIO(data))
+    except Exception as fault:  # whatever its many readers raise
+        raise SceneError("it is no image that can be read" if not len(data) else _reason(fault)) from None
+    _acceptable(*picture.size)
+    return picture
+
+
+def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
+    """RGBA texels [H, W, 4] of a Pillow image; a JPEG comes reduced if it would be reduced afterwards."""
+    try:
+        width, height = picture.size
+        picture.draft("RGB", reduced_size(width, height, side))
+        if picture.mode.startswith("I"):  # 16 bits
+            gray = (np.asarray(picture).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+            return np.dstack([gray, gray, gray, np.full_like(gray, 255)])
+        return np.array(picture.convert("RGBA"))
+    except Exception as fault:
+        raise SceneError(_reason(fault)) from None
+
+
+def _ktx2_pixels(data: bytes | memoryview, side: int) -> NDArray[np.uint8]:
+    """RGBA texels of the largest level of a KTX2 image that fits into ``side``, or of its smallest."""
+    try:
+        import opengl_basisu
+    except ModuleNotFoundError:
+        raise SceneError("it is a KTX2 image. Hint: pip install 'h3data[gltf]'") from None
+    width, height = image_size(data)
+    try:
+        texture = opengl_basisu.open(bytes(data))
+        level = 0
+        while level + 1 < texture.levels and max(width, height) >> level > side:
+            level += 1
+        return np.array(texture.transcode("rgba8", level=level).data, np.uint8)
+    except Exception as fault:
+        raise SceneError(f"its KTX2 content is not Basis Universal or is damaged ({_reason(fault)})") from None
+
+
+def _with_alpha(
+    pixels: NDArray[np.uint8], alpha: Alpha, cutoff: float = 0.5, opacity: float = 1.0
+) -> NDArray[np.uint8]:
+    if alpha == "OPAQUE":
+        pixels[..., 3] = 255
+    elif alpha == "MASK":
+        pixels[..., 3] = np.where(pixels[..., 3] * opacity >= cutoff * 255, 255, 0)
+    elif opacity < 1:
+        pixels[..., 3] = np.round(pixels[..., 3] * opacity)
+    return pixels
+
+
+def _reason(fault: Exception) -> str:
+    text = f"{type(fault).__name__}: {fault}".splitlines()[0]
+    return text[:200]

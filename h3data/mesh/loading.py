@@ -1,0 +1,217 @@
+"""Meshes from files: GLB and glTF, OBJ, PLY and STL, in our frame and metres, with their colours and textures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import MissingAssetError, SceneError
+from h3data.geometry import normalized
+from h3data.mesh.gltf import GltfFile, local_matrix
+from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
+from h3data.mesh.meshes import joined
+from h3data.mesh.records import Mesh
+from h3data.mesh.trimesh_files import read_with_trimesh
+
+__all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+_GLTF_SUFFIXES = (".glb", ".gltf")
+
+Vector3 = tuple[float, float, float]
+
+
+def load_mesh(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> Mesh:
+    """The triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
+
+    ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
+    (spec/habitat.md 5.1): YCB files have up +Z, front +Y.
+
+    Colours are sRGB per vertex: the file's vertex colours times the material's base colour, in linear light. Base
+    colour textures are kept (PNG, JPEG, WebP; KTX2 with Basis Universal if ``h3data[gltf]`` is installed), equal
+    images as one `Texture`, reduced to at most 2048 texels a side; samplers that clamp or mirror repeat instead. Where
+    every triangle sees a single texel, as with a palette, that is its colour and the texture is left out. If an image
+    cannot be had, its surfaces keep the material's colour and one warning per file says why. Normals are kept if the
+    file has them; else None, which shades flat.
+
+    The result is cached per file, time stamp and frame: do not write to it.
+
+    Raises:
+        MissingAssetError: there is no such file.
+        SceneError: it is damaged, of another kind, compressed in a way that is not read, has no triangles or vertices
+            that are not finite, or names files outside its folder.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise SceneError(
+            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(MESH_SUFFIXES)}: {path}"
+        )
+    up3, front3 = _vector3(up), _vector3(front)
+    return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; also for paths that others wrote down, which may be too long for the file system."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def node_box(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> NDArray[np.float64]:
+    """Smallest and largest corner [2, 3] [m] of a file's contents as habitat-sim computes them, in our frame.
+
+    Each node's box encloses its mesh's box and the *boxes* of its children, turned into its frame; so the result is
+    larger than the mesh where nodes are turned. Its middle is where Habitat puts the origin of an object
+    (habitat-findings, "what habitat-sim itself does" 2).
+    """
+    path = Path(path)
+    rotation = frame_rotation(_vector3(up), _vector3(front))
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+            found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
+    except Exception as fault:
+        raise unreadable(fault, path) from None
+    if not len(found) or not np.isfinite(found).all():
+        raise SceneError(f"A mesh file without triangles: {path}")
+    turned = _corners(found) @ rotation.T * units_m
+    return np.stack([turned.min(0), turned.max(0)])
+
+
+def _node_box(file: GltfFile) -> NDArray[np.float64]:
+    """The box of the root, [2, 3] or [0, 3] if nothing is in it."""
+    nothing = np.zeros((0, 3))
+    if not file.nodes:
+        return _box_around([_bounds(part) for part, _ in file.parts()])
+    inside: list[list[NDArray[np.float64]]] = [[] for _ in file.nodes]
+    outermost = []
+    for at in range(len(file.nodes) - 1, -1, -1):  # children before parents
+        index, parent, _ = file.nodes[at]
+        mesh = file.node(index).get("mesh")
+        own = [] if mesh is None else [_bounds(part) for part in file.mesh(mesh)]
+        box = _box_around([*own, *inside[at]])
+        if len(box):
+            matrix = local_matrix(file.node(index), f"nodes[{index}]")
+            corners = _corners(box) @ matrix[:3, :3].T + matrix[:3, 3]
+            (inside[parent] if parent >= 0 else outermost).append(corners)
+    return _box_around(outermost) if outermost else nothing
+
+
+def _bounds(part: PlainMesh) -> NDArray[np.float64]:
+    points = part.vertices.astype(np.float64)
+    return np.stack([points.min(0), points.max(0)]) if len(points) else np.zeros((0, 3))
+
+
+def _box_around(points: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    everything = np.concatenate([np.zeros((0, 3)), *points])
+    return np.stack([everything.min(0), everything.max(0)]) if len(everything) else everything
+
+
+def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 8 corners [8, 3] of a box [2, 3]."""
+    return np.stack(np.meshgrid(*box.T, indexing="ij"), -1).reshape(8, 3)
+
+
+def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
+    """3x3 rotation from a file's frame to ours: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
+    u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
+    lengths = np.linalg.norm(u), np.linalg.norm(f)
+    perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
+    if not perpendicular:
+        raise SceneError(f"An asset frame needs two perpendicular axes. Got up {u.tolist()}, front {f.tolist()}.")
+    u, f = u / lengths[0], f / lengths[1]
+    return np.array([np.cross(f, u), u, -f], np.float64)
+
+
+def _vector3(value: Sequence[float]) -> Vector3:
+    x, y, z = (float(v) for v in value)
+    return (x, y, z)
+
+
+def _is_gltf(path: Path) -> bool:
+    return path.suffix.lower() in _GLTF_SUFFIXES
+
+
+def load_parts(
+    path: str | Path,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    front: Sequence[float] = (0.0, 0.0, -1.0),
+    units_m: float = 1.0,
+) -> list[Mesh]:
+    """What `load_mesh` joins: a mesh for each primitive of each node. Not cached; fails as `load_mesh` does."""
+    path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
+    to_metres = np.eye(4)
+    to_metres[:3, :3] = rotation * units_m
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+            if _is_gltf(path):
+                parts = [
+                    _placed(part, to_metres @ matrix) for part, matrix in GltfFile(path).parts() if len(part.faces)
+                ]
+            else:
+                parts = [_placed(part, to_metres) for part in read_with_trimesh(path)]
+    except Exception as fault:
+        raise unreadable(fault, path) from None
+    if not parts:
+        raise SceneError(f"A mesh file without triangles: {path}")
+    if not all(np.isfinite(part.vertices).all() for part in parts):
+        raise SceneError(f"A mesh with vertices that are not finite numbers (units_m = {units_m:g}): {path}")
+    return parts
+
+
+@lru_cache(maxsize=2048)
+def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m: float) -> Mesh:
+    del mtime_ns  # only part of the key: a changed file is read again
+    try:
+        return joined(load_parts(path, up=up, front=front, units_m=units_m))
+    except (MemoryError, ValueError) as fault:
+        raise unreadable(fault, Path(path)) from None
+
+
+def unreadable(fault: Exception, path: Path) -> SceneError:
+    """What the reader of a file met, with the file's name."""
+    if str(path) in str(fault):
+        return SceneError(str(fault))
+    plain = isinstance(fault, ValueError | SceneError) and str(fault)
+    reason = (str(fault) if plain else f"{type(fault).__name__}: {fault}").splitlines()[0][:300]
+    return SceneError(f"Cannot read this mesh file, it may be damaged or of another kind ({reason}): {path}")
+
+
+def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
+    """A part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
+    linear, faces = matrix[:3, :3], part.faces
+    if np.linalg.det(linear) < 0:
+        faces = faces[:, ::-1]
+    normals = None
+    if part.normals is not None:
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])  # also of flat matrices, which have no inverse
+        sign = -1 if np.linalg.det(linear) < 0 else 1
+        normals = normalized(np.nan_to_num(part.normals.astype(np.float64)) @ (sign * cofactors).T).astype(np.float32)
+    textures = part.textures if isinstance(part, Mesh) else (() if part.texture is None else (part.texture,))
+    return Mesh(
+        vertices=(part.vertices.astype(np.float64) @ linear.T + matrix[:3, 3]).astype(np.float32),
+        faces=np.ascontiguousarray(faces),
+        colors=part.colors,
+        normals=normals,
+        uv=part.uv,
+        textures=textures,
+    )

@@ -1,0 +1,154 @@
+"""Meshes of Magnum's primitives, which Habitat recordings name instead of a file (``cylinderSolid_rings_1_...``)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import SceneError
+from h3data.mesh.loading import DEFAULT_COLOR
+from h3data.mesh.records import Mesh
+
+_FINEST = 256
+"""Rings and segments are cut off here: a name in a file must not decide how much memory is taken."""
+
+_LONGEST = 1e6
+
+_NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wireframe)(_|$)")
+
+
+def is_primitive(name: str) -> bool:
+    """Whether a recorded asset name is one of Magnum's primitives (no file stands behind it)."""
+    return _NAME.match(name) is not None
+
+
+@lru_cache(maxsize=256)
+def primitive_mesh(name: str) -> Mesh:
+    """The primitive that habitat-sim draws under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
+
+    All have radius (or half edge) 1 and the y axis as their axis; ``halfLen`` is half the length of the straight part.
+    Segments start at +Z, as Magnum's do. Wireframes are lines: they become a mesh without triangles.
+    """
+    match = _NAME.match(name)
+    if match is None:
+        raise SceneError(
+            f"Not a primitive: {name!r}. Expected cube, capsule3D, cylinder, cone, uvSphere or icosphere, then Solid."
+        )
+    kind, style, _ = match.groups()
+    if style == "Wireframe":
+        return _mesh(np.zeros((0, 3)), np.zeros((0, 3)))
+    segments, half = _count(name, "segments", 12, least=3), min(_number(name, "halfLen", 1.0), _LONGEST)
+    rings = _count(name, "rings", 1)
+    if kind == "cube":
+        return box_mesh((1, 1, 1))
+    if kind == "icosphere":
+        return _icosphere(_count(name, "subdivs", 1, least=0))
+    if kind == "uvSphere":
+        angles = np.linspace(-np.pi / 2, np.pi / 2, _count(name, "rings", 8, least=2) + 1)
+        return _lathe(np.cos(angles), np.sin(angles), _count(name, "segments", 16, least=3), smooth=True)
+    if kind == "capsule3D":
+        quarter = np.linspace(0, np.pi / 2, _count(name, "hemiRings", 4) + 1)
+        radii = np.concatenate([np.cos(quarter[::-1]), np.cos(quarter)])
+        heights = np.concatenate([-half - np.sin(quarter[::-1]), half + np.sin(quarter)])
+        return _lathe(radii, heights, segments, smooth=True)
+    heights = np.linspace(-half, half, rings + 1)
+    radii = np.ones(rings + 1) if kind == "cylinder" else np.linspace(1, 0, rings + 1)
+    if kind == "cylinder" and "capEnds_false" not in name:
+        radii, heights = np.r_[0, radii, 0], np.r_[-half, heights, half]
+    elif kind == "cone" and "capEnd_false" not in name:
+        radii, heights = np.r_[0, radii], np.r_[-half, heights]
+    return _lathe(radii, heights, segments, smooth=False)
+
+
+def box_mesh(
+    half_extents: Sequence[float], *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR
+) -> Mesh:
+    """An axis-aligned box with flat faces."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
+    return _mesh(corners * np.asarray(half_extents, np.float64) + np.asarray(center, np.float64), faces, color=color)
+
+
+def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequence[int] = DEFAULT_COLOR) -> Mesh:
+    """All points within ``radius`` of the segment from ``start`` to ``end``, as a mesh with 12 segments."""
+    a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    length = float(np.linalg.norm(b - a))
+    axis = (b - a) / length if length > 0 else np.array([0.0, 1.0, 0.0])
+    side = np.cross(axis, [1.0, 0, 0] if abs(axis[0]) < 0.9 else [0, 0, 1.0])
+    side /= np.linalg.norm(side)
+    rotation = np.stack([side, axis, np.cross(side, axis)], axis=1)
+    unit = primitive_mesh(f"capsule3DSolid_hemiRings_4_cylRings_1_segments_12_halfLen_{length / 2 / radius:.6f}")
+    assert unit.normals is not None
+    return Mesh(
+        vertices=(unit.vertices * radius @ rotation.T + (a + b) / 2).astype(np.float32),
+        faces=unit.faces,
+        colors=np.broadcast_to(np.asarray(color, np.uint8), unit.vertices.shape).copy(),
+        normals=(unit.normals @ rotation.T).astype(np.float32),
+    )
+
+
+def _count(name: str, key: str, default: int, *, least: int = 1) -> int:
+    return int(min(max(_number(name, key, default), least), _FINEST))
+
+
+def _number(name: str, key: str, default: float) -> float:
+    match = re.search(rf"(?:^|_){key}_(\d+(?:\.\d+)?(?:e[-+]?\d+)?)", name)
+    return float(match.group(1)) if match else default
+
+
+def _mesh(
+    vertices: ArrayLike, faces: ArrayLike, *, normals: ArrayLike | None = None, color: Sequence[int] = DEFAULT_COLOR
+) -> Mesh:
+    v = np.asarray(vertices, np.float32).reshape(-1, 3)
+    return Mesh(
+        vertices=v,
+        faces=np.asarray(faces, np.int32).reshape(-1, 3),
+        colors=np.broadcast_to(np.asarray(color, np.uint8), v.shape).copy(),
+        normals=None if normals is None else np.asarray(normals, np.float32),
+    )
+
+
+def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], segments: int, *, smooth: bool) -> Mesh:
+    """A profile (bottom to top) turned about the y axis; ``smooth`` adds the normals of a sphere-ended profile."""
+    angle = np.arange(segments) * 2 * np.pi / segments
+    circle = np.stack([np.sin(angle), np.zeros(segments), np.cos(angle)], -1)
+    ring = radii[:, None, None] * circle + heights[:, None, None] * np.array([0, 1.0, 0])
+    low = np.arange(len(radii) - 1)[:, None] * segments
+    i, j = np.arange(segments), (np.arange(segments) + 1) % segments
+    lower = np.stack(np.broadcast_arrays(low + i, low + j, low + segments + j), -1)
+    upper = np.stack(np.broadcast_arrays(low + i, low + segments + j, low + segments + i), -1)
+    # triangles at a pole or in a cap's centre have no area: drop them
+    keep_lower, keep_upper = radii[:-1] > 1e-9, radii[1:] > 1e-9
+    faces = np.concatenate([lower[keep_lower].reshape(-1, 3), upper[keep_upper].reshape(-1, 3)])
+    normals = None
+    if smooth:  # on spheres and capsules the profile radius is the sine of the polar angle
+        up = np.sqrt(np.clip(1 - radii**2, 0, 1)) * np.sign(np.arange(len(radii)) - (len(radii) - 1) / 2)
+        normals = (radii[:, None, None] * circle + up[:, None, None] * np.array([0, 1.0, 0])).reshape(-1, 3)
+    return _mesh(ring.reshape(-1, 3), faces, normals=normals)
+
+
+def _icosphere(subdivisions: int) -> Mesh:
+    """Magnum's icosahedron, each triangle split in four ``subdivisions`` times and pushed out to radius 1."""
+    from scipy.spatial import ConvexHull
+
+    s, l = 0.525731112119133606, 0.850650808352039932
+    base = np.array([(0, a * s, b * l) for a in (1, -1) for b in (1, -1)])
+    points = np.concatenate([base, base[:, [2, 0, 1]], base[:, [1, 2, 0]]])
+    faces = ConvexHull(points).simplices
+    for _ in range(min(subdivisions, 6)):
+        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+        middle = points[unique].mean(1)
+        ab, bc, ca = inverse.reshape(3, -1) + len(points)
+        points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+        a, b, c = faces.T
+        faces = np.concatenate([np.stack(t, -1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
+    corners = points[faces]
+    inside_out = np.sum(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0], -1) < 0
+    faces[inside_out] = faces[inside_out][:, ::-1]
+    return _mesh(points, faces, normals=points)

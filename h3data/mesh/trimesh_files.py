@@ -1,0 +1,120 @@
+"""OBJ, PLY and STL files as meshes, through trimesh: colours of vertices, faces and materials, and textures."""
+
+from __future__ import annotations
+
+import logging
+import posixpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import SceneError
+from h3data.mesh.gltf_primitives import DEFAULT_COLOR
+from h3data.mesh.images import picture_texture
+from h3data.mesh.records import Mesh, Texture
+
+_log = logging.getLogger(__name__)
+
+
+def read_with_trimesh(path: Path) -> list[Mesh]:
+    """The meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
+
+    Material files and images that the file names are read from its folder or below; `SceneError` if they lie outside,
+    one warning if they are not there.
+    """
+    import trimesh
+
+    beside = _Beside(path.parent)
+    resolver: Any = beside
+    with path.open("rb") as file, np.errstate(all="ignore"):  # of values that are refused afterwards
+        scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
+    if beside.outside:
+        raise SceneError(f"the name {beside.outside[0]!r} leads out of the file's folder, which is not followed")
+    if beside.missing:
+        _log.warning("there is no file %r beside it, its surfaces show other colours: %s", beside.missing[0], path)
+    geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+    return [_mesh(g, path) for g in geometries if isinstance(g, trimesh.Trimesh) and len(g.faces)]
+
+
+class _Beside:
+    """Gives trimesh the files that a mesh file names, and keeps the names of those that it may not or cannot have."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.outside: list[str] = []
+        self.missing: list[str] = []
+
+    def get(self, name: Any) -> bytes:
+        text = (name.decode(errors="replace") if isinstance(name, bytes) else str(name)).strip()
+        clean = posixpath.normpath(text.replace("\\", "/"))
+        if clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]:
+            self.outside.append(text[:200])
+            raise FileNotFoundError(text)
+        try:
+            return (self._folder / clean).read_bytes()
+        except OSError:
+            self.missing.append(text[:200])
+            raise
+
+    __getitem__ = get
+
+
+def _mesh(geometry: Any, path: Path) -> Mesh:
+    vertices = np.asarray(geometry.vertices, np.float32)
+    faces = np.asarray(geometry.faces, np.int32).reshape(-1, 3)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise SceneError("triangles between vertices that do not exist")
+    normals = None
+    if "vertex_normals" in geometry._cache:  # set by trimesh's readers only if the file has normals
+        normals = np.asarray(geometry.vertex_normals, np.float32)
+    visual = geometry.visual
+    if visual.kind == "face":  # every triangle has corners of its own
+        colors = np.repeat(np.asarray(visual.face_colors)[:, :3].astype(np.uint8), 3, axis=0)
+        corners = faces.ravel()
+        faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+        return Mesh(
+            vertices=vertices[corners], faces=faces, colors=colors,
+            normals=None if normals is None else normals[corners],
+        )  # fmt: skip
+    if visual.kind == "vertex":
+        colors = np.ascontiguousarray(np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8))
+        return Mesh(vertices=vertices, faces=faces, colors=colors, normals=normals)
+    material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
+    image = _first(material, "image", "baseColorTexture")
+    if image is not None and getattr(image, "format", None) is None:
+        material = image = None  # trimesh's stand-in for a material that is not there
+    texture = None if image is None or uv is None or len(uv) != len(vertices) else _texture(image, material, path)
+    if texture is None:
+        factor = _first(material, "diffuse", "baseColorFactor")
+        color = DEFAULT_COLOR if factor is None else np.asarray(factor)[:3].astype(np.uint8)
+        colors = np.full((len(vertices), 3), color, np.uint8)
+        return Mesh(vertices=vertices, faces=faces, colors=colors, normals=normals)
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        colors=np.full((len(vertices), 3), 255, np.uint8),
+        normals=normals,
+        uv=_uv(uv),
+        textures=(texture,),
+    )
+
+
+def _uv(uv: Any) -> NDArray[np.float32]:
+    """From trimesh's origin in the lower left corner to ours in the upper left one."""
+    values = np.nan_to_num(np.asarray(uv, np.float64)[:, :2])
+    return np.column_stack([values[:, 0], 1 - values[:, 1]]).astype(np.float32)
+
+
+def _texture(image: Any, material: Any, path: Path) -> Texture | None:
+    try:
+        return picture_texture(image, name=str(getattr(material, "name", "") or ""))
+    except SceneError as reason:
+        _log.warning("a texture is left out, its surfaces show their material's colour (%s): %s", reason, path)
+        return None
+
+
+def _first(material: Any, *names: str) -> Any:
+    values = (getattr(material, name, None) for name in names)
+    return next((v for v in values if v is not None), None)

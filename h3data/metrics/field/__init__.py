@@ -1,0 +1,1 @@
+"""Metrics that papers on social navigation report."""

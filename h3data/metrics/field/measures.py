@@ -1,0 +1,225 @@
+"""The profile ``field``: proxemics, efficiency and smoothness of a robot near a person.
+
+Definitions and sources: `h3data.metrics.field.records`. Distances are centre to centre on the floor unless said; a row
+without a pose counts in nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import heading_direction, heading_from_quat, normalized, wrap_angle
+from h3data.metrics.field.records import (
+    COMPLIANT_M,
+    FIELD_METRICS,
+    FULL_SPEED_M_S,
+    GOAL_M,
+    HUMAN_RADIUS_M,
+    INTIMATE_M,
+    PERSONAL_M,
+    ROBOT_RADIUS_M,
+    SOCIAL_M,
+    STALLED_M_S,
+    STALLED_RAD_S,
+)
+from h3data.metrics.metric import (
+    INF,
+    NAN,
+    EpisodeMetrics,
+    Metric,
+    Notes,
+    Series,
+    episode_metrics,
+    find_pair,
+    note_missing,
+)
+from h3data.recording.records import Recording
+
+if TYPE_CHECKING:
+    from h3data.scene import FreeSpace
+
+CLEARANCE = "metrics.robot_clearance"
+
+
+def field_metrics() -> tuple[Metric, ...]:
+    """The metrics of the profile."""
+    return FIELD_METRICS
+
+
+def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
+    """The recording with a column ``metrics.robot_clearance``: distance from the robot's centre to the nearest obstacle
+    [m], 0 inside one, NaN where the robot has no pose.
+    """
+    robot, _ = find_pair(recording)
+    at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
+    known = ~np.isnan(at).any(axis=1)
+    clearance = np.full(len(at), np.nan)
+    clearance[known] = np.maximum(free.signed_distance(at[known]), 0.0)
+    return replace(recording, columns={**recording.columns, CLEARANCE: clearance.astype(np.float32)})
+
+
+def measure_field(recording: Recording) -> EpisodeMetrics:
+    """All metrics of the profile for one recording: of its first robot near its first human, or of the first of two agents
+    of one kind near the second; then a note says who they are."""
+    notes = Notes()
+    robot, human = find_pair(recording)
+    note_missing(FIELD_METRICS, recording, notes)
+    first, second = recording.agents[robot], recording.agents[human]
+    if first.kind == second.kind:
+        names = [metric.name for metric in FIELD_METRICS]
+        notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {second.name} ({second.kind})")
+    values = dict.fromkeys((m.name for m in FIELD_METRICS), NAN)
+    encounter = -1
+    if len(recording):
+        series = field_series(recording)
+        values |= _proxemics(series) | _motion(series, recording) | _goal(series, recording, notes)
+        encounter = int(np.argmax(series["goal"])) if series["goal"].any() else -1
+        _explain_gaps(values, notes)
+    else:
+        notes.add(values, "the recording has no rows")
+    return episode_metrics(recording, FIELD_METRICS, values, notes, robot=robot, human=human, encounter_row=encounter)
+
+
+def field_series(recording: Recording) -> Series:
+    """Per-row quantities and flags [T] of the profile. Motions of row k are those since row k - 1: NaN in row 0."""
+    robot, human = find_pair(recording)
+    pose = recording.agent_column(robot, "base_pose").astype(np.float64)
+    at = pose[:, [0, 2]]
+    towards = recording.agent_column(human, "base_pose")[:, [0, 2]].astype(np.float64) - at
+    seconds = recording.columns["time_ns"] * 1e-9
+    distance = np.linalg.norm(towards, axis=1)
+    velocity = _rate(at, seconds)
+    acceleration = _rate(velocity, seconds)
+    speed = np.linalg.norm(velocity, axis=1)
+    heading = heading_from_quat(pose[:, 3:]).reshape(-1)
+    turn = np.full(len(at), np.nan)
+    turn[1:] = wrap_angle(np.diff(heading))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turning = np.abs(turn) / np.diff(seconds, prepend=np.nan)
+    reach = recording.columns.get("metrics.geodesic_agents", distance).astype(np.float64)
+    facing = np.sum(heading_direction(heading).reshape(-1, 2) * normalized(towards), axis=1)
+    series = {
+        "dist_m": distance,
+        "reach_m": reach,
+        "speed_m_s": speed,
+        "acceleration_m_s2": np.linalg.norm(acceleration, axis=1),
+        "jerk_m_s3": np.linalg.norm(_rate(acceleration, seconds), axis=1),
+        "turn_rad": np.abs(turn),
+        "ttc_s": time_to_collision(towards, _rate(towards, seconds), ROBOT_RADIUS_M + HUMAN_RADIUS_M),
+        "personal_space": distance >= COMPLIANT_M,
+        "intimate": distance < INTIMATE_M,
+        "personal": (distance >= INTIMATE_M) & (distance < PERSONAL_M),
+        "social": (distance >= PERSONAL_M) & (distance < SOCIAL_M),
+        "public": distance >= SOCIAL_M,
+        "intruding": distance < PERSONAL_M,
+        "stalled": (speed < STALLED_M_S) & (turning < STALLED_RAD_S),
+        "goal": (reach >= 1.0) & (reach <= GOAL_M) & (facing > 0.5),
+    }
+    if CLEARANCE in recording.columns:
+        series["clearance_m"] = recording.columns[CLEARANCE].astype(np.float64)
+    return series
+
+
+def time_to_collision(
+    offset: NDArray[np.float64], velocity: NDArray[np.float64], radius_m: float
+) -> NDArray[np.float64]:
+    """Smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [T, 2], [T, 2] -> [T].
+
+    0 where the two overlap already; NaN where something is unknown.
+    """
+    a = np.sum(velocity * velocity, axis=1)
+    b = np.sum(offset * velocity, axis=1)
+    c = np.sum(offset * offset, axis=1) - radius_m * radius_m
+    root = b * b - a * c
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # c / (root - b) is the smaller solution without the cancellation of (-b - root) / a
+        time = np.where((root >= 0) & (b < 0), c / (np.sqrt(np.maximum(root, 0)) - b), INF)
+    time = np.where(c <= 0, 0.0, time)
+    return np.where(np.isnan(a) | np.isnan(c), np.nan, time)
+
+
+def _proxemics(series: Series) -> dict[str, float]:
+    distance = series["dist_m"]
+    seen = ~np.isnan(distance)
+    rows = int(seen.sum())
+    if not rows:
+        return {}
+    inside = series["intruding"]
+    starts = inside & ~np.concatenate([[False], inside[:-1]])
+    ttc = series["ttc_s"][np.isfinite(series["ttc_s"])]
+    return {
+        "PSC": series["personal_space"].sum() / rows,
+        **{f"Z_{zone}": series[zone].sum() / rows for zone in ("intimate", "personal", "social", "public")},
+        "intrusions": float(starts.sum()),
+        "D_min": float(distance[seen].min()),
+        "TTC_min": float(ttc.min()) if len(ttc) else NAN,
+    }
+
+
+def _motion(series: Series, recording: Recording) -> dict[str, float]:
+    robot, _ = find_pair(recording)
+    at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
+    known = np.flatnonzero(~np.isnan(at).any(axis=1))
+    if not len(known):
+        return {}
+    dt = np.diff(recording.columns["time_ns"], prepend=recording.columns["time_ns"][:1]) * 1e-9
+    length = float(np.nansum(series["speed_m_s"] * dt))
+    straight = float(np.linalg.norm(at[known[-1]] - at[known[0]]))
+    values = {"PL": length, "PE": min(straight / length, 1.0) if length > 0 else NAN}
+    speeds = series["speed_m_s"][~np.isnan(series["speed_m_s"])]
+    if len(speeds):
+        values |= {"T_stalled": float(dt[series["stalled"]].sum()), "turning": float(np.nansum(series["turn_rad"]))}
+    for letter, name in (("V", "speed_m_s"), ("A", "acceleration_m_s2"), ("J", "jerk_m_s3"), ("C", "clearance_m")):
+        defined = series[name][~np.isnan(series[name])] if name in series else np.zeros(0)
+        if len(defined):
+            extreme = ("C_min", defined.min()) if letter == "C" else (f"{letter}_max", defined.max())
+            values |= {f"{letter}_mean": float(defined.mean()), extreme[0]: float(extreme[1])}
+    return values
+
+
+def _goal(series: Series, recording: Recording, notes: Notes) -> dict[str, float]:
+    seen = np.flatnonzero(~np.isnan(series["dist_m"]))
+    if not len(seen):
+        return {}
+    if "metrics.geodesic_agents" not in recording.columns:
+        notes.add(("SPL", "STL", "T_goal"), "no column metrics.geodesic_agents: ways are straight lines")
+    goal = series["goal"]
+    if not goal.any():
+        return {"SPL": 0.0, "STL": 0.0}
+    row = int(np.argmax(goal))
+    way = max(float(series["reach_m"][seen[0]]) - GOAL_M, 0.0)
+    if not np.isfinite(way):
+        notes.add(("SPL", "STL"), f"the way to the human is unknown in row {seen[0]}")
+        return {"T_goal": _seconds(recording, row)}
+    steps = np.diff(recording.columns["time_ns"], prepend=recording.columns["time_ns"][:1]) * 1e-9
+    driven = float(np.nansum((series["speed_m_s"] * steps)[: row + 1]))
+    elapsed = _seconds(recording, row)
+    return {"SPL": _weighted(way, driven), "STL": _weighted(way / FULL_SPEED_M_S, elapsed), "T_goal": elapsed}
+
+
+def _weighted(best: float, taken: float) -> float:
+    """best / max(best, taken); 1 where nothing was needed and nothing was taken."""
+    return best / max(best, taken) if max(best, taken) > 0 else 1.0
+
+
+def _seconds(recording: Recording, row: int) -> float:
+    times = recording.columns["time_ns"]
+    return float(times[row] - times[0]) * 1e-9
+
+
+def _rate(values: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change per second since the row before [T, 2]; NaN in row 0."""
+    rate = np.full(values.shape, np.nan)
+    rate[1:] = np.diff(values, axis=0) / np.diff(seconds)[:, None]
+    return rate
+
+
+def _explain_gaps(values: Mapping[str, float], notes: Notes) -> None:
+    for metric in FIELD_METRICS:
+        if np.isnan(values[metric.name]) and metric.name not in notes.lines:
+            notes.add([metric.name], metric.undefined[:1].lower() + metric.undefined[1:].rstrip("."))

@@ -1,0 +1,1 @@
+"""habitat-lab's own measures, bug for bug."""

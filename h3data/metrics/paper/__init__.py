@@ -1,0 +1,1 @@
+"""Metrics as the Habitat 3.0 paper defines them."""

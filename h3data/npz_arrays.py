@@ -1,0 +1,81 @@
+"""Arrays in npz files, read without trusting what the file says: no pickle runs, no array is larger than its bytes."""
+
+from __future__ import annotations
+
+import ast
+import zipfile
+import zlib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.array_pickle import PickledArray, unpickle_arrays
+from h3data.errors import FormatError, InputError
+
+MAX_BYTES = 1 << 30
+"""What is asked for may not unpack to more; real motion files have 1-100 MB."""
+
+_DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
+
+
+def npz_names(path: Path) -> tuple[str, ...]:
+    """Names of the arrays in an npz file.
+
+    Raises:
+        FormatError: it is no zip file.
+        InputError: there is no such file.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return tuple(n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy"))
+    except FileNotFoundError:
+        raise InputError(f"There is no such file: {path}") from None
+    except _DAMAGES as error:
+        raise FormatError(f"Expected an npz file, this is none ({error}): {path}") from None
+
+
+def npz_members(path: Path, names: Collection[str] | None = None) -> dict[str, Any]:
+    """The members called ``names`` (all by default) that there are: `PickledArray`, or what a pickled one holds."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
+            if names is not None:
+                members = [m for m in members if m.filename.removesuffix(".npy") in names]
+            total = sum(member.file_size for member in members)
+            if total > MAX_BYTES:
+                raise FormatError(f"The npz unpacks to {total / 2**20:.0f} MiB, more than is admitted: {path}")
+            return {m.filename.removesuffix(".npy"): _npy(archive.read(m), m.filename, path) for m in members}
+    except FileNotFoundError:
+        raise InputError(f"There is no such file: {path}") from None
+    except _DAMAGES as error:
+        raise FormatError(f"Expected an npz file, this is none or it is damaged ({error}): {path}") from None
+
+
+def npz_arrays(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """As `npz_members`, plain arrays only: a pickled one is an error that names it."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in npz_members(path, names).items():
+        if not isinstance(value, PickledArray) or value.array.dtype.hasobject:
+            raise FormatError(f"{name}: Expected an array of numbers or text, got pickled objects: {path}")
+        arrays[name] = value.array
+    return arrays
+
+
+def _npy(data: bytes, name: str, path: Path) -> Any:
+    width = 2 if data[6:7] == b"\x01" else 4
+    length = int.from_bytes(data[8 : 8 + width], "little")
+    try:
+        if data[:6] != b"\x93NUMPY":
+            raise ValueError("not an npy")
+        header = ast.literal_eval(data[8 + width : 8 + width + length].decode("latin1"))
+        body = data[8 + width + length :]
+        dtype, shape = np.dtype(header["descr"]), tuple(header["shape"])
+        if dtype.hasobject:
+            return unpickle_arrays(body, path)
+        order = "F" if header["fortran_order"] else "C"
+        return PickledArray(np.frombuffer(body, dtype).reshape(shape, order=order))
+    except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
+        raise FormatError(f"{name} in the npz is damaged ({error}): {path}") from None

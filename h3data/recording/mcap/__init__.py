@@ -1,0 +1,1 @@
+"""The session log: MCAP files that survive a crash."""

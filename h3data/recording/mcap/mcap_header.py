@@ -1,0 +1,54 @@
+"""What a log says before its first step, as MCAP wants it: metadata records, the scene and other single messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from h3data.errors import InputError
+from h3data.recording.mcap.wire import message_class, struct_descriptor
+from h3data.recording.records import SCHEMA_VERSION, Episode, Recording, RecordingHeader
+from h3data.recording.schema import CONVENTIONS, Topic, episode_to_dict, struct_to_dict
+
+PROFILE = "h3data"
+_LAST_LOG_TIME = 2**63 - 1
+TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metrics": "Metrics"}
+"""Per-step topics that readers know; logs before version 1.2 had ``metrics`` on a topic of their own."""
+
+
+def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
+    t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
+    try:
+        return int(t0)
+    except (TypeError, ValueError):
+        raise InputError(f"t0_unix_ns must be whole nanoseconds, got {t0!r}.") from None
+
+
+def log_time(t0_unix_ns: int, time_ns: int) -> int:
+    """Time of a message since 1970 [ns], within what MCAP readers take."""
+    return min(max(t0_unix_ns + time_ns, 0), _LAST_LOG_TIME)
+
+
+def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
+    episode = episode_metadata(header.episode)
+    try:
+        for text in [*episode.values(), *header.attachments]:
+            text.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"Names must be valid Unicode, this one is not: {error.object!r}.") from None
+    return {"h3.schema": {"version": SCHEMA_VERSION, **CONVENTIONS}, "h3.episode": episode}
+
+
+def episode_metadata(episode: Episode) -> dict[str, str]:
+    return {k: str(v) for k, v in episode_to_dict(episode).items()}
+
+
+def scene_dict(header: RecordingHeader | Recording) -> dict[str, Any]:
+    return {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
+
+
+def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
+    try:
+        return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"Not a value that {message} can hold: {error}.") from error

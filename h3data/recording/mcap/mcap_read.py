@@ -1,0 +1,202 @@
+"""Reading MCAP logs: whole files exactly, damaged ones up to the damage."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.recording.mcap.mcap_header import PROFILE, TOPIC_MESSAGES
+from h3data.recording.mcap.mcap_scan import McapRecords, decoding_errors, scan_records
+from h3data.recording.mcap.wire import decode_messages, fields_from_metadata, message_class
+from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
+from h3data.recording.schema import (
+    Layout,
+    check_version,
+    default_layout,
+    episode_from_dict,
+    layout_from_json,
+    layout_hash,
+    ordered,
+    required_columns,
+    struct_from_dict,
+)
+from h3data.recording.storage import AnyPath, RemotePath, place
+
+
+def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
+    """The recording in an MCAP file, exactly as it was written.
+
+    With ``columns`` only these and the ones that no recording can do without (time, object and base poses) are decoded.
+    A truncated or damaged file is a `FormatError` that says how much `recover_mcap` can save.
+    """
+    path = place(path)
+    log = scan_records(load(path))
+    check_kind(log, path)
+    if log.fault is None and "h3.end" not in log.metadata:
+        log.fault = "the recording was never finished"
+    if log.fault is not None:
+        raise FormatError(
+            f"Damaged or unfinished MCAP log: {log.fault}. {log.readable_bytes} of {log.size} bytes are sound, "
+            f"{_recoverable_steps(log, path)} complete steps can be saved with `h3data recover {path} -o OUT`: {path}"
+        )
+    try:
+        steps = int(log.metadata["h3.end"]["steps"])
+        return assemble(log, path, steps=steps, wanted=columns)
+    except FormatError as error:
+        raise FormatError(f"{error} File: {path}") from error
+    except (KeyError, *decoding_errors()) as error:
+        raise FormatError(f"Not a log that h3data can read ({error!r}): {path}") from error
+
+
+# --- kinds of files --------------------------------------------------------------------------------------------------
+def load(path: AnyPath) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"There is no such file: {path}") from None
+    except IsADirectoryError:
+        raise FormatError(f"Expected an MCAP file, this is a folder: {path}") from None
+    except OSError as error:
+        raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+
+
+def check_kind(log: McapRecords, path: AnyPath) -> None:
+    if not log.readable_bytes:
+        raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
+    if log.profile != PROFILE and (log.profile or log.fault is None):
+        raise FormatError(
+            f"An MCAP log, but of profile {log.profile!r}; h3data reads profile {PROFILE!r}. "
+            f"Hint: open it with Rerun or Foxglove: {path}"
+        )
+    if "h3.schema" in log.metadata:
+        check_version(log.metadata["h3.schema"].get("version", ""), path=path)
+
+
+# --- from records to a recording --------------------------------------------------------------------------------------
+def _episode(log: McapRecords, path: AnyPath) -> Episode:
+    if "h3.episode" not in log.metadata:
+        raise FormatError("it ends before the episode record")
+    return episode_from_dict(log.metadata["h3.episode"], path=path)
+
+
+def _messages(log: McapRecords, topic: str) -> list[Any]:
+    channel = log.channel_of(topic)
+    if channel is None:
+        return []
+    name, descriptor = log.schemas[log.channels[channel][1]]
+    cls = message_class(descriptor, name)
+    return [cls.FromString(bytes(m)) for m in log.messages.get(channel, ())]
+
+
+def _plain(message: Any) -> dict[str, Any]:
+    """Fields of a protobuf message as plain values; lists of messages are left out."""
+    out = {}
+    for f in message.DESCRIPTOR.fields:
+        if f.message_type is None:
+            value = getattr(message, f.name)
+            out[f.name] = list(value) if hasattr(value, "extend") else value
+    return out
+
+
+def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
+    spans: dict[int, SkillSpan] = {}
+    for message in _messages(log, "/h3/skill"):
+        spans[message.span] = struct_from_dict("Skill", _plain(message))
+    return tuple(spans[k] for k in sorted(spans))
+
+
+def columns_of(
+    log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
+) -> dict[str, NDArray[Any]]:
+    """Columns of all topics; exactly ``steps`` rows from ``first`` on, or as many as are in unbroken order if None."""
+    parts: list[dict[str, NDArray[Any]]] = []
+    for topic, message in TOPIC_MESSAGES.items():
+        channel = log.channel_of(f"/h3/{topic}")
+        if channel is None:
+            continue
+        _, schema, metadata = log.channels[channel]
+        fields = fields_from_metadata(metadata, topic=f"/h3/{topic}")
+        parts.append(
+            decode_messages(
+                fields,
+                log.messages.get(channel, []),
+                wanted=wanted,
+                descriptor=log.schemas[schema][1],
+                message=f"h3.{message}",
+            )
+        )
+        numbers = parts[-1].pop("")
+        broken = np.flatnonzero(numbers != np.arange(first, first + len(numbers)))
+        sound = int(broken[0]) if len(broken) else len(numbers)
+        if steps is not None and (len(numbers) != steps or sound != steps):
+            raise FormatError(
+                f"Expected steps {first}..{first + steps - 1} in /h3/{topic}, got {len(numbers)}, {sound} in order."
+            )
+        parts[-1] = {name: array[:sound] for name, array in parts[-1].items()}
+    rows = min((len(a) for part in parts for a in part.values()), default=0)
+    return {name: array[:rows] for part in parts for name, array in part.items()}
+
+
+def _layout(log: McapRecords) -> Layout | None:
+    if "h3.layout" not in log.metadata:
+        return None
+    layout = layout_from_json(log.metadata["h3.layout"]["columns"])
+    if log.metadata["h3.layout"].get("hash") != layout_hash(layout):
+        raise FormatError("The record of the column layout is damaged: its hash does not match.")
+    return layout
+
+
+def assemble(
+    log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
+) -> Recording:
+    """The recording of these records; ``steps`` and ``first`` as for `columns_of`."""
+    episode = _episode(log, path)
+    scenes = _messages(log, "/h3/scene")
+    if not scenes:
+        raise FormatError("it has no message on /h3/scene")
+    scene: dict[str, Any] = {
+        kind: tuple(struct_from_dict(struct, _plain(m)) for m in getattr(scenes[0], kind))
+        for kind, struct in (("assets", "Asset"), ("bodies", "Body"), ("agents", "Agent"))
+    }
+    layout = _layout(log)
+    names = None
+    if wanted is not None:
+        known = [c.name for c in layout or ()]
+        unknown = sorted(set(wanted) - set(known))
+        if unknown:
+            raise InputError(
+                f"No columns {unknown} in this log.{did_you_mean(unknown[0], known)} It has: {', '.join(known)}. File: {path}"
+            )
+        names = set(wanted) | required_columns(len(scene["agents"]))
+    columns = columns_of(log, steps=steps, wanted=names, first=first)
+    if not columns:
+        if steps:
+            raise FormatError(f"Expected {steps} steps, got none.")
+        layout = layout or default_layout(RecordingHeader(episode=episode, **scene))
+        columns = {c.name: c.empty() for c in layout}
+    if layout is not None:
+        lost = [c.name for c in layout if c.name not in columns and (names is None or c.name in names)]
+        if lost:
+            raise FormatError(f"The topics lack columns that the layout announces: {', '.join(lost)}.")
+        columns = ordered(columns, [c.name for c in layout])
+    return Recording(
+        episode=episode,
+        **scene,
+        columns=columns,
+        skills=_skills(log),
+        events=tuple(struct_from_dict("Event", _plain(m)) for m in _messages(log, "/h3/event")),
+        inputs=tuple(struct_from_dict("Input", _plain(m)) for m in _messages(log, "/h3/input")),
+        attachments=log.attachments,
+    )
+
+
+def _recoverable_steps(log: McapRecords, path: AnyPath) -> int:
+    try:
+        return len(assemble(log, path, steps=None, wanted=None))
+    except (KeyError, FormatError, *decoding_errors()):
+        return 0

@@ -1,0 +1,55 @@
+"""What can be saved of a log that was cut off, damaged or never finished."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.mcap.mcap_log import write_mcap
+from h3data.recording.mcap.mcap_part import publish
+from h3data.recording.mcap.mcap_read import assemble, check_kind, load
+from h3data.recording.mcap.mcap_scan import decoding_errors, scan_records
+from h3data.recording.storage import RemotePath, local, place
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovery:
+    """What `recover_mcap` saved."""
+
+    path: Path
+    steps: int
+    bytes_read: int
+    bytes_total: int
+    reason: str
+    """Why the original could not be read as a whole."""
+
+
+def recover_mcap(
+    path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
+) -> Recovery:
+    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
+
+    The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed. The original
+    stays as it is, also when ``out`` is the name that it should have got.
+    """
+    path, out = place(path), local(out)
+    if os.path.exists(out) and not overwrite:
+        raise InputError(f"The file exists; choose another name or pass overwrite=True (--force): {out}")
+    log = scan_records(load(path))
+    check_kind(log, path)
+    finished = log.fault is None and "h3.end" in log.metadata
+    reason = log.fault or ("nothing is wrong with it" if finished else "the recording was never finished")
+    try:
+        recording = assemble(log, path, steps=None, wanted=None)
+    except (KeyError, FormatError, *decoding_errors()) as error:
+        raise FormatError(f"Nothing can be recovered ({error}): {path}") from error
+    if not finished:
+        note = {"from": path.name, "reason": reason, "steps": len(recording)}
+        info = {**recording.episode.info, "recovered": note}
+        recording = replace(recording, episode=replace(recording.episode, info=info))
+    part = out.with_name(f".{out.name}.recovering")
+    write_mcap(recording, part, overwrite=True)
+    publish(part, out)
+    return Recovery(path=out, steps=len(recording), bytes_read=log.readable_bytes, bytes_total=log.size, reason=reason)

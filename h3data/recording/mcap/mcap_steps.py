@@ -1,0 +1,216 @@
+"""Steps of a log by its summary, chunk index and message index."""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from io import BytesIO
+from itertools import accumulate
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.mcap.mcap_header import TOPIC_MESSAGES
+from h3data.recording.mcap.mcap_read import assemble, check_kind, columns_of
+from h3data.recording.mcap.mcap_scan import MAGIC, McapRecords, check_crc, decoding_errors, take, unfold
+from h3data.recording.records import Recording
+from h3data.recording.schema import layout_of
+from h3data.recording.steps import Steps
+from h3data.recording.storage import AnyPath, open_binary
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<BQH")
+_MESSAGE_HEAD = _RECORD.size + 22
+_FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
+_CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _METADATA_INDEX = 6, 7, 8, 10, 13
+_ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
+_CHUNKS_KEPT = 2
+_T = TypeVar("_T")
+
+
+class McapSteps(Steps):
+    """The steps of a log; the chunks that were unfolded last are kept."""
+
+    def __init__(self, path: AnyPath) -> None:
+        self.path = path
+        self._kept: dict[int, tuple[memoryview, dict[int, NDArray[np.uint64]]]] = {}
+        try:
+            self._file = open_binary(path)
+        except OSError as error:
+            raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
+        try:
+            self._sound(self._open, "it")
+        except BaseException:
+            self.close()
+            raise
+
+    def __len__(self) -> int:
+        return self._steps
+
+    def close(self) -> None:
+        self._file.close()
+        self._kept.clear()
+
+    # --- the three kinds of questions ---
+    def _open(self) -> None:
+        self._log = McapRecords(size=self._file.seek(0, 2))
+        self._chunks: list[Any] = []
+        self._attachments: list[int] = []
+        self._read_summary()
+        if "h3.end" not in self._log.metadata:
+            raise EOFError("the recording was never finished")
+        if "h3.layout" not in self._log.metadata:
+            raise ValueError("the record h3.layout is missing")
+        self._steps = int(self._log.metadata["h3.end"]["steps"])
+        self._places = {
+            channel: self._places_of(channel)
+            for topic in (*(f"/h3/{t}" for t in TOPIC_MESSAGES), *_ONCE)
+            if (channel := self._log.channel_of(topic)) is not None
+        }
+        self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
+        for channel in self._per_step:
+            if (found := self._places[channel][-1]) != self._steps:
+                raise ValueError(f"{self._steps} steps, but {found} on {self._log.channels[channel][0]}")
+        self.layout = layout_of(self._whole(0, 0, "/h3/scene").columns)
+
+    def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:
+        if start == stop:
+            return {c.name: c.empty() for c in self.layout if c.name in names}
+
+        def read() -> dict[str, NDArray[Any]]:
+            return columns_of(self._with_steps(start, stop), steps=stop - start, wanted=set(names), first=start)
+
+        found = self._sound(read, f"steps {start} to {stop - 1}")
+        return {name: found[name] for name in names}
+
+    def _recording(self, start: int, stop: int) -> Recording:
+        def read() -> Recording:
+            for offset in self._attachments:
+                take(self._log, *self._record(offset))
+            return self._whole(start, stop, *_ONCE)
+
+        return self._sound(read, f"steps {start} to {stop - 1}")
+
+    # --- inside ---
+    def _sound(self, read: Callable[[], _T], what: str) -> _T:
+        try:
+            return read()
+        except FormatError as error:
+            raise FormatError(f"{error} File: {self.path}") from error
+        except (OSError, KeyError, *decoding_errors()) as error:
+            raise FormatError(
+                f"Damaged or unfinished MCAP log, {what} cannot be read ({error or type(error).__name__}). "
+                f"Hint: `h3data recover {self.path} -o OUT` saves what can be saved. File: {self.path}"
+            ) from error
+
+    def _bytes(self, offset: int, size: int) -> bytes:
+        if offset + size > self._log.size:
+            raise EOFError(f"truncated, bytes {offset} to {offset + size} are not there")
+        self._file.seek(offset)
+        return self._file.read(size)
+
+    def _record(self, offset: int) -> tuple[int, memoryview]:
+        opcode, length = _RECORD.unpack(self._bytes(offset, _RECORD.size))
+        return opcode, memoryview(self._bytes(offset + _RECORD.size, length))
+
+    def _read_summary(self) -> None:
+        """Schemas, channels and indexes from the end of the file, the metadata records where these say."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex
+
+        log = self._log
+        if self._bytes(0, len(MAGIC)) != MAGIC:
+            raise FormatError("Expected an MCAP log, the file does not begin like one.")
+        take(log, *self._record(len(MAGIC)))
+        footer = log.size - _FOOTER_BYTES
+        if self._bytes(log.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            raise EOFError("the closing magic bytes are missing")
+        start, _, crc = struct.unpack("<QQI", self._record(footer)[1])
+        if not start:
+            raise FormatError("This log has no summary, so its steps cannot be found. Hint: `h3data convert` adds one.")
+        log.readable_bytes = log.size
+        summary = memoryview(self._bytes(start, footer + _RECORD.size + 16 - start))
+        check_crc(crc, summary, "summary")
+        metadata: list[int] = []
+        for opcode, body in _records(summary[: footer - start]):
+            stream = ReadDataStream(BytesIO(body))
+            if opcode == _CHUNK_INDEX:
+                self._chunks.append(ChunkIndex.read(stream))
+            elif opcode == _METADATA_INDEX:
+                metadata.append(MetadataIndex.read(stream).offset)
+            elif opcode == _ATTACHMENT_INDEX:
+                self._attachments.append(AttachmentIndex.read(stream).offset)
+            else:
+                take(log, opcode, body)
+        self._chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
+        for offset in sorted(metadata):
+            take(log, *self._record(offset))
+        check_kind(log, self.path)
+
+    def _places_of(self, channel: int) -> list[int]:
+        """How many messages of a channel lie before each chunk, and in all of them together."""
+        counts = []
+        for chunk in self._chunks:
+            offset = chunk.message_index_offsets.get(channel)
+            size = 0 if offset is None else struct.unpack("<BQHI", self._bytes(offset, 15))[3]
+            counts.append(size // 16)
+        return [0, *accumulate(counts)]
+
+    def _unfolded(self, number: int) -> tuple[memoryview, dict[int, NDArray[np.uint64]]]:
+        """A chunk's records and where in them each channel's messages begin."""
+        if number not in self._kept:
+            chunk = self._chunks[number]
+            data = self._bytes(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
+            begins: dict[int, NDArray[np.uint64]] = {}
+            (_, folded), *indexes = _records(memoryview(data))
+            for opcode, body in indexes:
+                if opcode == _MESSAGE_INDEX:
+                    begins[struct.unpack_from("<H", body)[0]] = np.frombuffer(body[6:], "<u8")[1::2]
+            while len(self._kept) >= _CHUNKS_KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[number] = (memoryview(unfold(folded)), begins)
+        return self._kept[number]
+
+    def _messages(self, channel: int, start: int, stop: int) -> Iterator[memoryview]:
+        """Messages ``start`` to ``stop - 1`` of a channel."""
+        before = self._places[channel]
+        number = bisect_right(before, start) - 1
+        while start < stop:
+            data, begins = self._unfolded(number)
+            there = min(stop, before[number + 1])
+            for at in (
+                begins[channel][start - before[number] : there - before[number]].tolist() if there > start else ()
+            ):
+                opcode, length, of = _MESSAGE.unpack_from(data, at)
+                end = at + _RECORD.size + length
+                if of != channel or opcode != 5 or end > len(data):
+                    raise ValueError("a message index does not fit its chunk")
+                yield data[at + _MESSAGE_HEAD : end]
+            start, number = there, number + 1
+
+    def _with_steps(self, start: int, stop: int) -> McapRecords:
+        """The log as if it had only these steps."""
+        return replace(self._log, messages={c: list(self._messages(c, start, stop)) for c in self._per_step})
+
+    def _whole(self, start: int, stop: int, *topics: str) -> Recording:
+        """These steps with all messages on some other topics."""
+        log = self._with_steps(start, stop)
+        for channel, before in self._places.items():
+            if log.channels[channel][0] in topics:
+                log.messages[channel] = list(self._messages(channel, 0, before[-1]))
+        return assemble(log, self.path, steps=stop - start, wanted=None, first=start)
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    position = 0
+    while position < len(data):
+        opcode, length = _RECORD.unpack_from(data, position)
+        end = position + _RECORD.size + length
+        if end > len(data):
+            raise EOFError("a record exceeds its part of the file")
+        yield opcode, data[position + _RECORD.size : end]
+        position = end

@@ -1,0 +1,1 @@
+"""The dataset: Parquet in LeRobot v3 layout."""

@@ -1,0 +1,74 @@
+"""What a Parquet dataset keeps beside its steps: bodies, assets, agents, skills, events, inputs, and attached files."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError
+from h3data.recording.parquet.arrow_columns import conform
+from h3data.recording.parquet.dataset_shard import SIDECAR_SINCE, SIDECARS, record_schema
+from h3data.recording.parquet.lerobot_meta import shard_path
+from h3data.recording.schema import struct_from_dict, version_numbers
+from h3data.recording.storage import AnyPath, readable
+
+DAMAGE = (
+    pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError, RecursionError
+)  # fmt: skip
+"""What reading a damaged file can raise."""
+
+
+class DatasetRecords:
+    """The records of a dataset folder; the tables of the shards that were read last are kept."""
+
+    def __init__(self, root: AnyPath, version: str) -> None:
+        """Of the dataset in ``root``, which was begun with a ``version`` of the schema."""
+        self._root, self._version = root, version
+        self._tables: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
+
+    def table(self, kind: str, shard: int) -> pa.Table:
+        """The records of a kind in one shard; none where a dataset began before there were any of that kind."""
+        path = shard_path(self._root, f"h3/{kind}", shard)
+        if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
+            return record_schema(SIDECARS[kind]).empty_table()
+        return pq.read_table(readable(path), page_checksum_verification=True)
+
+    def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
+        """Bodies, assets, ... of each of some consecutive episodes of one shard."""
+        key = (kind, shard)
+        try:
+            if key not in self._tables:
+                if len(self._tables) >= 2 * len(SIDECARS):
+                    self._tables.pop(next(iter(self._tables)))
+                table = conform(self.table(kind, shard), record_schema(SIDECARS[kind]))
+                self._tables[key] = (table, table["episode_index"].to_numpy())
+            table, owners = self._tables[key]
+            bounds = np.searchsorted(owners, [*episodes, episodes.stop])
+            plain = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
+            found = [struct_from_dict(SIDECARS[kind], d) for d in plain]
+            return [tuple(found[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
+        except DAMAGE as error:
+            last = episodes[-1]
+            which = f"episode {last}" if len(episodes) == 1 else f"episodes {episodes[0]} to {last}"
+            path = shard_path(self._root, f"h3/{kind}", shard)
+            raise FormatError(f"The {kind} of {which} cannot be read ({error}): {path}") from error
+
+    def attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
+        """The attached files of an episode, by its row of the episode table."""
+        folder = self._root / "h3" / "files"
+        try:
+            return {
+                n: (folder / Path(stored).name).read_bytes() for n, stored in json.loads(row["attachments"]).items()
+            }
+        except (OSError, ValueError, AttributeError, TypeError, RecursionError) as error:
+            raise FormatError(
+                f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
+            ) from error

@@ -1,0 +1,280 @@
+"""Writing a Parquet dataset: one row per step, one row group per episode, LeRobot v3.0 layout, safe against crashes.
+
+Episodes are gathered in *shards* of about 100. A shard is a data file, its sidecars (``h3/bodies``, ``h3/skills``, ...)
+and an episode table. All are written under temporary names and renamed when they are complete, the episode table last:
+its presence is the commit. What is not listed there does not exist for any reader.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+
+from h3data.errors import InputError
+from h3data.recording.parquet.dataset_shard import SIDECARS, Shard
+from h3data.recording.parquet.lerobot_meta import (
+    FILE_MB,
+    STANDARD,
+    DatasetSchema,
+    Totals,
+    merge_into,
+    shard_files,
+    shard_number,
+    union_layout,
+    write_atomic,
+    write_meta,
+)
+from h3data.recording.records import Recording
+from h3data.recording.schema import (
+    Layout,
+    episode_to_dict,
+    layout_of,
+    layout_to_json,
+    struct_to_dict,
+)
+from h3data.recording.storage import AnyPath, RemotePath, place, put_tree, remove_tree
+
+EPISODES_PER_FILE = 100
+
+
+class DatasetWriter:
+    """Writes recordings into a dataset folder.
+
+    The columns of a dataset are fixed by its first episode, or up front by ``like`` (recordings whose columns it must
+    hold as well) and ``max_bodies`` (moving bodies of the fullest scene). Later episodes may be narrower or lack columns
+    - they are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they
+    may have others, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager
+    it commits all episodes that were added completely, also on an exception or Ctrl-C. One writer per folder at a time.
+
+    The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and put there whole when it is
+    committed, its episode table last; a second writer is not noticed.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike[str] | RemotePath,
+        *,
+        fps: int = 30,
+        nominal_fps: bool = False,
+        overwrite: bool = False,
+        resume: bool = False,
+        max_bodies: int | None = None,
+        like: Iterable[Recording] = (),
+        episodes_per_file: int = EPISODES_PER_FILE,
+        file_bytes: int = FILE_MB << 20,
+    ) -> None:
+        """Open a new folder, replace the dataset in it (``overwrite``), or go on after its last commit (``resume``)."""
+        self.root = place(root)
+        self._local_root = self.root if isinstance(self.root, Path) else Path(tempfile.mkdtemp(prefix="h3data-"))
+        """Where a shard's files are made: in the dataset itself, or in a temporary folder until they are put to its URI."""
+        if isinstance(self.root, RemotePath):
+            weakref.finalize(self, shutil.rmtree, self._local_root, ignore_errors=True)
+        self.closed = False
+        self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
+        self._episodes_per_file, self._file_bytes = episodes_per_file, file_bytes
+        self._totals, self._shard_index = Totals(), 0
+        self._schema: DatasetSchema | None = None
+        self._shard: Shard | None = None
+        if overwrite and resume:
+            raise InputError("Choose one: overwrite=True starts anew, resume=True goes on.")
+        with self._writing():
+            self._open_root(overwrite=overwrite, resume=resume)
+            if self._schema is None:
+                self._declare(like)
+
+    def __len__(self) -> int:
+        """Episodes so far, with those not yet committed: the index of the next one."""
+        return self._totals.episodes + (self._shard.episodes if self._shard else 0)
+
+    def add(self, recording: Recording) -> int:
+        """Append one episode and return its index. It is durable from the next commit on."""
+        if self.closed:
+            raise InputError(f"This dataset writer is closed: {self.root}")
+        with self._writing():
+            if self._schema is None:
+                self._declare([recording])
+            assert self._schema is not None
+            layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
+            row = episode_row(recording, layout)
+            attachments = {name: self._store_file(name, data) for name, data in recording.attachments.items()}
+            row["attachments"] = json.dumps(attachments, ensure_ascii=False)
+            sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
+            index, start = len(self), self._totals.frames + (self._shard.frames if self._shard else 0)
+            task = self._totals.tasks.setdefault(row["task"], len(self._totals.tasks))
+            if self._shard is None:
+                self._shard = Shard(self._local_root, self._shard_index, self._schema)
+            try:
+                self._shard.add(recording, row, sidecars, index=index, start=start, task=task)
+            except BaseException:
+                if self._shard.spoiled:  # a half-written row group spoils its file: drop the shard
+                    shard, self._shard = self._shard, None
+                    shard.discard()
+                raise
+        if self._shard.episodes >= self._episodes_per_file or self._shard.bytes >= self._file_bytes:
+            self.commit()
+        return index
+
+    def commit(self) -> None:
+        """Finish the current files: all episodes added so far survive whatever comes."""
+        if self._shard is None or self._schema is None:
+            return
+        shard, self._shard = self._shard, None
+        with self._writing():
+            try:
+                shard.commit()
+                if isinstance(self.root, RemotePath):
+                    put_tree(self._local_root, self.root, last="meta/episodes")
+            except BaseException:
+                shard.discard()
+                raise
+            self._shard_index += 1
+            self._totals.episodes += shard.episodes
+            self._totals.frames += shard.frames
+            merge_into(self._totals.moments, shard.moments)
+            write_meta(self.root, self._schema, self._totals)
+
+    def close(self) -> None:
+        """Commit and end. A second call does nothing."""
+        if not self.closed:
+            self.commit()
+            self.closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"DatasetWriter({str(self.root)!r}, {len(self)} episodes, {self._totals.episodes} committed)"
+
+    # --- inside ---
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError as error:
+            raise InputError(f"Somebody else is writing this dataset: {error.filename}") from None
+        except OSError as error:
+            raise InputError(
+                f"Could not write the dataset: {error.strerror or error}. Episodes committed before are safe; go on with "
+                f"resume=True: {self.root}"
+            ) from error
+
+    def _open_root(self, *, overwrite: bool, resume: bool) -> None:
+        root = self.root
+        if root.exists() and not root.is_dir():
+            raise InputError(f"Expected a folder for the dataset, this is a file: {root}")
+        if not root.exists() or not any(root.iterdir()):
+            if isinstance(root, Path):
+                root.mkdir(parents=True, exist_ok=True)
+            return
+        if not is_dataset(root):
+            raise InputError(f"The folder exists and is not a dataset of h3data; choose another one: {root}")
+        if overwrite:
+            for folder in (root / "meta", root / "data", root / "h3"):
+                remove_tree(folder)
+        elif resume:
+            self._resume()
+        else:
+            raise InputError(
+                f"The dataset exists; choose another folder, pass overwrite=True (--force) to replace it or resume=True "
+                f"to go on: {root}"
+            )
+
+    def _resume(self) -> None:
+        if not (self.root / "h3" / "schema.json").exists():
+            raise InputError(f"A dataset, but not written by h3data; choose another folder: {self.root}")
+        self._schema = DatasetSchema.load(self.root)
+        for leftover in self.root.rglob("*.part"):
+            leftover.unlink()
+        committed = shard_files(self.root, "meta/episodes")
+        self._shard_index = shard_number(committed[-1]) + 1 if committed else 0
+        for kind in ("data", *(f"h3/{k}" for k in SIDECARS)):
+            for path in shard_files(self.root, kind):
+                if shard_number(path) >= self._shard_index:
+                    path.unlink()  # renamed before the crash, never committed
+        self._totals = Totals.of(self.root)
+
+    def _declare(self, examples: Iterable[Recording]) -> None:
+        """Fix the columns of the dataset so that all of these fit, and write them down; without any, do nothing."""
+        layouts, robots = [], []
+        for recording in examples:  # may be a generator: one recording in memory at a time
+            layouts.append(layout_of(recording.columns))
+            robots += [a.model or a.name for a in recording.agents if a.kind == "robot"]
+        if not layouts:
+            return
+        columns = union_layout(layouts, max_bodies=self._max_bodies)
+        faults = [f"{c.name!r} contains '/'" for c in columns if "/" in c.name]
+        faults += [f"{c.name!r} is reserved by LeRobot" for c in columns if c.name in STANDARD]
+        if faults:
+            raise InputError(f"Columns that a LeRobot dataset cannot have: {'; '.join(faults)}. Rename them.")
+        schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
+        write_atomic(self.root / "h3" / "schema.json", schema.to_json())
+        self._schema = schema
+
+    def _store_file(self, name: str, data: bytes) -> str:
+        """Keep an attachment under the hash of its contents; returns the file name below ``h3/files``."""
+        suffix = "".join(c for c in Path(name).suffix[1:9].lower() if c.isascii() and c.isalnum())
+        stored = hashlib.sha256(data).hexdigest() + (f".{suffix}" if suffix else "")
+        path = self.root / "h3" / "files" / stored
+        if not path.exists():
+            write_atomic(path, bytes(data))
+        return stored
+
+
+def is_dataset(root: AnyPath) -> bool:
+    """Whether a folder holds a dataset: LeRobot's info.json or our schema."""
+    return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
+
+
+def episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
+    """What the episode table says about a recording beside its place."""
+    row = {**episode_to_dict(recording.episode), "columns": layout_to_json(layout)}
+    try:
+        for value in row.values():
+            pa.scalar(value)
+    except (OverflowError, UnicodeEncodeError, pa.ArrowException) as error:
+        raise InputError(f"Episode {recording.episode.episode_id!r}: a value cannot be stored ({error}).") from None
+    return row
+
+
+def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bool) -> Layout:
+    """Layout of a recording that fits the dataset; an `InputError` lists every reason why it does not."""
+    layout = layout_of(recording.columns)
+    declared = {c.name: c for c in schema.columns}
+    faults = []
+    for column in layout:
+        home = declared.get(column.name)
+        if home is None:
+            faults.append(f"{column} is not a column of the dataset")
+        elif home.dtype != column.dtype or len(home.shape) != len(column.shape):
+            faults.append(f"{column}, the dataset has {home}")
+        elif any(n > m for n, m in zip(column.shape, home.shape, strict=True)):
+            faults.append(f"{column} is wider than {home}")
+    if faults:
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r} does not fit this dataset: {'; '.join(faults[:8])}. "
+            "Hint: declare the widest episodes before the first one, DatasetWriter(..., max_bodies=N, like=[recordings]), "
+            "or write them to another dataset."
+        )
+    if not any_rate and abs(recording.episode.dt_ns * schema.fps - 1_000_000_000) > 10_000_000:
+        raise InputError(
+            f"Episode {recording.episode.episode_id!r} has steps of {recording.episode.dt_ns} ns, the dataset "
+            f"{schema.fps} per second. Hint: DatasetWriter(..., fps=N); or nominal_fps=True (h3data convert --nominal-fps N): "
+            "LeRobot's time stamps are then nominal, time_ns stays exact."
+        )
+    return layout

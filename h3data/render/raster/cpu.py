@@ -1,0 +1,219 @@
+"""The CPU back end: the rasteriser with its shading, over any number of worlds and threads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from queue import SimpleQueue
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.render.camera import Camera
+from h3data.render.pictures import Poses, picture_arrays
+from h3data.render.raster.clusters import enclosing_box, fill_packets, smooth_normals
+from h3data.render.raster.raster import Placement, Target, View, new_target, rasterise, reach_of
+from h3data.render.raster.raster_read import read_depth, read_ids, read_parallel_depth, read_triangles
+from h3data.render.scene import RenderScene
+from h3data.render.shade.shading import Light, shade
+
+_KEPT_TARGETS = 4
+"""Buffers are kept for this many picture sizes, by each thread."""
+
+Targets = dict[tuple[int, int], Target]
+
+
+class CpuEngine:
+    """Draws perspective and orthographic cameras, one picture per thread; the pixels do not depend on their number."""
+
+    def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
+        self.scene = scene
+        self.light = light
+        self.worlds = [World(scene) for _ in range(worlds)]
+        self.threads = threads
+        self._free: SimpleQueue[Targets] = SimpleQueue()
+        for _ in range(threads):
+            self._free.put({})
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.threads, thread_name_prefix="h3data-render")
+
+    # --- what moves ---------------------------------------------------------------------------------------------------
+    def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        self.worlds[world].set_transforms(instances, matrices)
+
+    def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        self.worlds[world].set_visible(instances, visible)
+
+    def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
+        self.worlds[world].set_vertices(mesh, vertices)
+
+    def poses(self, world: int) -> Poses:
+        return self.worlds[world].poses()
+
+    # --- pictures -----------------------------------------------------------------------------------------------------
+    def render(
+        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[str], samples: int,
+        out: Mapping[str, NDArray] | None,
+    ) -> dict[str, NDArray]:  # fmt: skip
+        results = picture_arrays(cameras, outputs, out)
+        if "rgb" in outputs or "normal" in outputs:
+            for world in sorted(set(worlds)):
+                self.worlds[world].refresh_normals()
+        jobs = [
+            (camera, self.worlds[world], {name: array[k] for name, array in results.items()}, samples)
+            for k, (camera, world) in enumerate(zip(cameras, worlds, strict=True))
+        ]
+        if self.threads > 1 and len(jobs) > 1:
+            list(self._pool.map(lambda job: self._render(*job), jobs))
+        else:
+            for job in jobs:
+                self._render(*job)
+        return results
+
+    def _render(self, camera: Camera, world: World, results: Mapping[str, NDArray], samples: int) -> None:
+        targets = self._free.get()
+        try:
+            self._rasterise(camera, world, targets, results, samples)
+        finally:
+            self._free.put(targets)
+
+    def _rasterise(
+        self, camera: Camera, world: World, targets: Targets, results: Mapping[str, NDArray], samples: int
+    ) -> None:
+        at_centres = [name for name in results if name != "rgb"]
+        if at_centres or (samples == 1 and "rgb" in results):
+            view, target = self._draw(camera, world, targets)
+            self._read(world, view, target, results, rgb=samples == 1)
+        if samples == 4 and "rgb" in results:
+            view, target = self._draw(camera, world, targets, fine=2)
+            self._shade(world, view, target, rgb=results["rgb"], samples=4)
+
+    def _draw(self, camera: Camera, world: World, targets: Targets, *, fine: int = 1) -> tuple[View, Target]:
+        view, scene = view_of(camera, fine=fine), self.scene
+        size = (view.width, view.height)
+        target = targets.pop(size, None)
+        if target is None:
+            target = new_target(*size, draws=scene.draw_limit, instances=len(scene.instances))
+        targets[size] = target  # the most recent one last
+        while len(targets) > _KEPT_TARGETS:
+            del targets[next(iter(targets))]
+        placement = Placement(scene.instance_mesh, world.matrix, world.shown(camera.hidden_layers))
+        if view.parallel:
+            view = view._replace(reach=reach_of(world.geometry, placement, view))
+        rasterise(world.geometry, scene.cutouts, placement, view, target)
+        return view, target
+
+    def _read(self, world: World, view: View, target: Target, results: Mapping[str, NDArray], *, rgb: bool) -> None:
+        scene = self.scene
+        if "depth" in results and view.parallel:
+            read_parallel_depth(target.inv_z, view.reach, results["depth"])
+        elif "depth" in results:
+            read_depth(target.inv_z, results["depth"])
+        if "instance" in results:
+            read_ids(target.words, target.draws, scene.ids, results["instance"])
+        if "semantic" in results:
+            read_ids(target.words, target.draws, scene.semantic_ids, results["semantic"])
+        if "triangle" in results:
+            packets = world.geometry.cluster_packets
+            read_triangles(target.words, target.draws, packets, scene.packet_triangles, results["triangle"])
+        picture, normal = results.get("rgb") if rgb else None, results.get("normal")
+        if picture is not None or normal is not None:
+            self._shade(world, view, target, rgb=picture, normal=normal)
+
+    def _shade(
+        self, world: World, view: View, target: Target, *, rgb: NDArray[np.uint8] | None = None,
+        normal: NDArray[np.float32] | None = None, samples: int = 1, light: Light | None = None,
+    ) -> None:  # fmt: skip
+        placement = Placement(self.scene.instance_mesh, world.matrix, world.visible)
+        shade(world.geometry, world.surface, placement, view, target, light or self.light, rgb, normal, samples)
+
+
+class World:
+    """What moves in one world: poses, what is shown, deformed vertices with their normals."""
+
+    def __init__(self, scene: RenderScene) -> None:
+        self.scene = scene
+        self.matrix = scene.instance_matrix.copy()
+        self.visible = np.ones(len(scene.instances), np.bool_)
+        self.vertices: dict[int, NDArray[np.float32]] = {}
+        self.moved = np.isin(scene.instance_mesh, scene.deformable)
+        """Which instances do not stand still, shape [I]."""
+        self.version = 0
+        """Counts the changes."""
+        self.geometry = scene.geometry
+        self.surface = scene.surface
+        self._stale_normals: set[int] = set()
+        if scene.deformable:
+            shared = scene.geometry
+            self.geometry = shared._replace(
+                own_packets=shared.own_packets.copy(),
+                center=shared.center.copy(),
+                half=shared.half.copy(),
+                mesh_center=shared.mesh_center.copy(),
+                mesh_half=shared.mesh_half.copy(),
+            )
+            self.surface = scene.surface._replace(normals=scene.surface.normals.copy())
+
+    def shown(self, hidden_layers: tuple[str, ...]) -> NDArray[np.bool_]:
+        """Which instances a camera may see that leaves out layers [I]."""
+        if not hidden_layers:
+            return self.visible
+        return self.visible & ~np.isin(self.scene.layers, hidden_layers)
+
+    def set_transforms(self, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
+        self.matrix[instances] = matrices
+        self.moved[instances] = True
+        self.version += 1
+
+    def set_visible(self, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
+        self.visible[instances] = visible
+        self.version += 1
+
+    def set_vertices(self, mesh: int, vertices: NDArray[np.float32]) -> None:
+        """Take over the vertices [V, 3] of a deformable mesh (the array is kept)."""
+        scene, geometry = self.scene, self.geometry
+        self.vertices[mesh] = vertices
+        self.version += 1
+        if not len(scene.meshes[mesh].faces):
+            return
+        part, clusters = scene.parts[mesh], scene.cluster_range(mesh)
+        packets = geometry.own_packets[scene.own_packet_range(mesh)]
+        center, half = geometry.center[clusters], geometry.half[clusters]
+        fill_packets(vertices, scene.meshes[mesh].faces, part.triangles, part.first, packets, center, half)
+        geometry.mesh_center[mesh], geometry.mesh_half[mesh] = enclosing_box(center, half)
+        if mesh in scene.groups:
+            self._stale_normals.add(mesh)
+
+    def refresh_normals(self) -> None:
+        """Bring the smooth normals of deformed meshes up to date."""
+        for mesh in sorted(self._stale_normals):
+            first, end = self.scene.first_vertex[mesh : mesh + 2]
+            groups = self.scene.groups[mesh]
+            sums = np.empty((int(groups.max(initial=-1)) + 1, 3), np.float32)
+            faces, normals = self.scene.meshes[mesh].faces, self.surface.normals[first:end]
+            smooth_normals(self.vertices[mesh], faces, groups, sums, normals)
+        self._stale_normals.clear()
+
+    def poses(self) -> Poses:
+        """A copy of where everything is."""
+        return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
+
+
+def view_of(camera: Camera, *, fine: int = 1) -> View:
+    """A planar camera as the kernels read it, with ``fine`` x ``fine`` as many pixels; ``reach`` is left to the caller."""
+    k = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64) * fine
+    pose = np.asarray(camera.pose, np.float64)
+    return View(
+        axes=np.ascontiguousarray(pose[:3, :3]),
+        eye=np.ascontiguousarray(pose[:3, 3]),
+        intrinsics=k,
+        width=camera.width * fine,
+        height=camera.height * fine,
+        parallel=camera.projection == "orthographic",
+        near=float(camera.near),
+        far=float(camera.far),
+        reach=0.0,
+    )

@@ -1,0 +1,300 @@
+"""The rasteriser: clusters of triangles to a buffer of nearness and a visibility buffer. One thread per picture, no GIL.
+
+One picture: (1) instances, then their clusters, against the view frustum; (2) the survivors sorted front to back by a
+counting sort; (3) each against the coarse depth of 8x8-pixel tiles, kept lazily; (4) eight triangles at a time set up
+in SIMD (`raster_simd.setup_triangles`); (5) three fillers: small boxes (one block of 8 pixels a row), medium ones (float32
+spans), and everything large, thin or near (homogeneous edge functions in double, which need no clipping: there is no
+near plane unless the camera asks for one), all in `raster_fill`; (6) after all that what is cut out (`raster_cutouts`). A
+pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
+
+Nearness is what is linear on the screen and grows towards the camera: 1/z, or ``reach - z`` for an orthographic camera,
+whose rays are parallel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel
+from h3data.render.raster.raster_cutouts import draw_cutouts
+from h3data.render.raster.raster_draw import (
+    CLUSTER,
+    INSTANCE,
+    TILE,
+    TILE_X0,
+    TILE_X1,
+    TILE_Y0,
+    TILE_Y1,
+    draw_clusters,
+    draw_cut,
+    has_near_plane,
+    nearness_of,
+)
+from h3data.render.raster.raster_simd import NEAR_M
+
+SORT_BINS = 1024
+FAR_PADDING = 1e30
+"""Nearness of the padding around the picture: nearer than everything, so it never counts as seen through."""
+SPAN_MARGIN_PX = 0.01
+
+
+class Geometry(NamedTuple):
+    """The triangles of all meshes, and where their clusters lie."""
+
+    shared_packets: NDArray[np.float32]
+    """Soup of the meshes that never change, shape [P, 9, 8]; shared by all renderers."""
+    own_packets: NDArray[np.float32]
+    """Soup of the deformable meshes, numbered after the shared ones, shape [Q, 9, 8]."""
+    cluster_packets: NDArray[np.int32]
+    """First packet and end (exclusive) of each cluster, shape [C, 2]."""
+    center: NDArray[np.float64]
+    """Boxes of the clusters: centre, shape [C, 3] [m]."""
+    half: NDArray[np.float64]
+    """And half size, shape [C, 3] [m]."""
+    mesh_first: NDArray[np.int32]
+    """First cluster of each mesh and, at the end, the number of clusters, shape [M + 1]."""
+    mesh_center: NDArray[np.float64]
+    """Boxes of the meshes: centre, shape [M, 3] [m]."""
+    mesh_half: NDArray[np.float64]
+    """And half size, shape [M, 3] [m]."""
+
+
+class Placement(NamedTuple):
+    """Where the instances are."""
+
+    mesh: NDArray[np.int32]
+    """Mesh of each instance, shape [I]."""
+    matrix: NDArray[np.float64]
+    """Mesh to world, shape [I, 3, 4]."""
+    shown: NDArray[np.bool_]
+    """Shape [I]."""
+
+
+class View(NamedTuple):
+    """A camera as the kernels read it."""
+
+    axes: NDArray[np.float64]
+    """Rotation, camera to world, shape [3, 3]."""
+    eye: NDArray[np.float64]
+    """Shape [3] [m]."""
+    intrinsics: NDArray[np.float64]
+    """``fx fy cx cy`` [px; orthographic: fx and fy px/m], shape [4]."""
+    width: int
+    height: int
+    parallel: bool = False
+    """Orthographic."""
+    near: float = 0.0
+    """What is nearer than this z is cut away [m]."""
+    far: float = float("inf")
+    """What is farther counts as nothing [m]."""
+    reach: float = 0.0
+    """Orthographic: nothing is as far as this [m] (`reach_of`)."""
+
+
+class Target(NamedTuple):
+    """Buffers of one picture size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
+
+    inv_z: NDArray[np.float32]
+    """Nearness, 0 = nothing, shape [rows, stride] [1/m, orthographic: m]."""
+    words: NDArray[np.int32]
+    """Visibility buffer, shape [rows, stride]."""
+    tile_inv_z: NDArray[np.float32]
+    """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
+    tile_stale: NDArray[np.uint8]
+    """1 where something was drawn since that bound was taken."""
+    draws: NDArray[np.int32]
+    """The clusters of this picture (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
+    near: NDArray[np.float32]
+    """Nearest z of each, 0 = at the eye, shape [D] [m]."""
+    camera_from_mesh: NDArray[np.float64]
+    """Mesh to camera, per instance, shape [I, 3, 4]."""
+    pixel_from_mesh: NDArray[np.float32]
+    """The same, its first two rows times the focal lengths; orthographic: the last one leads to nearness, [I, 3, 4]."""
+
+
+def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:
+    """Buffers for pictures of ``width`` x ``height`` with at most ``draws`` clusters of ``instances`` instances."""
+    rows, columns = -(-height // TILE) * TILE, -(-width // TILE) * TILE
+    stride = columns + TILE
+    return Target(
+        np.zeros((rows, stride), np.float32),
+        np.zeros((rows, stride), np.int32),
+        np.zeros((rows // TILE, columns // TILE), np.float32),
+        np.zeros((rows // TILE, columns // TILE), np.uint8),
+        np.zeros((draws, 6), np.int32),
+        np.zeros(draws, np.float32),
+        np.zeros((instances, 3, 4)),
+        np.zeros((instances, 3, 4), np.float32),
+    )
+
+
+def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
+    """A z [m] that nothing shown reaches, at most a little more than ``view.far``."""
+    forward = view.axes[:, 2]
+    rows = np.einsum("r,irc->ic", forward, placement.matrix)
+    with np.errstate(all="ignore"):
+        center, half = geometry.mesh_center[placement.mesh], geometry.mesh_half[placement.mesh]
+        z = (rows[:, :3] * center + np.abs(rows[:, :3]) * half).sum(1) + rows[:, 3] - forward @ view.eye
+    farthest = z[placement.shown & np.isfinite(z)].max(initial=0.0)
+    return float(min(farthest, view.far)) * 1.00001 + 0.001
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def rasterise(geometry, cutouts, placement, view, target):
+    """Draw one picture into ``target``; returns the number of clusters in the frustum."""
+    _clear(target, view.width, view.height)
+    count = _collect(geometry, placement, view, target)
+    order = _front_to_back(target.near, count)
+    cut_first = cutouts.first
+    draw_clusters(geometry, cut_first, view, target, order)
+    if has_near_plane(view):
+        draw_cut(geometry, cut_first, view, target, order)
+    if len(cutouts.uv):
+        draw_cutouts(geometry, cutouts, view, target, order)
+    if view.far < np.inf:
+        _cut_far(view, target)
+    return count
+
+
+@kernel()
+def _clear(target, width, height):
+    target.inv_z[:height, :width] = 0
+    target.inv_z[:height, width:] = FAR_PADDING
+    target.inv_z[height:] = FAR_PADDING
+    target.words[:] = -1
+    target.tile_inv_z[:] = 0
+    target.tile_stale[:] = 0
+
+
+@njit(nogil=True)
+def _cut_far(view, target):
+    limit = nearness_of(view.far, view)
+    for y in range(view.height):
+        for x in range(view.width):
+            if target.inv_z[y, x] < limit:
+                target.inv_z[y, x] = 0
+                target.words[y, x] = -1
+
+
+# --- frustum --------------------------------------------------------------------------------------------------------
+@njit(nogil=True, forceinline=True)
+def _outside(planes, center, half, box):
+    """Whether a box lies wholly behind one of the 5 planes [5, 4]. NaN counts as outside."""
+    for k in range(5):
+        distance = planes[k, 3]
+        for a in range(3):
+            distance += planes[k, a] * center[box, a] + abs(planes[k, a]) * half[box, a]
+        if not distance >= 0:
+            return True
+    return False
+
+
+@njit(nogil=True, forceinline=True)
+def _pixel_span(middle, extent, near, far, focal, principal, size):
+    """Pixel coordinates between which a camera-space interval at depths near..far appears, cut to the picture."""
+    low, high = middle - extent, middle + extent
+    low = low / (near if low < 0 else far) * focal + principal
+    high = high / (near if high > 0 else far) * focal + principal
+    return max(low - SPAN_MARGIN_PX, 0.0), min(high + SPAN_MARGIN_PX, size - 0.5)
+
+
+@njit(nogil=True)
+def _place(i, matrix, view, target, planes):
+    """Write the instance's matrices to camera space and to pixels, and the frustum's planes in its mesh's frame."""
+    fx, fy, cx, cy = view.intrinsics
+    to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
+    for c in range(4):
+        for r in range(3):
+            total = 0.0
+            for a in range(3):
+                total += view.axes[a, r] * (matrix[a, c] - (view.eye[a] if c == 3 else 0.0))
+            to_camera[r, c] = total
+        x, y, z = to_camera[0, c], to_camera[1, c], to_camera[2, c]
+        to_pixel[0, c], to_pixel[1, c], to_pixel[2, c] = fx * x, fy * y, z
+        planes[0, c] = z
+        planes[1, c] = fx * x + cx * z
+        planes[2, c] = (view.width - cx) * z - fx * x
+        planes[3, c] = fy * y + cy * z
+        planes[4, c] = (view.height - cy) * z - fy * y
+    planes[0, 3] -= view.near
+
+
+@njit(nogil=True)
+def _place_parallel(i, view, target, planes):
+    """Change what `_place` wrote: pixels are x and y, not over z. (Apart from it, which stays four columns in one.)"""
+    fx, fy, cx, cy = view.intrinsics
+    to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
+    for c in range(4):
+        x, y, one = fx * to_camera[0, c], fy * to_camera[1, c], 1.0 if c == 3 else 0.0
+        to_pixel[2, c] = view.reach * one - to_camera[2, c]
+        planes[1, c], planes[2, c] = x + cx * one, (view.width - cx) * one - x
+        planes[3, c], planes[4, c] = y + cy * one, (view.height - cy) * one - y
+
+
+@njit(nogil=True)
+def _collect(geometry, placement, view, target):
+    """List the clusters inside the frustum with their tiles and nearest z; returns how many."""
+    fx, fy, cx, cy = view.intrinsics
+    width, height = float(view.width), float(view.height)
+    draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
+    planes = np.empty((5, 4))
+    box = np.empty((3, 2))  # camera-space middle and extent, per axis
+    count = 0
+    for i in range(len(placement.mesh)):
+        if not placement.shown[i]:
+            continue
+        mesh = placement.mesh[i]
+        _place(i, placement.matrix[i], view, target, planes)
+        if view.parallel:
+            _place_parallel(i, view, target, planes)
+        if _outside(planes, geometry.mesh_center, geometry.mesh_half, mesh):
+            continue
+        to_camera = target.camera_from_mesh[i]
+        for cluster in range(geometry.mesh_first[mesh], geometry.mesh_first[mesh + 1]):
+            if _outside(planes, center, half, cluster):
+                continue
+            for r in range(3):
+                box[r, 0], box[r, 1] = to_camera[r, 3], 0.0
+                for a in range(3):
+                    box[r, 0] += to_camera[r, a] * center[cluster, a]
+                    box[r, 1] += abs(to_camera[r, a]) * half[cluster, a]
+            z0, z1 = max(box[2, 0] - box[2, 1], view.near), box[2, 0] + box[2, 1]
+            left, right, top, bottom = 0.0, width - 0.5, 0.0, height - 0.5
+            if z0 < NEAR_M and not view.parallel:
+                z0 = 0.0  # at the eye: it may cover anything and is never skipped
+            else:
+                w0, w1 = (1.0, 1.0) if view.parallel else (z0, z1)
+                left, right = _pixel_span(box[0, 0], box[0, 1], w0, w1, fx, cx, width)
+                top, bottom = _pixel_span(box[1, 0], box[1, 1], w0, w1, fy, cy, height)
+                if not (left <= right and top <= bottom):
+                    continue
+            draws[count, INSTANCE], draws[count, CLUSTER] = i, cluster
+            draws[count, TILE_X0], draws[count, TILE_X1] = int(left) >> 3, int(right) >> 3
+            draws[count, TILE_Y0], draws[count, TILE_Y1] = int(top) >> 3, int(bottom) >> 3
+            near[count] = z0
+            count += 1
+    return count
+
+
+@njit(nogil=True)
+def _front_to_back(near, count):
+    """Indices of the draws by nearest z (counting sort: stable, so the same picture every time)."""
+    furthest = np.float32(1e-6)
+    for k in range(count):
+        furthest = max(furthest, near[k])
+    scale = np.float32(SORT_BINS - 1) / furthest
+    begin = np.zeros(SORT_BINS + 1, np.int32)
+    for k in range(count):
+        begin[int(near[k] * scale) + 1] += 1
+    for b in range(SORT_BINS):
+        begin[b + 1] += begin[b]
+    order = np.empty(count, np.int32)
+    for k in range(count):
+        b = int(near[k] * scale)
+        order[begin[b]] = k
+        begin[b] += 1
+    return order

@@ -1,0 +1,172 @@
+"""The rasteriser's last stage: clusters in order of distance against the coarse depth, their triangles to the fillers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from h3data.render.raster.raster_fill import camera_corners, clip_near, fill_large, fill_medium, fill_small
+from h3data.render.raster.raster_simd import (
+    CENTER_X,
+    CENTER_Y,
+    INV_Z_MAX,
+    NEAR_M,
+    SCREEN_HEIGHT,
+    SCREEN_WIDTH,
+    SCREEN_WORDS,
+    SETUP_ROWS,
+    X0,
+    X1,
+    Y0,
+    Y1,
+    count_trailing_zeros,
+    setup_parallel_triangles,
+    setup_triangles,
+    tile_minimum,
+)
+
+TILE = 8
+PACKET_BYTES = 9 * 8 * 4
+OCCLUSION_MARGIN = np.float32(1.00001)
+"""Only what is hidden by more than rounding is skipped."""
+
+# Columns of `Target.draws`.
+INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
+
+
+@njit(nogil=True, forceinline=True, error_model="numpy")
+def nearness_of(z, view):
+    """What the buffer holds at this z."""
+    return view.reach - z if view.parallel else 1 / z
+
+
+@njit(nogil=True)
+def screen_words(view):
+    """What `setup_triangles` reads of the camera."""
+    screen = np.empty(SCREEN_WORDS, np.float32)
+    screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
+    screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
+    return screen
+
+
+@njit(nogil=True)
+def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
+    """Whether everything in these tiles is nearer than the nearness ``inv_z``; refreshes stale tiles on the way."""
+    for ty in range(tile_y0, tile_y1 + 1):
+        for tx in range(tile_x0, tile_x1 + 1):
+            if bounds[ty, tx] >= inv_z:
+                continue
+            if not stale[ty, tx]:
+                return False
+            bounds[ty, tx] = tile_minimum(inv_z_at + np.uintp(ty * TILE * row_bytes + tx * TILE * 4), row_bytes)
+            stale[ty, tx] = 0
+            if bounds[ty, tx] < inv_z:
+                return False
+    return True
+
+
+@njit(nogil=True)
+def draw_clusters(geometry, cut_first, view, target, order):
+    """Draw the clusters in this order, but for those that pass through the near plane or are cut out (``cut_first`` [C]
+    is not -1)."""
+    stride = target.inv_z.shape[1]
+    row_bytes = np.uintp(stride * 4)
+    inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
+    shared_at = np.uintp(geometry.shared_packets.ctypes.data)
+    own_at = np.uintp(geometry.own_packets.ctypes.data)
+    shared_count = len(geometry.shared_packets)
+    matrices_at = np.uintp(target.pixel_from_mesh.ctypes.data)
+    screen = screen_words(view)
+    table = np.empty((SETUP_ROWS, 8), np.float32)
+    boxes = table.view(np.int32)
+    screen_at, table_at = np.uintp(screen.ctypes.data), np.uintp(table.ctypes.data)
+    corners = np.empty(9)
+    cuts, cuts_out = has_near_plane(view), len(cut_first) > 0
+    bounds, stale = target.tile_inv_z, target.tile_stale
+    for draw in order:
+        instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
+        tile_x0, tile_x1 = target.draws[draw, TILE_X0], target.draws[draw, TILE_X1]
+        tile_y0, tile_y1 = target.draws[draw, TILE_Y0], target.draws[draw, TILE_Y1]
+        near = target.near[draw]
+        if cuts and near <= np.float32(view.near):
+            continue  # `draw_cut` follows
+        if cuts_out and cut_first[cluster] >= 0:
+            continue  # `draw_cutouts` follows
+        if near > 0 or view.parallel:
+            nearest = np.float32(nearness_of(near, view)) * OCCLUSION_MARGIN
+            if hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, bounds, stale, inv_z_at, row_bytes):
+                continue
+        first, end = geometry.cluster_packets[cluster]
+        packet_at = shared_at + np.uintp(first * PACKET_BYTES)
+        if first >= shared_count:
+            packet_at = own_at + np.uintp((first - shared_count) * PACKET_BYTES)
+        matrix_at = matrices_at + np.uintp(instance * 48)
+        word = np.int32(draw * 128)
+        for packet in range(end - first):
+            if view.parallel:
+                masks = setup_parallel_triangles(packet_at, matrix_at, screen_at, table_at)
+            else:
+                masks = setup_triangles(packet_at, matrix_at, screen_at, table_at)
+            small, large, medium = masks & 255, (masks >> 8) & 255, masks >> 16
+            while small:
+                lane = count_trailing_zeros(small)
+                small &= small - 1
+                fill_small(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
+            while medium:
+                lane = count_trailing_zeros(medium)
+                medium &= medium - 1
+                if not lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+                    fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word + lane)
+            while large:
+                lane = count_trailing_zeros(large)
+                large &= large - 1
+                soup = geometry.shared_packets
+                p = first + packet
+                if first >= shared_count:
+                    soup, p = geometry.own_packets, p - shared_count
+                nearest = camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], corners)
+                is_near = nearest < NEAR_M * 1.001 and not view.parallel
+                if is_near or not lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+                    fill_large(corners, view, is_near, boxes[:, lane], inv_z_at, words_at, stride, word + lane)
+            packet_at += np.uintp(PACKET_BYTES)
+            word += np.int32(8)
+        for ty in range(tile_y0, tile_y1 + 1):
+            for tx in range(tile_x0, tile_x1 + 1):
+                stale[ty, tx] = 1
+
+
+@njit(nogil=True, forceinline=True)
+def has_near_plane(view):
+    """Whether triangles are cut; a perspective camera without one sees up to its eye."""
+    return view.near > 0 or view.parallel
+
+
+@njit(nogil=True)
+def draw_cut(geometry, cut_first, view, target, order):
+    """Draw the clusters that pass through the near plane, which `draw_clusters` leaves out: exactly, one by one."""
+    stride = target.inv_z.shape[1]
+    inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
+    shared_count = len(geometry.shared_packets)
+    pieces, no_box = np.empty((2, 9)), np.zeros(SETUP_ROWS, np.int32)
+    for draw in order:
+        instance, cluster = target.draws[draw, INSTANCE], target.draws[draw, CLUSTER]
+        if target.near[draw] > np.float32(view.near) or (len(cut_first) and cut_first[cluster] >= 0):
+            continue
+        first, end = geometry.cluster_packets[cluster]
+        for packet in range(first, end):
+            soup, p = geometry.shared_packets, packet
+            if first >= shared_count:
+                soup, p = geometry.own_packets, packet - shared_count
+            for lane in range(8):
+                camera_corners(soup[p, :, lane], target.camera_from_mesh[instance], pieces[0])
+                word = np.int32(draw * 128 + (packet - first) * 8 + lane)
+                for k in range(clip_near(pieces, view.near)):
+                    fill_large(pieces[k], view, True, no_box, inv_z_at, words_at, stride, word)
+
+
+@njit(nogil=True, forceinline=True)
+def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
+    """As `hidden`, of one triangle of a packet that is set up."""
+    nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
+    x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
+    return hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

@@ -1,0 +1,47 @@
+"""Pictures out of a drawn target: depth, ids and triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from h3data.kernels import kernel
+from h3data.render.raster.raster import CLUSTER, INSTANCE
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def read_depth(inv_z, depth):
+    """Write z-depth [H, W] [m], 0 where nothing is."""
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            w = inv_z[y, x]
+            depth[y, x] = np.float32(1) / w if w > 0 else np.float32(0)
+
+
+@kernel(boundscheck=False)
+def read_parallel_depth(nearness, reach, depth):
+    """As `read_depth`, of an orthographic camera."""
+    for y in range(depth.shape[0]):
+        for x in range(depth.shape[1]):
+            w = nearness[y, x]
+            depth[y, x] = np.float32(reach - w) if w > 0 else np.float32(0)
+
+
+@kernel(boundscheck=False)
+def read_ids(words, draws, ids_of_instances, ids):
+    """Write an id per pixel [H, W] from a table per instance [I]; -1 where nothing is."""
+    for y in range(ids.shape[0]):
+        for x in range(ids.shape[1]):
+            word = words[y, x]
+            ids[y, x] = ids_of_instances[draws[word >> 7, INSTANCE]] if word >= 0 else np.int32(-1)
+
+
+@kernel(boundscheck=False)
+def read_triangles(words, draws, cluster_packets, packet_triangles, triangles):
+    """Write the mesh's triangle per pixel [H, W]; -1 where nothing is."""
+    for y in range(triangles.shape[0]):
+        for x in range(triangles.shape[1]):
+            word = words[y, x]
+            triangles[y, x] = -1
+            if word >= 0:
+                packet = cluster_packets[draws[word >> 7, CLUSTER], 0] + ((word & 127) >> 3)
+                triangles[y, x] = packet_triangles[packet, word & 7]

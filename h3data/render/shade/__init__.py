@@ -1,0 +1,1 @@
+"""Colours from the visibility buffer: light, textures, occlusion."""

@@ -1,0 +1,36 @@
+"""Arrays that a kernel only borrows: without reference counts, whose atomic operations cost more than small functions do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+from h3data.render.raster.vectors import intrinsic
+
+
+@intrinsic
+def borrowed(typing_context, value):
+    """The same array, or tuple of such, that no longer keeps its memory alive; who called the kernel does.
+
+    Numba counts a reference whenever an array is taken out of a tuple.
+    """
+
+    def codegen(context, builder, signature, arguments):
+        return _without_owner(context, builder, signature.args[0], arguments[0])
+
+    return value(value), codegen
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        array.meminfo = ir.Constant(array.meminfo.type, None)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        members: Any = kind
+        for k, member in enumerate(members):
+            part = _without_owner(context, builder, member, builder.extract_value(value, k))
+            value = builder.insert_value(value, part, k)
+    return value

@@ -1,0 +1,197 @@
+"""Ambient occlusion: how much of the light from all around is kept off by what stands near, from the depth buffer alone.
+
+Scalable ambient obscurance (McGuire et al. 2012) on a picture of half the size: a few taps on a disc of fixed size in the
+world, turned from pixel to pixel, each asked how far it rises above the pixel's own plane; then a blur and an interpolation
+that keep to one surface. What is further away than the disc's radius does not count, so there are no halos; a plane is not
+occluded by itself, so open floors and walls keep their colour exactly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel
+from h3data.render.raster.raster import FAR_PADDING, Target, View
+from h3data.render.shade.occlusion_simd import (
+    BIAS_PER_Z,
+    CENTER_X,
+    CENTER_Y,
+    FOCAL_X,
+    FOCAL_Y,
+    GAIN,
+    LAST_X,
+    LAST_Y,
+    NEAR_RADIUS,
+    NOWHERE,
+    OFFSETS,
+    RADIUS,
+    TABLE_WORDS,
+    TAPS,
+    blur_block,
+    dim_block,
+    occlusion_block,
+)
+
+RADIUS_M = 0.32
+"""What stands further away does not occlude."""
+SPREAD = 0.18
+"""Of what is very near, the radius is at most this share of its distance: the disc stays small in the picture."""
+CONTRAST = 11.0
+"""Scales the mean m over the taps; the amount is then m / (1 + m): about a half in a right-angled corner."""
+BIAS_PER_M = 0.001
+"""A point counts as occluding if it rises above the surface by more than `BIAS_M` and this share of its distance."""
+RECEDED_M = 100.0
+"""Where an orthographic picture is taken to be seen from, by an eye this far behind the camera."""
+DENSITY = 1.5
+"""Exponent of the taps' distances from the middle; 0.5 would spread them evenly over the disc."""
+EDGE, EDGE_ROWS = 8, 2
+"""Columns and rows around the coarse picture, so that blocks may overrun."""
+
+
+def _offsets() -> NDArray[np.float64]:
+    """Taps on the unit disc for every pixel of a 4 x 4 square, repeated to 8 lanes: [4 rows, TAPS, x y, 8].
+
+    A spiral, turned and stretched a little from pixel to pixel by an ordered dither (neighbours differ much); denser
+    towards the middle, for contacts.
+    """
+    order = np.tile([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], 2)[:, None, :]
+    tap = np.arange(TAPS)[None, :, None]
+    angle = tap * np.pi * (3 - np.sqrt(5)) + order * (2 * np.pi / 16)
+    length = ((tap + ((order * 7 + 3) % 16 + 0.5) / 16) / TAPS) ** DENSITY
+    return np.stack([length * np.cos(angle), length * np.sin(angle)], axis=2)
+
+
+TAP_OFFSETS = _offsets()
+
+
+class Occlusion(NamedTuple):
+    """The coarse picture, of half the size; with edges around it."""
+
+    inv_z: NDArray[np.float32]
+    """1/z, 0 = nothing, shape [rows, columns] [1/m]."""
+    planes: NDArray[np.float32]
+    """Slopes of 1/z along x and y, sharpness and the amount 0..1, shape [4, rows, columns]."""
+
+
+def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
+    """What all blocks share (words of `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
+    fx, fy, cx, cy = view.intrinsics
+    afar = RECEDED_M if view.parallel else 1.0
+    table = np.zeros(TABLE_WORDS, np.float32)
+    table[FOCAL_X], table[FOCAL_Y] = fx * afar / factor, fy * afar / factor
+    table[BIAS_PER_Z] = BIAS_PER_M / afar
+    table[CENTER_X], table[CENTER_Y] = (cx - 0.5) / factor, (cy - 0.5) / factor
+    table[LAST_X], table[LAST_Y] = last_x, last_y
+    table[RADIUS], table[NEAR_RADIUS], table[GAIN] = RADIUS_M, SPREAD, CONTRAST / TAPS
+    table[OFFSETS:] = TAP_OFFSETS.ravel()
+    return table
+
+
+def receded(view: View, target: Target) -> NDArray[np.float32]:
+    """1/z of an orthographic picture as an eye far behind the camera would see it, shape of ``target.inv_z``."""
+    z = view.reach - target.inv_z
+    seen = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
+    return np.where(seen, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
+
+
+def occlude(view: View, target: Target, samples: int) -> Occlusion:
+    """The occlusion of a drawn target; with ``samples=4``, target and view have twice the picture's size.
+
+    For an orthographic view ``target`` holds what `receded` made.
+    """
+    factor = 4 if samples == 4 else 2
+    height, width = -(-view.height // factor), -(-view.width // factor)
+    rows, columns = height + 2 * EDGE_ROWS, -(-width // 8) * 8 + 2 * EDGE
+    inv_z = np.empty((rows, columns), np.float32)
+    planes = np.empty((4, rows, columns), np.float32)
+    scratch = np.empty((2, rows, columns), np.float32)
+    _occlude(target.inv_z, factor, height, width, _table(view, factor, width - 1, height - 1), inv_z, planes, scratch)
+    return Occlusion(inv_z, planes)
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
+    """Fill ``inv_z`` and ``planes``; ``scratch`` holds z and half-blurred amounts."""
+    row = inv_z.shape[1]
+    row_bytes, plane_bytes = np.uintp(row * 4), np.uintp(inv_z.size * 4)
+    z = scratch[0]
+    inv_z[:] = FAR_PADDING
+    scratch[1] = 0
+    for y in range(height):
+        for x in range(width):
+            w = source[y * factor, x * factor]
+            inv_z[y + EDGE_ROWS, x + EDGE] = w
+            z[y + EDGE_ROWS, x + EDGE] = np.float32(1) / w if w > 0 else np.float32(1e6)
+    first = np.uintp((EDGE_ROWS * row + EDGE) * 4)
+    inv_z_at, z_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(z.ctypes.data) + first
+    planes_at, half_at = np.uintp(planes.ctypes.data) + first, np.uintp(scratch.ctypes.data) + plane_bytes + first
+    table_at = np.uintp(table.ctypes.data)
+    for y in range(height):
+        for x in range(0, width, 8):
+            occlusion_block(inv_z_at, z_at, planes_at, plane_bytes, np.uintp(x), np.uintp(y), np.uintp(row), table_at)
+    _clear_edges(planes, height, width)
+    amount_at = planes_at + np.uintp(3) * plane_bytes
+    sharpness_at = planes_at + np.uintp(2) * plane_bytes
+    for y in range(height):
+        for x in range(0, width, 8):
+            k = np.uintp((y * row + x) * 4)
+            blur_block(inv_z_at + k, planes_at + k, sharpness_at + k, amount_at + k, half_at + k, np.uintp(4))
+    for y in range(height):
+        for x in range(0, width, 8):
+            k = np.uintp((y * row + x) * 4)
+            slope_at = planes_at + plane_bytes + k
+            blur_block(inv_z_at + k, slope_at, sharpness_at + k, half_at + k, amount_at + k, row_bytes)
+    _clear_edges(planes, height, width)
+
+
+@njit(nogil=True)
+def _clear_edges(planes, height, width):
+    """No amount around the picture, and planes that nothing lies on."""
+    for k in range(4):
+        value = np.float32(FAR_PADDING if k == 2 else 0)
+        planes[k, :EDGE_ROWS] = value
+        planes[k, EDGE_ROWS + height :] = value
+        planes[k, :, :EDGE] = value
+        planes[k, :, EDGE + width :] = value
+
+
+@njit(nogil=True)
+def dim_row(occlusion, strength, y, near, strip):
+    """Dim a row of linear levels (first three rows of ``strip``) by the picture's own 1/z ``near``, both [W + 8]."""
+    inv_z, planes = occlusion
+    row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)
+    first = np.uintp(((y // 2 + EDGE_ROWS) * inv_z.shape[1] + EDGE) * 4)
+    inv_z_at, planes_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(planes.ctypes.data) + first
+    near_at, strip_at, strip_bytes = (
+        np.uintp(near.ctypes.data),
+        np.uintp(strip.ctypes.data),
+        np.uintp(strip.shape[1] * 4),
+    )
+    between = y & 1
+    lower_bytes, half_row = row_bytes * np.uintp(between), np.float32(0.5 * between)
+    for x in range(0, len(near) - 8, 8):
+        c, f = np.uintp(x // 2 * 4), np.uintp(x * 4)
+        dim_block(
+            inv_z_at + c, planes_at + c, plane_bytes, lower_bytes, near_at + f, strip_at + f, strip_bytes,
+            half_row, strength,
+        )  # fmt: skip
+
+
+@njit(nogil=True, error_model="numpy")
+def light_left(occlusion, strength, x, y, near):
+    """What `dim_row` leaves of the light at pixel (x, y) of the picture, for one sample of 1/z ``near``."""
+    inv_z, planes = occlusion
+    total, weights = 0.0, NOWHERE
+    for down in range(2):
+        for right in range(2):
+            r, c = (y + down) // 2 + EDGE_ROWS, (x + right) // 2 + EDGE
+            dx, dy = 0.5 * (x - 2 * (c - EDGE)), 0.5 * (y - 2 * (r - EDGE_ROWS))
+            expected = inv_z[r, c] + planes[0, r, c] * dx + planes[1, r, c] * dy
+            weight = max(1 - abs(near - expected) * planes[2, r, c], 0.0)
+            total += weight * planes[3, r, c]
+            weights += weight
+    return 1 - strength * total / weights

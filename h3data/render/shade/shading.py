@@ -1,0 +1,284 @@
+"""RGB and normals from the visibility buffer, once per pixel (or once per quarter pixel at edges).
+
+Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun, a weak fill light and one at the camera;
+corners and contacts get darker (`occlusion`); cast shadows are an option (`Light.shadow_rays`). Surfaces are lit on both
+sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from h3data.geometry import normalized
+from h3data.kernels import kernel
+from h3data.render.raster.raster import FAR_PADDING, Geometry, Placement, Target, View
+from h3data.render.shade.borrowed import borrowed
+from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
+from h3data.render.shade.shading_setup import NO_TEXTURE, new_cache, set_up, slot_of
+from h3data.render.shade.shading_simd import (
+    ATTRIBUTES,
+    BLOCK_WORDS,
+    LEVEL,
+    RAY,
+    TONE_LIMIT,
+    TONE_SIZE,
+    light_block,
+    light_coordinates_block,
+    sky_block,
+    texture_block,
+)
+from h3data.render.shade.surface import Surface
+from h3data.render.shade.textures_simd import LEVEL_WORDS, ONE_LEVEL
+from h3data.srgb import bytes_to_linear, linear_to_srgb
+
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """Light of a scene; colours are linear RGB."""
+
+    sky: Color = (0.56, 0.58, 0.61)
+    """What a surface that faces up gets from all around."""
+    ground: Color = (0.44, 0.42, 0.39)
+    """What a surface that faces down gets."""
+    sun: Color = (0.42, 0.40, 0.36)
+    sun_direction: Color = (0.28, 0.75, 0.60)
+    """Towards the sun, world frame; not halfway between x and z, so that walls at a corner differ."""
+    fill: Color = (0.10, 0.12, 0.15)
+    fill_direction: Color = (-0.90, 0.15, -0.35)
+    """A weak second light from the other side, for the same reason."""
+    headlight: Color = (0.08, 0.08, 0.08)
+    """From the camera; keeps shapes readable that no other light reaches."""
+    horizon: Color = (0.80, 0.85, 0.90)
+    """Background at eye level and below."""
+    zenith: Color = (0.45, 0.60, 0.80)
+    """Background straight up."""
+    occlusion: float = 0.7
+    """How much darker corners and contacts get, 0..1; 0 switches it off (and costs nothing)."""
+    shadow_rays: int = 0
+    """Rays towards the sun per pixel, for cast shadows with soft edges; 0 = no cast shadows. Needs the extra ``rays``."""
+    sun_size_deg: float = 2.0
+    """How wide the sun is: wider makes softer edges; seen from Earth it is half a degree."""
+
+
+_SHOULDER = 0.75
+_MIXED = np.int32(-2)
+"""Stands in a row of words for "four samples that differ"."""
+_BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
+"""Samples are averaged up to this level, or one bright spot would eat an edge."""
+
+
+def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Linear values, unchanged up to 0.75, above bent smoothly so that 1 is only reached at infinity."""
+    rest = 1 - _SHOULDER
+    return np.where(value <= _SHOULDER, value, 1 - rest * np.exp(-np.maximum(value - _SHOULDER, 0) / rest))
+
+
+LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
+BYTE_OF_LINEAR = np.round(
+    255 * linear_to_srgb(tone_map((np.arange(TONE_SIZE) + 0.5) * (TONE_LIMIT / TONE_SIZE)))
+).astype(np.uint8)
+
+
+_NO_OCCLUSION = Occlusion(np.zeros((0, 0), np.float32), np.zeros((4, 0, 0), np.float32))
+
+
+def light_table(light: Light) -> NDArray[np.float32]:
+    sky, ground = np.array(light.sky), np.array(light.ground)
+    colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
+    directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
+    return np.concatenate([*colors, *directions, light.horizon, light.zenith]).astype(np.float32)
+
+
+def shade(
+    geometry: Geometry,
+    surface: Surface,
+    placement: Placement,
+    view: View,
+    target: Target,
+    light: Light,
+    rgb: NDArray[np.uint8] | None,
+    normal: NDArray[np.float32] | None,
+    samples: int,
+) -> None:
+    """Write ``rgb`` [H, W, 3] and ``normal`` [H, W, 3] of a drawn target; None is left out.
+
+    With ``samples=4`` target and view have twice the size of ``rgb``, and pixels in which not all four samples see the
+    same triangle are averaged (in linear light).
+    """
+    no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
+    strength = light.occlusion if rgb is not None else 0.0
+    if view.parallel and strength > 0:
+        target = target._replace(inv_z=receded(view, target))
+    occlusion = occlude(view, target, samples) if strength > 0 else _NO_OCCLUSION
+    _shade_image(
+        geometry,
+        surface,
+        placement.matrix,
+        view,
+        target,
+        new_cache(),
+        light_table(light),
+        (LINEAR_OF_BYTE, BYTE_OF_LINEAR),
+        occlusion,
+        np.float32(strength),
+        no_rgb if rgb is None else rgb,
+        no_normal if normal is None else normal,
+        samples == 4,
+    )
+
+
+@kernel(error_model="numpy", boundscheck=False)
+def _shade_image(
+    geometry, surface, matrices, view, target, cache, light, tables, occlusion, strength, rgb, normal, fine
+):
+    geometry, surface, target = borrowed(geometry), borrowed(surface), borrowed(target)
+    cache, occlusion = borrowed(cache), borrowed(occlusion)
+    factor = 2 if fine else 1
+    height, width = view.height // factor, view.width // factor
+    cofactors = _normal_matrices(matrices)
+    triangles = cache.words
+    texture_at = (np.uintp(surface.textures.levels.ctypes.data), np.uintp(surface.textures.words.ctypes.data))
+    block = np.empty(BLOCK_WORDS, np.float32)
+    strip = np.zeros((6, width + 8), np.int32)  # 8 more: blocks may overrun
+    sample = np.zeros((6, 8), np.int32)
+    coordinates = np.zeros((3, width + 8), np.float32)
+    row = np.zeros(width, np.int32)
+    near = np.zeros(width + 8, np.float32)
+    words, axes = target.words, view.axes.copy()
+    if view.parallel:  # every ray is the same
+        axes[:, :2] = 0
+    linear, byte_of_level = tables
+    fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
+    pixel = (factor / fx, factor / fy)
+    for y in range(height):
+        _row_words(words, y, fine, row)
+        v = ((y + 0.5) * factor - cy) / fy
+        x = 0
+        while x < width:
+            word = row[x]
+            end = x + 1
+            if word == _MIXED:
+                strip[:3, x] = 0
+                for k in range(4):
+                    sx, sy = 2 * x + (k & 1), 2 * y + (k >> 1)
+                    u1, v1 = (sx + 0.5 - cx) / fx, (sy + 0.5 - cy) / fy
+                    word = words[sy, sx]
+                    if word >= 0:
+                        slot = slot_of(word)
+                        if triangles[slot] != word:
+                            set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                        _light_run(slot, cache, texture_at, u1, v1, 0.0, 0, 1, axes, light, block, coordinates, sample)
+                    else:
+                        _sky_run(u1, v1, 0.0, 0, 1, axes, light, block, sample)
+                    left = light_left(occlusion, strength, x, y, target.inv_z[sy, sx]) if strength > 0 else 1.0
+                    for a in range(3):
+                        strip[a, x] += int(min(sample[a, 0], _BRIGHTEST_SAMPLE) * left)
+                for a in range(3):
+                    strip[a, x] >>= 2
+            else:
+                while end < width and row[end] == word:
+                    end += 1
+                u, step = ((x + 0.5) * factor - cx) / fx, pixel[0]
+                if word >= 0:
+                    slot = slot_of(word)
+                    if triangles[slot] != word:
+                        set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel)
+                    _light_run(slot, cache, texture_at, u, v, step, x, end, axes, light, block, coordinates, strip)
+                else:
+                    _sky_run(u, v, step, x, end, axes, light, block, strip)
+            x = end
+        if strength > 0:
+            for x in range(width):
+                near[x] = target.inv_z[y * factor, x * factor] if row[x] != _MIXED else FAR_PADDING
+            dim_row(occlusion, strength, y, near, strip)
+        if rgb.size:
+            for x in range(width):
+                for a in range(3):
+                    rgb[y, x, a] = byte_of_level[strip[a, x]]
+        if normal.size:
+            normals = strip.view(np.float32)
+            for x in range(width):
+                for a in range(3):
+                    normal[y, x, a] = normals[3 + a, x]
+
+
+@njit(nogil=True)
+def _row_words(words, y, fine, row):
+    """Write the words of a picture's row [W]; `_MIXED` where the four samples of a pixel differ."""
+    if not fine:
+        row[:] = words[y, : len(row)]
+        return
+    upper, lower = words[2 * y], words[2 * y + 1]
+    for x in range(len(row)):
+        word = upper[2 * x]
+        same = (word == upper[2 * x + 1]) & (word == lower[2 * x]) & (word == lower[2 * x + 1])
+        row[x] = word if same else _MIXED
+
+
+@njit(nogil=True)
+def _normal_matrices(matrices):
+    """Cofactors of the 3x3 parts [I, 3, 3]: they turn normals rightly under any scale (up to length and sign)."""
+    out = np.empty((len(matrices), 3, 3))
+    for i in range(len(matrices)):
+        m = matrices[i]
+        for r in range(3):
+            r1, r2 = (r + 1) % 3, (r + 2) % 3
+            for c in range(3):
+                c1, c2 = (c + 1) % 3, (c + 2) % 3
+                out[i, r, c] = m[r1, c1] * m[r2, c2] - m[r1, c2] * m[r2, c1]
+    return out
+
+
+# --- runs of pixels -------------------------------------------------------------------------------------------------
+@njit(nogil=True, forceinline=True)
+def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
+    """Light pixels begin..end of a strip that see one triangle; the first one's ray is (u, v, 1)."""
+    _, planes, attributes, levels = cache
+    row_bytes = np.uintp(strip.shape[1] * 4)
+    strip_at = np.uintp(strip.ctypes.data)
+    attributes_at = np.uintp(attributes.ctypes.data) + np.uintp(slot * ATTRIBUTES * 4)
+    block_at, light_at = np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    coordinates_at, coordinates_bytes = np.uintp(coordinates.ctypes.data), np.uintp(coordinates.shape[1] * 4)
+    level = levels[slot]
+    for k in range(3):
+        block[2 * k + 1] = planes[slot, k, 0] * step
+        block[RAY + 2 * k + 1] = axes[k, 0] * step
+    for x in range(begin, end, 8):
+        first = u + step * (x - begin)
+        for k in range(3):
+            block[2 * k] = planes[slot, k, 0] * first + planes[slot, k, 1] * v + planes[slot, k, 2]
+            block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+        at = strip_at + np.uintp(x * 4)
+        if level == NO_TEXTURE:
+            light_block(block_at, attributes_at, light_at, at, row_bytes)
+        else:
+            uv_at = coordinates_at + np.uintp(x * 4)
+            light_coordinates_block(block_at, attributes_at, light_at, at, row_bytes, uv_at, coordinates_bytes)
+    if level != NO_TEXTURE:
+        levels_at, words_at = texture_at[0] + np.uintp(level * LEVEL_WORDS * 4), texture_at[1]
+        for x in range(begin, end, 8):
+            at, uv_at = strip_at + np.uintp(x * 4), coordinates_at + np.uintp(x * 4)
+            detail = coordinates[LEVEL, x]  # the first pixel's decides for all 8
+            base = np.int32(detail + np.float32(ONE_LEVEL))
+            blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # other pixels may need it
+            texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
+
+
+@njit(nogil=True, forceinline=True)
+def _sky_run(u, v, step, begin, end, axes, light, block, strip):
+    """Write pixels begin..end of a strip that see nothing; the first one's ray is (u, v, 1)."""
+    row_bytes = np.uintp(strip.shape[1] * 4)
+    strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
+    for k in range(3):
+        block[RAY + 2 * k + 1] = axes[k, 0] * step
+    for x in range(begin, end, 8):
+        first = u + step * (x - begin)
+        for k in range(3):
+            block[RAY + 2 * k] = axes[k, 0] * first + axes[k, 1] * v + axes[k, 2]
+        sky_block(block_at, light_at, strip_at + np.uintp(x * 4), row_bytes)

@@ -1,0 +1,187 @@
+"""Lighting of 8 pixels at a time, as numba intrinsics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from h3data.render.raster.vectors import FLOAT, INT8, INT64, Vec, fma, intrinsic, lanes, load, splat, store
+from h3data.render.shade.textures_simd import level_of_detail, texel
+
+TONE_SIZE = 8192
+TONE_LIMIT = 2.0
+"""Colours leave here as int32 linear levels: `TONE_SIZE` of them from 0 to `TONE_LIMIT`."""
+
+# Float32 words of a triangle's attributes: colour and normal at vertex 0, and the differences of vertices 1 and 2.
+COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
+# Texture coordinates likewise [repeats]; the size of the finest level [texels]; and what 1/z and the coordinates' differences
+# from vertex 0 over z change by from pixel to pixel, along x and along y (with the planes' common factor).
+# The number of the coarsest level.
+UV, UV_1, UV_2, TEXELS, NEARNESS_STEP, UV_STEP_X, UV_STEP_Y, LAST_LEVEL = 18, 20, 22, 24, 26, 28, 30, 32
+ATTRIBUTES = 33
+# Float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, two directions, and the
+# background's colours.
+MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH = 0, 3, 6, 9, 12, 15, 18, 21, 24
+# Float32 words of a block's rays and planes: value at its first pixel, then the step to the next pixel.
+NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
+BLOCK_WORDS = 12
+# Rows that a block of a textured triangle leaves behind: texture coordinates [repeats] and level of detail.
+S, T, LEVEL = 0, 1, 2
+
+
+def _dot(a: list[Vec], b: list[Vec]) -> Vec:
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+
+
+def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
+    """Words from ``first`` on, each in all lanes."""
+    return [Vec(b, splat(b, load(b, address, 4 * (first + a), FLOAT))) for a in range(count)]
+
+
+def _linear(b: Any, block_at: Any, first: int) -> Vec:
+    """What goes from pixel to pixel in equal steps."""
+    start, step = (Vec(b, splat(b, load(b, block_at, 4 * (first + k), FLOAT))) for k in range(2))
+    return fma(step, lanes(b), start)
+
+
+def _store_level(b: Any, color: Vec, strip_at: Any) -> None:
+    level = (color * (TONE_SIZE / TONE_LIMIT)).maximum(0.0).minimum(TONE_SIZE - 1.0)
+    store(b, b.fptosi(level.value, INT8), strip_at)
+
+
+def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count: int = 3) -> list[Vec]:
+    """An attribute of ``count`` words at the barycentrics of vertices 1 and 2."""
+    corner, to_second, to_third = (_words(b, attributes_at, first + k * count, count) for k in range(3))
+    return [fma(third, d3, fma(second, d2, c)) for c, d2, d3 in zip(corner, to_second, to_third, strict=True)]
+
+
+def _store_coordinates(
+    b: Any, attributes_at: Any, z: Vec, second: Vec, third: Vec, coordinates_at: Any, row_bytes: Any
+) -> None:
+    """Write S, T and LEVEL, which fits the pixel's longer side on the texture (Williams 1983)."""
+    corner, to_second, to_third = (_words(b, attributes_at, first, 2) for first in (UV, UV_1, UV_2))
+    beyond = [fma(third, d3, second * d2) for d2, d3 in zip(to_second, to_third, strict=True)]
+    size, nearness_step = _words(b, attributes_at, TEXELS, 2), _words(b, attributes_at, NEARNESS_STEP, 2)
+    sides = []
+    for step, first in zip(nearness_step, (UV_STEP_X, UV_STEP_Y), strict=True):
+        # (s / w)' = (s' - (s / w) w') / w
+        s, t = (
+            (uv_step - place * step) * count
+            for uv_step, place, count in zip(_words(b, attributes_at, first, 2), beyond, size, strict=True)
+        )
+        sides.append(fma(s, s, t * t))
+    last = _words(b, attributes_at, LAST_LEVEL, 1)[0]
+    level = level_of_detail(b, sides[0].maximum(sides[1]) * (z * z), last)
+    for row in (*(start + way for start, way in zip(corner, beyond, strict=True)), level):
+        store(b, row.value, coordinates_at)
+        coordinates_at = b.add(coordinates_at, row_bytes)
+
+
+def _emit_light(
+    b: Any, block_at: Any, attributes_at: Any, light_at: Any, strip_at: Any, row_bytes: Any, coordinates: Any = None
+) -> None:
+    def mix(first: int) -> list[Vec]:
+        return _mix(b, attributes_at, first, second, third)
+
+    # perspective-correct barycentrics: (b / z) / (1 / z); clamped, since the inside test is a little generous
+    z = _linear(b, block_at, NEARNESS).reciprocal()
+    second = (_linear(b, block_at, SECOND) * z).maximum(0.0).minimum(1.0)
+    third = (_linear(b, block_at, THIRD) * z).maximum(0.0).minimum(1.0)
+
+    if coordinates is not None:
+        _store_coordinates(b, attributes_at, z, second, third, *coordinates)
+    normal = mix(NORMAL)
+    squared = _dot(normal, normal).maximum(1e-20)
+    scale = squared.unary("sqrt").reciprocal()
+    normal = [n * scale for n in normal]
+    ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
+    facing = (-_dot(normal, ray)).maximum(0.0).divided_by(_dot(ray, ray).unary("sqrt"))
+    sunny = _dot(normal, _words(b, light_at, SUN_DIRECTION)).maximum(0.0)
+    filled = _dot(normal, _words(b, light_at, FILL_DIRECTION)).maximum(0.0)
+
+    color = mix(COLOR)
+    mean, up, sun, fill, head = (_words(b, light_at, k) for k in (MEAN, UP, SUN, FILL, HEADLIGHT))
+    for a in range(3):
+        light = fma(up[a], normal[1], fma(sun[a], sunny, fma(fill[a], filled, fma(head[a], facing, mean[a]))))
+        if coordinates is None:
+            _store_level(b, color[a] * light, strip_at)
+        else:
+            store(b, (color[a] * light).value, strip_at)
+        strip_at = b.add(strip_at, row_bytes)
+    for n in normal:
+        store(b, n.value, strip_at)
+        strip_at = b.add(strip_at, row_bytes)
+
+
+@intrinsic
+def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
+    """Light 8 neighbouring pixels of one triangle.
+
+    Addresses of the tables described above and of the strip: 6 rows, of which three get linear levels (int32) and three
+    the unit normal (float32).
+    """
+
+    def codegen(context, builder, signature, arguments):
+        _emit_light(builder, *arguments)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p, p), codegen
+
+
+@intrinsic
+def light_coordinates_block(
+    typing_context, block_at, attributes_at, light_at, strip_at, row_bytes, coordinates_at, coordinates_bytes
+):
+    """As `light_block`, for a triangle with a texture: `texture_block` is yet to come.
+
+    The strip gets float32 colours instead of levels; S, T and LEVEL go to rows of their own.
+    """
+
+    def codegen(context, builder, signature, arguments):
+        _emit_light(builder, *arguments[:5], coordinates=arguments[5:])
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p, p, p, p), codegen
+
+
+@intrinsic
+def texture_block(
+    typing_context, strip_at, row_bytes, coordinates_at, coordinates_bytes, base, blended, levels_at, words_at
+):
+    """Turn the colours that `light_coordinates_block` left into levels; levels of detail as in `textures_simd.texel`."""
+
+    def codegen(context, b, signature, arguments):
+        strip_at, row_bytes, coordinates_at, coordinates_bytes, base, blended, levels_at, words_at = arguments
+        coordinates = [
+            Vec(b, load(b, b.add(coordinates_at, b.mul(coordinates_bytes, INT64(row))))) for row in (S, T, LEVEL)
+        ]
+        for color in texel(b, coordinates, base, blended, levels_at, words_at):
+            _store_level(b, color * Vec(b, load(b, strip_at)), strip_at)
+            strip_at = b.add(strip_at, row_bytes)
+        return context.get_dummy_value()
+
+    p, i = types.uintp, types.int32
+    return types.void(p, p, p, p, i, i, p, p), codegen
+
+
+@intrinsic
+def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
+    """Write 8 neighbouring pixels of background, from horizon to zenith by the ray's elevation; as `light_block`."""
+
+    def codegen(context, b, signature, arguments):
+        block_at, light_at, strip_at, row_bytes = arguments
+        ray = [_linear(b, block_at, RAY + 2 * a) for a in range(3)]
+        height = ray[1].divided_by(_dot(ray, ray).unary("sqrt")).maximum(0.0).minimum(1.0)
+        for horizon, zenith in zip(_words(b, light_at, HORIZON), _words(b, light_at, ZENITH), strict=True):
+            _store_level(b, fma(zenith - horizon, height, horizon), strip_at)
+            strip_at = b.add(strip_at, row_bytes)
+        for _ in range(3):
+            store(b, (height * 0.0).value, strip_at)
+            strip_at = b.add(strip_at, row_bytes)
+        return context.get_dummy_value()
+
+    p = types.uintp
+    return types.void(p, p, p, p), codegen

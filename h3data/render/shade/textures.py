@@ -1,0 +1,104 @@
+"""The textures of a scene in one array: mip levels that are averaged in linear light, each texel one word.
+
+A word holds the square roots of linear red, green and blue in 11, 11 and 10 bits: finer than sRGB bytes everywhere, and
+squaring gives linear light back. Where a texture is not opaque, levels average what is seen of it, and texels of no opacity
+take their colour from coarser levels, so that what hides under them shows nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.mesh.records import Texture
+from h3data.render.shade.textures_simd import FOLLOWING, HEIGHT, LEVEL_WORDS, OFFSET, WIDTH
+from h3data.srgb import bytes_to_linear
+
+BITS = (11, 11, 10)
+SHIFTS = (21, 10, 0)
+WORD_SCALE = tuple((1 + 1e-6) / (2**bits - 1) ** 2 for bits in BITS)
+"""Linear light of one squared step of a word's channels; a hair more, so that rounding never takes anything from white."""
+
+_LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
+
+
+class Textures(NamedTuple):
+    """The packed textures."""
+
+    words: NDArray[np.uint32]
+    """All levels of all textures, row by row, shape [N]. Each level has one more column and row: its first ones again, so
+    that neighbours lie side by side."""
+    levels: NDArray[np.int32]
+    """A texture's levels, finest first, and then the next texture's; columns of `textures_simd`, shape [L, 4]."""
+    first_level: NDArray[np.int32]
+    """Row of each texture's finest level, shape [T]."""
+
+
+def pack_textures(textures: Sequence[Texture]) -> Textures:
+    """Pack textures with all their levels, down to a single texel."""
+    words, levels, first = [np.zeros(0, np.uint32)], [], []
+    offset = 0
+    for texture in textures:
+        pyramid = mip_levels(texture.pixels)
+        first.append(len(levels))
+        for k, linear in enumerate(pyramid):
+            row = np.zeros(LEVEL_WORDS, np.int32)
+            row[OFFSET], row[HEIGHT], row[WIDTH] = offset, *linear.shape[:2]
+            row[FOLLOWING] = len(pyramid) - 1 - k
+            levels.append(row)
+            words.append(np.pad(_words(linear), ((0, 1), (0, 1)), mode="wrap").ravel())
+            offset += words[-1].size
+    return Textures(
+        np.concatenate(words),
+        np.array(levels, np.int32).reshape(-1, LEVEL_WORDS),
+        np.array(first, np.int32),
+    )
+
+
+def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+    """Linear colours of a texture [H, W, 4] and of its halvings down to one texel, each [h, w, 3].
+
+    Halving averages boxes of 2 texels, of 2 and a part where the number is odd, weighted by opacity.
+    """
+    colors, opacity = _LINEAR_OF_BYTE[pixels[..., :3]], pixels[..., 3:].astype(np.float32)
+    opaque = bool((opacity == 255).all()) or not opacity.any()
+    levels = [colors if opaque else np.concatenate([colors * opacity, opacity], axis=2)]
+    while levels[-1].size > levels[-1].shape[2]:
+        levels.append(_halved(_halved(levels[-1], 0), 1))
+    if opaque:
+        return levels
+    coarser = levels[-1][..., :3] / levels[-1][..., 3:]
+    pyramid = [coarser]
+    for level in levels[-2::-1]:
+        rows, columns = (np.arange(n) * m // n for n, m in zip(level.shape[:2], coarser.shape[:2], strict=True))
+        weight = level[..., 3:]
+        seen = level[..., :3] / np.maximum(weight, 1e-30)
+        coarser = np.where(weight > 0, seen, coarser[rows[:, None], columns])
+        pyramid.append(coarser)
+    return pyramid[::-1]
+
+
+def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Half as many rows (axis 0) or columns (axis 1), at least one."""
+    count = image.shape[axis]
+    half = count // 2
+    if half == 0:
+        return image
+    image = np.moveaxis(image, axis, 0)
+    even, odd = image[0 : 2 * half : 2], image[1 : 2 * half : 2]
+    if count % 2 == 0:
+        result = (even + odd) / 2
+    else:
+        k = np.arange(half, dtype=np.float32).reshape(-1, 1, 1)
+        result = ((half - k) * even + half * odd + (k + 1) * image[2::2]) / count
+    return np.ascontiguousarray(np.moveaxis(result.astype(np.float32), 0, axis))
+
+
+def _words(linear: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """Linear colours [H, W, 3] as words [H, W]."""
+    steps = np.array([2**bits - 1 for bits in BITS], np.float32)
+    channels = np.rint(np.sqrt(np.clip(linear, 0, 1)) * steps).astype(np.uint32)
+    return np.bitwise_or.reduce(channels << np.array(SHIFTS, np.uint32), axis=2)

@@ -1,0 +1,1 @@
+"""Pictures of bodies, robots, motions and maps for docs and commands."""

@@ -1,0 +1,87 @@
+"""Pictures of people: several side by side, and one walking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.humanoid import Humanoid
+from h3data.geometry import Array, ground_pose, pose_to_matrix, transform_points
+from h3data.mesh.meshes import painted
+from h3data.mesh.records import Mesh
+from h3data.render.camera import look_at, pinhole
+from h3data.render.renderer import Renderer
+from h3data.render.scene import RenderInstance, RenderScene
+
+SPACING_M, STRIDE_SPACING_M, ROW_M, HFOV_DEG = 0.95, 1.25, 2.05, 16.0
+WALL = (232, 233, 236)
+FLOOR_SPAN_M = 14.0
+
+
+def sheet_picture(
+    people: Sequence[Humanoid], *, heading_deg: float = -90.0, lod: bool = False, columns: int = 6, width: int = 1600
+) -> NDArray[np.uint8]:
+    """Everybody standing, in rows of ``columns``, RGB [H, W, 3]; heading -90 degrees looks at the camera."""
+    rows = [people[k : k + columns] for k in range(0, len(people), columns)]
+    heading, places = float(np.radians(heading_deg)), min(columns, len(people))
+    standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
+    return np.concatenate([lined_up(row, heading, lod, places, width) for row in standing])
+
+
+def walk_picture(
+    body: Humanoid, speed_mps: float, *, frames: int = 8, lod: bool = False, width: int = 1600
+) -> NDArray[np.uint8]:
+    """One cycle of walking at a speed, seen from the right, RGB [H, W, 3]: the phases side by side, from left to right."""
+    phase = np.arange(frames) / frames
+    quats, pelvis = body.walk_pose(np.full(frames, speed_mps), phase)
+    poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(frames)]
+    return lined_up(poses, 0.0, lod, frames, width, spacing=STRIDE_SPACING_M)
+
+
+def lined_up(
+    poses: Sequence[tuple[Humanoid, Array, Array]],
+    heading: float,
+    lod: bool,
+    places: int,
+    width: int,
+    *,
+    spacing: float = SPACING_M,
+    row_m: float = ROW_M,
+    props: Sequence[Sequence[Mesh]] = (),
+) -> NDArray[np.uint8]:
+    """People with poses (rotations [1, 55, 4], pelvis [1, 3]) side by side, RGB [H, W, 3].
+
+    ``props`` are things beside each of them, in their agent root frames; ``row_m`` is the height that the picture shows.
+    """
+    """Bodies with rotations [1, 55, 4] and pelvis places [1, 3], side by side from left to right, RGB [H, W, 3]."""
+    meshes, at = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
+    for k, (x, (body, quats, pelvis)) in enumerate(zip(at, poses, strict=True)):
+        base = ground_pose(np.array([[x, 0.0]]), np.array([heading]))
+        joints = body.joint_matrices(base, quats, pelvis)
+        for prop in props[k] if props else ():
+            there = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
+            meshes.append(Mesh(vertices=there, faces=prop.faces, colors=prop.colors))
+        rest = body.lod_mesh if lod else body.mesh
+        meshes.append(
+            Mesh(
+                vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]), faces=rest.faces, colors=rest.colors,
+                normals=np.ascontiguousarray(body.skin_normals(joints, lod=lod)[0]),
+            )
+        )  # fmt: skip
+    meshes.append(_floor())
+    renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
+    span = places * spacing
+    distance = span / 2 / np.tan(np.radians(HFOV_DEG) / 2)
+    height = round(width * row_m / span)
+    middle = row_m / 2 - 0.04
+    pose = look_at((0.0, middle + 0.06 * distance, distance), (0.0, middle, 0.0))
+    return renderer.render(pinhole(width, height, hfov_deg=HFOV_DEG, pose=pose), outputs=("rgb",), samples=4)["rgb"]
+
+
+def _floor() -> Mesh:
+    half = FLOOR_SPAN_M / 2
+    corners = np.array([[-half, 0, -half], [-half, 0, half], [half, 0, half], [half, 0, -half]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return painted(Mesh(vertices=corners, faces=faces, colors=np.zeros((4, 3), np.uint8)), WALL)

@@ -1,0 +1,302 @@
+"""Pictures of a scene: the plan from above with rooms, free floor, receptacles and problems, and views at eye level."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import transform_points
+from h3data.render.camera import Camera, look_at, pinhole
+from h3data.render.renderer import Renderer
+from h3data.render.scene import RenderInstance, RenderScene
+from h3data.scene.records import Instance, Room, Scene, instance_matrix
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+    from h3data.scene.freespace.free_space import FreeSpace
+    from h3data.scene.validation import Problem
+
+Color = tuple[int, int, int]
+
+MAIN_COLOR, ISLAND_COLOR = (46, 160, 110), (226, 128, 30)
+RECEPTACLE_COLOR, PROBLEM_COLOR, INK = (120, 70, 200), (214, 30, 40), (30, 30, 36)
+_PAPER = (250, 250, 248)
+_MARGIN_M = 0.5
+_HEADER_PX, _FOOTER_PX, _LINE_PX = 40, 46, 22
+_LIST_SCALE = 0.42
+_DISTANCE = 80.0
+"""The camera is this many times the size of the scene away: walls lean by less than a pixel."""
+_CUT_M = 2.2
+"""Triangles wholly above this height over the floor are left out where a scene has no layer for its ceiling."""
+_EYE_M = 1.55
+_EYE_CANDIDATES = 12
+_DOORWAY_M = 0.32
+
+
+def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
+    """A scene ready to be drawn; with ``cut_above_y`` [m] without the triangles wholly above that height."""
+    meshes, instances = [], []
+    shared: dict[str, int] = {}
+    for instance in scene.instances:
+        mesh, matrix = scene.assets[instance.asset].mesh, instance_matrix(instance)
+        if not len(mesh.faces):
+            continue
+        if cut_above_y is not None:
+            height = transform_points(matrix, mesh.vertices.astype(np.float64))[:, 1]
+            keep = height[mesh.faces].min(1) < cut_above_y
+            if not keep.any():
+                continue
+            if not keep.all():
+                textures = None if mesh.face_textures is None else mesh.face_textures[keep]
+                meshes.append(replace(mesh, faces=np.ascontiguousarray(mesh.faces[keep]), face_textures=textures))
+                instances.append(_placed(len(meshes) - 1, matrix, instance))
+                continue
+        if instance.asset not in shared:
+            shared[instance.asset] = len(meshes)
+            meshes.append(mesh)
+        instances.append(_placed(shared[instance.asset], matrix, instance))
+    if not instances:
+        raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to draw.")
+    return RenderScene(meshes, instances)
+
+
+def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> RenderInstance:
+    return RenderInstance(
+        mesh=mesh, matrix=matrix, semantic_id=instance.semantic_id, layer=instance.layer, name=instance.name
+    )
+
+
+def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
+    """The scene from straight above without ceilings, RGB [H, W, 3], and its camera; up in the picture is -Z."""
+    low, high = scene.bounds if not scene.rooms else _rooms_box(scene.rooms, scene.bounds)
+    low, high = low - _MARGIN_M, high + _MARGIN_M
+    span = high - low
+    width, height = (max(64, int(round(float(s) * pixels_per_m)) // 2 * 2) for s in (span[0], span[2]))
+    if width * height > 60_000_000:
+        raise InputError(f"A plan of {width}x{height} pixels is too large. Hint: fewer pixels per metre.")
+    middle = (low + high) / 2
+    away = _DISTANCE * float(max(span[0], span[2]))
+    hfov_deg = float(np.degrees(2 * np.arctan(width / pixels_per_m / 2 / away)))
+    eye = np.array([middle[0], floor_y + away, middle[2]])
+    pose = look_at(eye, np.array([middle[0], floor_y, middle[2]]), up=(0.0, 0.0, -1.0))
+    camera = pinhole(width, height, hfov_deg=hfov_deg, name="plan", pose=pose, hidden_layers=("ceiling",))
+    has_layer = any(i.layer == "ceiling" for i in scene.instances)
+    drawn = render_scene(scene, cut_above_y=None if has_layer else floor_y + _CUT_M)
+    picture = Renderer(drawn).render(camera, outputs=("depth", "rgb"), samples=4)
+    image = picture["rgb"]
+    image[picture["depth"] == 0] = _PAPER
+    return image, camera
+
+
+def _rooms_box(rooms: Iterable[Room], bounds: NDArray[np.float64]) -> NDArray[np.float64]:
+    rectangles = np.concatenate([np.asarray(r.rectangles, np.float64) for r in rooms])
+    box = bounds.copy()
+    box[0, [0, 2]], box[1, [0, 2]] = rectangles[:, :2].min(0), rectangles[:, 2:].max(0)
+    return box
+
+
+def scene_map(
+    scene: Scene, free: FreeSpace, *, problems: Sequence[Problem] = (), pixels_per_m: float = 80.0
+) -> NDArray[np.uint8]:
+    """A plan for people, RGB [H, W, 3]: rooms named, free floor shaded, receptacles, problems numbered, a scale bar.
+
+    Green is the largest island of ``free``, orange all others; violet frames are receptacles; problems are listed below
+    the plan by number.
+    """
+    import shapely
+
+    picture, camera = plan_picture(scene, pixels_per_m=pixels_per_m, floor_y=free.floor_y)
+    grey = picture.mean(-1, keepdims=True)
+    image = np.ascontiguousarray((0.45 * picture + 0.20 * grey + 0.35 * 255).astype(np.uint8))
+    islands = list(shapely.get_parts(free.polygon))
+    for k, island in enumerate(islands):
+        color = MAIN_COLOR if k == 0 else ISLAND_COLOR
+        _shade(image, camera, island, color, free.floor_y, strength=0.28 if k == 0 else 0.5)
+    for instance, receptacle in scene.receptacles():
+        x, z = np.asarray(receptacle.half_size, np.float64)
+        corners = np.array([[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]) + receptacle.center
+        _outline(image, camera, transform_points(instance_matrix(instance), corners), RECEPTACLE_COLOR)
+    for room in scene.rooms:
+        _name_room(image, camera, room)
+    marked = [p for p in problems if p.position is not None]
+    numbers = {id(p): k for k, p in enumerate(problems, 1)}
+    for problem in marked:
+        _mark(image, camera, np.asarray(problem.position), str(numbers[id(problem)]))
+    return _framed(image, scene, free, problems, pixels_per_m)
+
+
+# --- parts of the plan ------------------------------------------------------------------------------------------------
+def _pixels(camera: Camera, points: ArrayLike) -> NDArray[np.int32]:
+    """OpenCV pixels [N, 2] of world points [N, 3]."""
+    xy, _ = camera.project(np.asarray(points, np.float64))
+    return np.rint(xy - 0.5).astype(np.int32)
+
+
+def _shade(
+    image: NDArray[np.uint8], camera: Camera, area: BaseGeometry, color: Color, floor_y: float, *, strength: float
+) -> None:
+    import cv2
+    import shapely
+
+    rings = [shapely.get_coordinates(r) for r in (shapely.get_exterior_ring(area), *area.interiors)]  # type: ignore[attr-defined]
+    outlines = [_pixels(camera, np.insert(r, 1, floor_y, axis=1)) for r in rings]
+    mask = np.zeros(image.shape[:2], np.uint8)
+    cv2.fillPoly(mask, outlines, 255, cv2.LINE_AA)  # even-odd: the inner rings are holes
+    weight = mask[..., None] * (strength / 255)
+    image[:] = (image * (1 - weight) + np.array(color) * weight).astype(np.uint8)
+    cv2.polylines(image, outlines, True, color, 1, cv2.LINE_AA)
+
+
+def _outline(image: NDArray[np.uint8], camera: Camera, corners: ArrayLike, color: Color) -> None:
+    import cv2
+
+    cv2.polylines(image, [_pixels(camera, corners)], True, color, 1, cv2.LINE_AA)
+
+
+def _name_room(image: NDArray[np.uint8], camera: Camera, room: Room) -> None:
+    """Its name and area in the middle of its largest rectangle."""
+    rectangles = np.asarray(room.rectangles, np.float64)
+    areas = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
+    x0, z0, x1, z1 = rectangles[int(np.argmax(areas))]
+    at = _pixels(camera, [[(x0 + x1) / 2, room.floor_y, (z0 + z1) / 2]])[0]
+    _text(image, room.name.replace("_", " "), (int(at[0]), int(at[1])), scale=0.55, centred=True, thickness=2)
+    _text(image, f"{areas.sum():.1f} m2", (int(at[0]), int(at[1]) + 18), scale=0.42, centred=True)
+
+
+def _mark(image: NDArray[np.uint8], camera: Camera, position: NDArray[np.float64], label: str) -> None:
+    import cv2
+
+    at = _pixels(camera, position[None])[0]
+    center = (int(np.clip(at[0], 14, image.shape[1] - 14)), int(np.clip(at[1], 14, image.shape[0] - 14)))
+    cv2.circle(image, center, 13, (255, 255, 255), -1, cv2.LINE_AA)
+    cv2.circle(image, center, 13, PROBLEM_COLOR, 2, cv2.LINE_AA)
+    _text(image, label, (center[0], center[1] + 5), scale=0.45, centred=True, color=PROBLEM_COLOR, rim=None)
+
+
+def _text(
+    image: NDArray[np.uint8], text: str, at: tuple[int, int], *, scale: float = 0.45, centred: bool = False,
+    color: Color = INK, rim: Color | None = (255, 255, 255), thickness: int = 1,
+) -> int:  # fmt: skip
+    """Writes ``text`` with its base line at ``at``; gives its width in pixels."""
+    import cv2
+
+    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
+    x, y = (at[0] - width // 2, at[1]) if centred else at
+    around = [(dx, dy) for dx in (-2, 0, 2) for dy in (-2, 0, 2)]  # a thicker stroke would have wider letters
+    for dx, dy, paint in [*((*d, rim) for d in around if rim is not None), (0, 0, color)]:
+        cv2.putText(image, text, (x + dx, y + dy), cv2.FONT_HERSHEY_SIMPLEX, scale, paint, thickness, cv2.LINE_AA)
+    return width
+
+
+def _framed(
+    image: NDArray[np.uint8], scene: Scene, free: FreeSpace, problems: Sequence[Problem], pixels_per_m: float
+) -> NDArray[np.uint8]:
+    """The plan with a title above, and the scale bar, the key and the list of problems below."""
+    lines = [f"{k}  {p.kind.replace('_', ' ')}: {p.subject}: {p.text}" for k, p in enumerate(problems, 1)]
+    lines = lines[:40] + ([f"... and {len(lines) - 40} more"] if len(lines) > 40 else [])
+    width = max(image.shape[1], 640)
+    lines = [part for line in lines for part in _wrapped(line, width - 24)]
+    list_height = _LINE_PX * len(lines) + (8 if lines else 0)
+    out = np.full((_HEADER_PX + image.shape[0] + _FOOTER_PX + list_height, width, 3), _PAPER, np.uint8)
+    left = (width - image.shape[1]) // 2
+    out[_HEADER_PX : _HEADER_PX + image.shape[0], left : left + image.shape[1]] = image
+    count = sum(1 for _ in scene.receptacles())
+    islands = len(free.island_areas)
+    title = (
+        f"{scene.name}   free floor {free.polygon.area:.1f} m2 in {islands} island{'s' if islands != 1 else ''}, "
+        f"{count} receptacles" + (f", {len(problems)} problems" if problems else "")
+    )
+    _text(out, title, (12, 26), scale=0.5)
+    base = _HEADER_PX + image.shape[0] + 26
+    at = 12 + _scale_bar(out, (12, base), pixels_per_m) + 24
+    for color, text in ((MAIN_COLOR, "free"), (ISLAND_COLOR, "cut off"), (RECEPTACLE_COLOR, "receptacle"),
+                        (PROBLEM_COLOR, "problem")):  # fmt: skip
+        out[base - 10 : base + 2, at : at + 12] = color
+        at += 18 + _text(out, text, (at + 18, base), scale=0.42) + 16
+    for k, line in enumerate(lines):
+        _text(out, line, (12, base + _LINE_PX * (k + 1) + 8), scale=_LIST_SCALE, color=PROBLEM_COLOR, rim=None)
+    return out
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    """A line of the list in parts that are at most ``width`` pixels wide; all but the first are indented."""
+    import cv2
+
+    parts = [""]
+    for word in line.split(" "):
+        longer = f"{parts[-1]} {word}" if parts[-1] else word
+        if parts[-1].strip() and cv2.getTextSize(longer, cv2.FONT_HERSHEY_SIMPLEX, _LIST_SCALE, 1)[0][0] > width:
+            parts.append(f"      {word}")
+        else:
+            parts[-1] = longer
+    return parts
+
+
+def _scale_bar(image: NDArray[np.uint8], at: tuple[int, int], pixels_per_m: float) -> int:
+    """A bar of a round number of metres, with its length; gives the width of both in pixels."""
+    import cv2
+
+    metres = next((m for m in (1, 2, 5, 10, 20, 50) if m * pixels_per_m >= 70), 100)
+    length = int(round(metres * pixels_per_m))
+    x, y = at
+    cv2.rectangle(image, (x, y - 8), (x + length, y), INK, 1)
+    cv2.rectangle(image, (x, y - 8), (x + length // 2, y), INK, -1)
+    return length + 8 + _text(image, f"{metres} m", (x + length + 8, y), scale=0.45)
+
+
+# --- at eye level -----------------------------------------------------------------------------------------------------
+def eye_level_camera(
+    scene: Scene,
+    free: FreeSpace,
+    *,
+    room: str | None = None,
+    width: int = 960,
+    height: int = 640,
+    hfov_deg: float = 82.0,
+) -> Camera:
+    """A camera at 1.55 m that stands in a corner of the free floor of a room and looks across it.
+
+    Of the far corners it is the one with the most open view. Without ``room`` the room is the largest one; a scene
+    without rooms is one room.
+    """
+    import shapely
+
+    main = shapely.get_parts(free.polygon)[0]
+    rooms = {r.name: shapely.union_all([shapely.box(*b) for b in np.asarray(r.rectangles)]) for r in scene.rooms}
+    if room is not None and room not in rooms:
+        known = ", ".join(rooms) or "none"
+        raise InputError(f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {known}.")
+    chosen = room or max(rooms, key=lambda name: rooms[name].area, default="")
+    area = main.intersection(rooms[chosen]) if chosen else main
+    inside = area.intersection(rooms[chosen].buffer(-_DOORWAY_M)) if chosen else area
+    area = area if inside.is_empty else inside  # not from a doorway
+    corners = shapely.get_coordinates(area.simplify(0.1))
+    if not len(corners):
+        raise InputError(f"Nobody can stand in room {chosen!r} of scene {scene.name!r}.")
+    middle = shapely.get_coordinates((rooms[chosen] if chosen else main).centroid)[0]
+    target = np.array([middle[0], free.floor_y + 0.9, middle[1]])
+    far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:_EYE_CANDIDATES]]
+    eyes = np.insert(far, 1, free.floor_y + _EYE_M, axis=1)
+    poses = [look_at(eye, target) for eye in eyes]
+    renderer = Renderer(render_scene(scene))
+
+    def openness(pose: NDArray[np.float64]) -> float:
+        depth = renderer.render(pinhole(96, 64, hfov_deg=hfov_deg, pose=pose), outputs=("depth",))["depth"]
+        return float(np.quantile(depth, 0.15)) + 0.1 * float(depth.mean())
+
+    return pinhole(width, height, hfov_deg=hfov_deg, name="eye", pose=max(poses, key=openness))
+
+
+def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
+    """What a person sees who stands in a room (see `eye_level_camera`), RGB [H, W, 3]."""
+    camera = eye_level_camera(scene, free, room=room)
+    return Renderer(render_scene(scene)).render(camera, outputs=("rgb",), samples=4)["rgb"]
+
+
+__all__ = ["eye_level_camera", "eye_level_picture", "plan_picture", "render_scene", "scene_map"]

@@ -1,0 +1,1 @@
+"""Where one can stand and walk: polygons, distances, shortest paths."""

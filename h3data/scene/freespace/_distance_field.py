@@ -1,0 +1,74 @@
+"""Numba kernels of distances from everywhere to fixed goals: one table over the corners, then a look at the nearest ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.kernels import kernel
+from h3data.scene.freespace._visibility import Graph, locate, nearest_free, sees, tangent_nodes, visible_nodes
+
+TOUCH_M = 1e-7
+"""Nearer than this to a corner is on it."""
+
+
+@kernel()
+def corner_distances(graph: Graph, goals: NDArray) -> NDArray:
+    """Length [n] [m] of the shortest taut way from every node to the nearest of free goals [K, 2]; inf where there is none."""
+    out = np.full(len(graph.nodes), np.inf)
+    for g in range(len(goals)):
+        found, away = visible_nodes(graph, goals[g, 0], goals[g, 1])
+        for k in range(len(found)):
+            row = graph.distance[found[k]]
+            for v in range(len(out)):
+                out[v] = min(out[v], away[k] + row[v])
+    return out
+
+
+@kernel()
+def field_at(
+    graph: Graph, corner: NDArray, goals: NDArray, x: float, z: float, max_snap: float
+) -> tuple[float, float, float]:
+    """Distance [m] from (x, z) to the nearest goal and the unit direction (dx, dz) in which the shortest path sets out.
+
+    ``corner`` are the `corner_distances` of the goals. No path: inf and NaN. In the goal the direction is zero.
+    """
+    island = locate(graph, x, z)
+    if island < 0:
+        x, z, island = nearest_free(graph, x, z, max_snap)
+    if island < 0:
+        return np.inf, np.nan, np.nan
+    best, tx, tz = np.inf, np.nan, np.nan
+    for g in range(len(goals)):
+        gx, gz = goals[g]
+        away = np.hypot(gx - x, gz - z)
+        if away < best and sees(graph, x, z, gx, gz):
+            best, tx, tz = away, gx, gz
+    near, away_near = tangent_nodes(graph, x, z)
+    for k in range(len(near)):  # standing on a corner, its next one is as good
+        away_near[k] = away_near[k] + corner[near[k]] if away_near[k] > TOUCH_M else np.inf
+    while True:  # best first, as `geodesic_pair`
+        least, p = best, -1
+        for k in range(len(near)):
+            if away_near[k] < least:
+                least, p = away_near[k], k
+        if p < 0:
+            break
+        vx, vz = graph.nodes[near[p]]
+        if sees(graph, x, z, vx, vz):
+            best, tx, tz = least, vx, vz
+            break
+        away_near[p] = np.inf
+    if best == 0.0:
+        return 0.0, 0.0, 0.0
+    length = np.hypot(tx - x, tz - z)
+    return best, (tx - x) / length, (tz - z) / length
+
+
+@kernel()
+def field_many(graph: Graph, corner: NDArray, goals: NDArray, points: NDArray, max_snap: float) -> NDArray:
+    """Distance and direction [N, 3] at points [N, 2], as `field_at`."""
+    out = np.empty((len(points), 3))
+    for k in range(len(points)):
+        out[k, 0], out[k, 1], out[k, 2] = field_at(graph, corner, goals, points[k, 0], points[k, 1], max_snap)
+    return out

@@ -1,0 +1,263 @@
+"""Builders of `FreeSpace`: from the collision shapes and rooms of a scene, or from nothing but its meshes."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from typing import Literal
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import MultiPolygon
+from shapely.geometry.base import BaseGeometry
+
+from h3data.errors import InputError, SceneError
+from h3data.geometry import transform_points
+from h3data.scene.freespace._footprints import rooms_level, walkable_from_shapes
+from h3data.scene.freespace._sdf import sdf_from_edges
+from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
+from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_rectangles, voxel_columns
+from h3data.scene.freespace.free_space import FreeSpace
+from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
+
+log = logging.getLogger(__name__)
+
+BUILD_VERSION = 4
+"""Part of every key: raise it when a builder changes its results, so that stale cache entries are not found."""
+ARC_SEGMENTS = 8
+"""Segments per quarter of an inflated corner: a path cuts 1.2 mm into it at a radius of 0.25 m (4: 4.8 mm)."""
+SMOOTH_M = 1e-4
+"""Corners nearer to a straight line than this are dropped: seams of unions, not geometry."""
+SMOOTH_VOXEL_M = 2e-3
+"""The same for voxels: a slanting wall is a staircase, whose inflated outline is scalloped by about 1 mm."""
+BORDER_M = 0.3
+"""How far the distance grid goes beyond the floor."""
+ISLAND_MIN_M2 = 0.01
+"""Smaller patches are rounding, not places."""
+ISLAND_MIN_VOXEL_M2 = 1.0
+"""The same for voxels, where they are the insides of wardrobes and tubs; Habitat leaves out regions below 20 x 20 cells of
+5 cm (``regionMinSize``, spec/habitat.md 6.7)."""
+VOXEL_M = 0.025
+"""Side and height of a voxel: 5 cm gave 12-24 % at worst on geodesics, 2.5 cm below 1 % (navigation-and-stepping.md 2.4)."""
+VOXELS_MAX = 300_000_000
+"""Larger buildings get larger voxels (one byte each)."""
+SLOPE_MAX_DEG = 45.0
+"""Steeper surfaces cannot be stood on, as habitat-sim's default."""
+LARGE_SHARE = 0.25
+"""The floor is the lowest surface with this share of the largest one, which may be the roof."""
+STOREY_M = 1.0
+"""Surfaces farther than this above or below the floor belong to another storey."""
+
+Method = Literal["auto", "shapes", "mesh"]
+
+
+def choose_method(scene: Scene, method: Method) -> Literal["shapes", "mesh"]:
+    """Which builder serves a scene: exact shapes where there are rooms and the building has shapes, voxels otherwise."""
+    static = [scene.assets[i.asset] for i in scene.static_instances]
+    shapes = any(a.shapes for a in static) and not any(a.category == "stage" and not a.shapes for a in static)
+    if method == "shapes" and not scene.rooms:
+        raise SceneError(f"Scene {scene.name!r} has no rooms, so nothing says where the floor is. Hint: method='mesh'.")
+    if method != "auto":
+        return method
+    return "shapes" if shapes and scene.rooms else "mesh"
+
+
+def scene_key(
+    scene: Scene,
+    *,
+    radius_m: float,
+    height_m: float,
+    max_climb_m: float,
+    cell_m: float,
+    floor_y: float | None,
+    method: Method,
+) -> str:
+    """SHA-256 (hex) of the geometry that a builder reads and of every parameter: equal keys, equal free space."""
+    used = choose_method(scene, method)
+    digest = hashlib.sha256(f"freespace {BUILD_VERSION} {used}".encode())
+    numbers = (radius_m, height_m, max_climb_m, cell_m, np.nan if floor_y is None else floor_y)
+    digest.update(np.array(numbers, np.float64).tobytes())
+    for instance in scene.static_instances:
+        digest.update(instance_matrix(instance).astype("<f8").tobytes())
+        asset = scene.assets[instance.asset]
+        if used == "mesh":
+            digest.update(np.ascontiguousarray(asset.mesh.vertices).tobytes())
+            digest.update(np.ascontiguousarray(asset.mesh.faces).tobytes())
+        else:
+            for shape in asset.shapes:
+                digest.update(_shape_bytes(shape))
+    if used == "shapes":
+        for room in scene.rooms:
+            digest.update(np.asarray(room.rectangles, "<f8").tobytes() + np.float64(room.floor_y).tobytes())
+    return digest.hexdigest()
+
+
+def build_from_scene(
+    scene: Scene,
+    *,
+    radius_m: float,
+    height_m: float,
+    max_climb_m: float,
+    cell_m: float,
+    floor_y: float | None = None,
+    method: Method = "auto",
+) -> FreeSpace:
+    """The free space of one floor of a scene; see `FreeSpace.from_scene`."""
+    sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
+    wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
+    if wrong or max_climb_m >= height_m:
+        raise InputError(
+            f"Sizes of an agent must be positive, and its climb below its height, got {', '.join(wrong) or sizes}."
+        )
+    key = scene_key(scene, **sizes, floor_y=floor_y, method=method)
+    used = choose_method(scene, method)
+    if used == "shapes":
+        level = rooms_level(scene.rooms) if floor_y is None else float(floor_y)
+        walkable = walkable_from_shapes(scene, level, climb_m=max_climb_m, height_m=height_m)
+    else:
+        triangles = scene_triangles(scene)
+        if not len(triangles):
+            raise SceneError(f"Scene {scene.name!r} has no static triangles: there is no floor to stand on.")
+        walkable, level = walkable_from_triangles(
+            triangles, radius_m=radius_m, climb_m=max_climb_m, height_m=height_m, floor_y=floor_y
+        )
+    if used == "shapes":
+        return build_from_walkable(walkable, **sizes, floor_y=level, key=key)
+    rough = {"smooth_m": SMOOTH_VOXEL_M, "island_min_m2": ISLAND_MIN_VOXEL_M2}
+    return build_from_walkable(walkable, **sizes, **rough, floor_y=level, key=key)
+
+
+def build_from_walkable(
+    walkable: BaseGeometry,
+    *,
+    radius_m: float,
+    height_m: float,
+    max_climb_m: float,
+    cell_m: float,
+    floor_y: float = 0.0,
+    smooth_m: float = SMOOTH_M,
+    island_min_m2: float = ISLAND_MIN_M2,
+    key: str = "",
+) -> FreeSpace:
+    """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
+
+    Islands smaller than ``island_min_m2`` are left out, but for the largest.
+    """
+    walkable = MultiPolygon(polygon_parts(walkable.simplify(SMOOTH_M)))
+    if walkable.is_empty:
+        raise SceneError("Nothing of the floor is free. Hint: check the rooms, and the height of the floor.")
+    free = walkable.buffer(-radius_m, quad_segs=ARC_SEGMENTS).simplify(smooth_m)
+    islands = [p for p in polygon_parts(free) if p.area >= ISLAND_MIN_M2]
+    islands = [p for k, p in enumerate(islands) if k == 0 or p.area >= island_min_m2]
+    if not islands:
+        raise SceneError(f"An agent of radius {radius_m} m fits nowhere on the floor ({walkable.area:.2f} m2).")
+    x0, z0, x1, z1 = walkable.bounds
+    origin = np.array([x0 - BORDER_M, z0 - BORDER_M])
+    nx, nz = (int(np.ceil((hi - lo + 2 * BORDER_M) / cell_m)) for lo, hi in ((x0, x1), (z0, z1)))
+    polygon = MultiPolygon(islands)
+    return FreeSpace(
+        key=key,
+        floor_y=floor_y,
+        radius_m=radius_m,
+        height_m=height_m,
+        max_climb_m=max_climb_m,
+        cell_m=cell_m,
+        origin=origin,
+        sdf=sdf_from_edges(area_edges(walkable)[0], origin, cell_m, nx, nz),
+        polygon=polygon,
+        graph=build_graph(polygon),
+    )
+
+
+def scene_triangles(scene: Scene) -> NDArray[np.float64]:
+    """World triangles [F, 3, 3] of all static instances."""
+    found = []
+    for instance in scene.static_instances:
+        mesh = scene.assets[instance.asset].mesh
+        found.append(transform_points(instance_matrix(instance), mesh.vertices.astype(np.float64))[mesh.faces])
+    return np.concatenate([np.zeros((0, 3, 3)), *found])
+
+
+def walkable_from_triangles(
+    triangles: NDArray[np.float64],
+    *,
+    radius_m: float,
+    climb_m: float,
+    height_m: float,
+    floor_y: float | None = None,
+    voxel_m: float = VOXEL_M,
+) -> tuple[MultiPolygon, float]:
+    """Floor polygons (x, z), not yet inflated, and the height of the floor [m], of world triangles [F, 3, 3].
+
+    The floor is the lowest large connected surface (or the one nearest to ``floor_y``), with every other surface at its
+    height.
+    """
+    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    size = high - low
+    cell = max(voxel_m, float(np.prod(np.cbrt(np.maximum(size, voxel_m))) / np.cbrt(VOXELS_MAX)))
+    if not cell <= radius_m:  # NaN is not either
+        raise SceneError(
+            f"The scene is {' x '.join(f'{s:.3g}' for s in size)} m large, too large to find its floor: voxels would be "
+            f"{cell:.3g} m, the agent's radius is {radius_m:g} m. Hint: wrong unit, or a thing that is far away?"
+        )
+    if cell > voxel_m:
+        log.warning("The scene is %s m large: voxels of %.3f m instead of %.3f m.", np.round(size, 1), cell, voxel_m)
+    origin = low - cell * 1.5  # no geometry on the faces of voxels, for scenes on a round grid
+    shape = tuple(int(s) for s in np.ceil(size / cell).astype(int) + 3)
+    steep = float(np.cos(np.radians(SLOPE_MAX_DEG)))
+    columns = voxel_columns(triangles, steep, origin, cell, cell, (shape[0], shape[2], shape[1]))
+    head, climb = int(np.floor(height_m / cell)), int(round(climb_m / cell))
+    total = mark_standable(columns, head, climb)
+    if total == 0:
+        raise SceneError(f"No surface of the scene is flat and has {height_m} m of headroom. Hint: is +Y up?")
+    voxel, component, sizes = flood_surfaces(columns, total, climb, head)
+    heights = origin[1] + (voxel[:, 1 + 1] + 0.5) * cell
+    level = _floor_level(heights, component, sizes, floor_y)
+    mean = np.bincount(component, heights) / sizes
+    near = (np.abs(mean - level) <= climb_m)[component] & (np.abs(heights - level) <= STOREY_M)
+    mask = np.zeros(columns.shape[:2], bool)
+    mask[voxel[near, 0], voxel[near, 1]] = True
+    return _mask_outline(mask, origin, cell, radius_m), _exact_level(triangles, level, cell)
+
+
+def _mask_outline(mask: NDArray[np.bool_], origin: NDArray, cell: float, radius_m: float) -> MultiPolygon:
+    """Outline of the cells of a mask, moved out by (nearly) half a cell: a wall blocks whole cells, so it is half a cell
+    too thick on average. Nearly, so that a wall of one cell is thin but still there. Patches that the agent does not fit
+    in are the insides of walls and furniture, and are left out."""
+    rectangles = mask_rectangles(mask) * cell + np.array([origin[0], origin[2]] * 2)
+    cells = shapely.union_all(shapely.box(*rectangles.T))
+    parts = [p.buffer(0.49 * cell, join_style="mitre") for p in polygon_parts(cells)]
+    return MultiPolygon([q for p in parts if not p.buffer(-radius_m).is_empty for q in polygon_parts(p)])
+
+
+def _floor_level(heights: NDArray, component: NDArray, sizes: NDArray, floor_y: float | None) -> float:
+    """Height of the floor: of the surface nearest to the wanted height, else of the lowest large component."""
+    if floor_y is None:
+        order = np.argsort(component, kind="stable")
+        middle = np.array([np.median(h) for h in np.split(heights[order], np.cumsum(sizes)[:-1])])
+        large = np.flatnonzero(sizes >= LARGE_SHARE * sizes.max())
+        return float(middle[large].min())
+    chosen = int(component[np.argmin(np.abs(heights - floor_y))])
+    return float(np.median(heights[component == chosen]))
+
+
+def _exact_level(triangles: NDArray, level: float, cell: float) -> float:
+    """Mean height of the flat triangles within a voxel of ``level``, by area: the floor itself, not its voxel."""
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    y = triangles[:, :, 1].mean(1)
+    weight = np.where((np.abs(y - level) <= cell) & (np.ptp(triangles[:, :, 1], 1) <= cell), np.abs(normal[:, 1]), 0.0)
+    return float(np.average(y, weights=weight)) if weight.sum() > 0 else level
+
+
+def _shape_bytes(shape: Shape) -> bytes:
+    """A shape as bytes for hashing, its kind first."""
+    if isinstance(shape, Box):
+        parts = (b"b", shape.pose, shape.half_extents)
+    elif isinstance(shape, Cylinder):
+        parts = (b"y", shape.pose, [shape.radius, shape.half_height])
+    elif isinstance(shape, Capsule):
+        parts = (b"c", shape.start, shape.end, [shape.radius])
+    else:
+        parts = (b"h", shape.points)
+    return b"".join([parts[0], *(np.asarray(p, "<f8").tobytes() for p in parts[1:])]) + b";"

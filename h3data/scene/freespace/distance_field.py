@@ -1,0 +1,54 @@
+"""How far it is to a goal from everywhere, and which way to go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.scene.freespace._distance_field import corner_distances, field_many
+from h3data.scene.freespace.free_space import SNAP_M, FreeSpace, each_point
+
+__all__ = ["DistanceField"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceField:
+    """Shortest-path distance to the nearest of some fixed goals as a function of the floor point; any angle, no grid.
+
+    Exact: equal to `FreeSpace.geodesic` to 1e-5 m (float32 tables), and about half its price for each point. Made by
+    `FreeSpace.distance_field`.
+    """
+
+    space: FreeSpace
+    goals: NDArray[np.float64]
+    """Goals as moved to the free area, shape [K, 2] [m]."""
+    corner: NDArray[np.float64] = field(repr=False)
+    """Distance from every corner of the visibility graph, shape [n] [m]."""
+
+    @classmethod
+    def to(cls, space: FreeSpace, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
+        """The field of one goal [2] or several [K, 2]; those farther off the free area than ``max_snap_m`` do not count."""
+        moved = space.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
+        moved = np.ascontiguousarray(moved[np.isfinite(moved).all(-1)])
+        return cls(space=space, goals=moved, corner=corner_distances(space.graph, moved))
+
+    def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Length [...] [m] of the shortest path from points [..., 2] to the nearest goal; inf where there is none."""
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[0]
+
+    def direction(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Unit vector [..., 2] in which the shortest path sets out from points [..., 2]: minus the gradient of `distance`.
+
+        NaN where there is no path, zero in a goal. Points off the free area are moved to it first.
+        """
+        return self.distance_and_direction(points, max_snap_m=max_snap_m)[1]
+
+    def distance_and_direction(
+        self, points: ArrayLike, *, max_snap_m: float = SNAP_M
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`distance` [...] and `direction` [..., 2] at once, for the price of one."""
+        graph, corner, goals = self.space.graph, self.corner, self.goals
+        both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
+        return both[..., 0], both[..., 1:]

@@ -1,0 +1,253 @@
+"""Where the centre of a round agent may be on one floor: exact polygons, distances to obstacles, shortest paths.
+
+Everything that moves on a floor reads this one object: navigation, the step kernels (through the plain arrays ``sdf``,
+``origin``, ``cell_m`` and the kernels `sample_sdf`, `sdf_gradient`, `line_of_sight`), rewards and metrics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry import MultiPolygon
+
+from h3data.errors import InputError
+from h3data.scene.freespace._geodesic import geodesic_many, path_pair
+from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
+from h3data.scene.freespace._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
+from h3data.scene.freespace._visibility import Graph, locate_many, snap_many
+
+if TYPE_CHECKING:
+    from h3data.scene.freespace.distance_field import DistanceField
+    from h3data.scene.records import Scene
+
+__all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
+
+SNAP_M = 0.3
+"""Ends of a path may be this far off the free area: they are moved to its border first, as Habitat snaps them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FreeSpace:
+    """The free space of one floor for a disc of one radius. Floor points are (x, z) in the world [m]."""
+
+    key: str
+    """SHA-256 of the geometry and the parameters it was built from; empty if built by hand."""
+    floor_y: float
+    """Height of the floor [m]."""
+    radius_m: float
+    height_m: float
+    """Obstacles count from ``floor_y + max_climb_m`` to ``floor_y + height_m``."""
+    max_climb_m: float
+    cell_m: float
+    """Side of a cell of ``sdf`` [m]."""
+    origin: NDArray[np.float64]
+    """Lower corner (x, z) of cell [0, 0]; the centre of cell [i, j] is ``origin + (i + 0.5, j + 0.5) * cell_m``."""
+    sdf: NDArray[np.float32]
+    """Distance from cell centres to the nearest obstacle or border of the floor, not inflated: an agent fits where it is
+    at least ``radius_m``; negative in obstacles and off the floor. Shape [nx, nz] [m]."""
+    polygon: MultiPolygon
+    """Where the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest first."""
+    graph: Graph
+    """Visibility graph over the corners of ``polygon``, with all shortest paths."""
+
+    @classmethod
+    def from_scene(
+        cls,
+        scene: Scene,
+        *,
+        radius_m: float = 0.25,
+        height_m: float = 1.41,
+        max_climb_m: float = 0.2,
+        cell_m: float = 0.05,
+        floor_y: float | None = None,
+        method: Literal["auto", "shapes", "mesh"] = "auto",
+        cache: bool = True,
+    ) -> FreeSpace:
+        """The free space of one floor of a scene; static instances are obstacles, kinematic ones are not (as in Habitat).
+
+        Args:
+            scene: The scene; only its geometry is read.
+            radius_m: Radius of the agent; the default is Spot's, and the humanoid uses the same (spec/habitat.md).
+            height_m: Headroom that it needs.
+            max_climb_m: Steps and things up to this high are walked over.
+            cell_m: Side of a cell of the distance grid.
+            floor_y: Which floor; None takes the one with the largest area.
+            method: ``shapes`` is exact and needs collision shapes and rooms, ``mesh`` finds the floor among triangles
+                by voxels of 2.5 cm, ``auto`` takes the first where it can.
+            cache: Whether a result on disk may be used, and kept (see `h3data.scene.freespace.store`).
+        """
+        from h3data.scene.freespace.build import build_from_scene, scene_key
+        from h3data.scene.freespace.store import cached
+
+        sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
+
+        def build() -> FreeSpace:
+            return build_from_scene(scene, **sizes, floor_y=floor_y, method=method)
+
+        if not cache:
+            return build()
+        return cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build)
+
+    @classmethod
+    def load(cls, path: str | Path) -> FreeSpace:
+        """The free space that `save` wrote."""
+        from h3data.scene.freespace.store import load
+
+        return load(Path(path))
+
+    def save(self, path: str | Path) -> None:
+        """Writes one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
+        from h3data.scene.freespace.store import save
+
+        save(self, Path(path))
+
+    # --- distance to obstacles ------------------------------------------------------------------------------------------
+    def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Distance [...] [m] of points [..., 2] to the nearest obstacle or border of the floor, bilinear."""
+        return each_point(lambda p: sample_sdf_many(self.sdf, self.origin, self.cell_m, p), points)
+
+    def gradient(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Gradient [..., 2] of `signed_distance`: the way out of the nearest obstacle, length about 1."""
+        return each_point(lambda p: sdf_gradient_many(self.sdf, self.origin, self.cell_m, p), points)
+
+    def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Free way [...] [m] between the rim of the agent at points [..., 2] and the nearest obstacle; negative: overlap."""
+        return self.signed_distance(points) - self.radius_m
+
+    # --- where one may be -----------------------------------------------------------------------------------------------
+    @property
+    def island_areas(self) -> NDArray[np.float64]:
+        """Area of each island [K] [m2], largest first."""
+        return np.array([p.area for p in self.polygon.geoms])
+
+    def is_navigable(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the agent may stand at points [..., 2], bool [...]; exact to 0.1 mm."""
+        return self.island(points) >= 0
+
+    def island(self, points: ArrayLike) -> NDArray[np.int32]:
+        """Index of the island of points [..., 2], int [...]; -1 where it may not stand."""
+        return each_point(lambda p: locate_many(self.graph, p), points)
+
+    def snap(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> NDArray[np.float64]:
+        """Free points [..., 2] nearest to points [..., 2]; NaN where none is within ``max_distance_m``."""
+        return each_point(lambda p: snap_many(self.graph, p, max_distance_m), points)
+
+    def sample(self, rng: np.random.Generator, n: int, *, island: int = 0) -> NDArray[np.float64]:
+        """Uniform random free points [n, 2] of one island; always draws 3 n numbers, so streams stay aligned."""
+        triangles, cumulative = self._triangles(island)
+        u = rng.random((n, 3))
+        chosen = triangles[
+            np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right").clip(0, len(triangles) - 1)
+        ]
+        root = np.sqrt(u[:, 1])  # uniform on a triangle: Osada et al., Shape Distributions (2002), eq. 1
+        weights = np.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], -1)
+        return np.einsum("nk,nkd->nd", weights, chosen)
+
+    # --- shortest paths -------------------------------------------------------------------------------------------------
+    def geodesic(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Length [...] [m] of the shortest path from a [..., 2] to b [..., 2], exact; inf where there is none.
+
+        Ends off the free area are moved to it first; farther than ``max_snap_m`` there is no path.
+        """
+        return _pairs(lambda p, q: geodesic_many(self.graph, p, q, max_snap_m), a, b)
+
+    def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """Way points [k, 2] of the shortest path from a [2] to b [2], both ends (as moved) included; k = 0: no path.
+
+        ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
+        """
+        p, q = _one_point(a), _one_point(b)
+        return path_pair(self.graph, p[0], p[1], q[0], q[1], max_snap_m)
+
+    def next_waypoint(
+        self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
+    ) -> NDArray[np.float64]:
+        """The point [2] to walk towards from a [2] to get to b [2]; NaN when there is no path.
+
+        With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
+        """
+        points = self.path(a, b, max_snap_m=max_snap_m)
+        if not len(points):
+            return np.full(2, np.nan)
+        far = np.linalg.norm(points[1:] - points[0], axis=1) > beyond_m
+        return points[1 + int(np.argmax(far))] if far.any() else points[-1]
+
+    def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
+        """Exact distance to one goal [2], or to the nearest of several [K, 2], and the way there, from anywhere."""
+        from h3data.scene.freespace.distance_field import DistanceField
+
+        return DistanceField.to(self, goals, max_snap_m=max_snap_m)
+
+    def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
+        """`geodesic` by look-ups in the lattice's table: within about 0.1 % (p95 below 1 %).
+
+        What a back end computes that can gather but not search (a GPU), as its reference; here `geodesic` is faster. Exact
+        where the way is straight or shorter than 3 m. The table is built at the first call.
+        """
+        table = (self.graph, self.sdf, self.origin, self.cell_m, self.radius_m, self.lattice)
+        return _pairs(lambda p, q: quick_distance_many(*table, p, q, max_snap_m), a, b)
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """A lattice (0.15 to 0.25 m) with all pairs of shortest distances, for `geodesic_lattice` and step kernels."""
+        return build_lattice(self.graph, self.polygon.bounds, step=lattice_step(self.polygon.area))
+
+    def _triangles(self, island: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Triangles [M, 3, 2] that make up an island, and their summed areas [M]."""
+        known = self._triangle_cache
+        if island not in known:
+            if not 0 <= island < len(self.polygon.geoms):
+                raise InputError(f"There is no island {island}. This free space has {len(self.polygon.geoms)}, from 0.")
+            parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.polygon.geoms[island]))
+            t = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+            u, v = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
+            known[island] = t, np.cumsum(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2)
+        return known[island]
+
+    @cached_property
+    def _triangle_cache(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        return {}
+
+    def __repr__(self) -> str:
+        nx, nz = self.sdf.shape
+        return (
+            f"FreeSpace(radius {self.radius_m} m, floor {self.floor_y:.3f} m, {len(self.polygon.geoms)} islands, "
+            f"{self.polygon.area:.2f} m2, grid {nx} x {nz}, {len(self.graph.nodes)} corners)"
+        )
+
+
+def _floor_points(points: ArrayLike) -> NDArray[np.float64]:
+    p = np.asarray(points, np.float64)
+    if p.ndim == 0 or p.shape[-1] != 2:
+        raise InputError(f"Floor points must be (x, z), shape [..., 2], got {list(p.shape)}.")
+    return p
+
+
+def _one_point(point: ArrayLike) -> NDArray[np.float64]:
+    p = _floor_points(point)
+    if p.shape != (2,):
+        raise InputError(f"Expected one floor point (x, z), shape [2], got {list(p.shape)}.")
+    return p
+
+
+def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
+    """Applies a kernel on [N, 2] to points of any leading shape."""
+    p = _floor_points(points)
+    out = kernel(np.ascontiguousarray(p.reshape(-1, 2)))
+    return out.reshape(p.shape[:-1] + out.shape[1:])
+
+
+def _pairs(kernel: Callable[[NDArray, NDArray], NDArray], a: ArrayLike, b: ArrayLike) -> NDArray:
+    """Applies a kernel on two [N, 2] to points that broadcast against each other."""
+    p, q = _floor_points(a), _floor_points(b)
+    if p.shape != q.shape:  # broadcast_arrays alone takes 4 us
+        p, q = np.broadcast_arrays(p, q)
+    out = kernel(np.ascontiguousarray(p.reshape(-1, 2)), np.ascontiguousarray(q.reshape(-1, 2)))
+    return out.reshape(p.shape[:-1])

@@ -1,0 +1,121 @@
+"""`FreeSpace` on disk: one npz file without pickle, and a cache of them by key.
+
+The cache lies in ``$H3DATA_CACHE/freespace`` (``H3DATA_CACHE=off`` does without), else ``$XDG_CACHE_HOME/h3data/freespace``,
+else ``~/.cache/h3data/freespace``. Where that cannot be written, nothing is cached. It may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import MultiPolygon
+
+from h3data import files
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+from h3data.scene.freespace._lattice import Lattice
+from h3data.scene.freespace._visibility import Graph
+from h3data.scene.freespace.free_space import FreeSpace
+
+log = logging.getLogger(__name__)
+
+FORMAT = 3
+_NUMBERS = ("floor_y", "radius_m", "height_m", "max_climb_m", "cell_m")
+
+
+def save(space: FreeSpace, path: Path) -> None:
+    """Writes ``path`` whole or not at all."""
+    arrays: dict[str, NDArray] = {
+        "format": np.array(FORMAT),
+        "key": np.frombuffer(space.key.encode(), np.uint8),
+        "numbers": np.array([getattr(space, n) for n in _NUMBERS]),
+        "origin": space.origin,
+        "sdf": space.sdf,
+        "polygon": np.frombuffer(shapely.to_wkb(space.polygon), np.uint8),
+    }
+    arrays |= {f"graph.{name}": value for name, value in space.graph._asdict().items()}
+    if "lattice" in space.__dict__:  # cached_property: only when it was built
+        arrays |= {f"lattice.{name}": np.asarray(value) for name, value in space.lattice._asdict().items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with part_file(path, shared=True) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def load(path: Path) -> FreeSpace:
+    """The free space of a file that `save` wrote."""
+    if not path.is_file():
+        raise InputError(f"No such free-space file: {path}")
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if int(arrays["format"]) != FORMAT:
+            raise FormatError(f"Free-space file of format {int(arrays['format'])}, this version reads {FORMAT}: {path}")
+        return _from_arrays(arrays)
+    except FormatError:
+        raise
+    except shapely.errors.ShapelyError as fault:
+        raise FormatError(f"Free-space file with a broken polygon ({fault}): {path}") from fault
+    except Exception as fault:  # zipfile and numpy have a dozen ways to say that bits are wrong
+        raise FormatError(f"Not a whole free-space file ({type(fault).__name__}: {fault}): {path}") from fault
+
+
+def cached(key: str, build: Callable[[], FreeSpace]) -> FreeSpace:
+    """The cached free space of a key, else a new one, kept if the cache folder can be written."""
+    folder = cache_folder()
+    if folder is None:
+        return build()
+    path = folder / f"{key}.npz"
+    if path.is_file():
+        try:
+            space = load(path)
+            if space.key == key:
+                return space
+            log.warning("A cached free space belongs to another scene and is built again: %s", path)
+        except FormatError as fault:
+            log.warning("A cached free space is broken and is built again. %s", fault)
+    space = build()
+    try:
+        save(space, path)
+    except OSError as fault:
+        log.info("The free space is not cached: %s", fault)
+    return space
+
+
+def cache_folder() -> Path | None:
+    """Where free spaces are kept, None when ``H3DATA_CACHE`` is ``off``."""
+    return files.cache_folder("freespace")
+
+
+def _from_arrays(arrays: dict[str, NDArray]) -> FreeSpace:
+    polygon = shapely.from_wkb(arrays["polygon"].tobytes())
+    graph = Graph(**{name: arrays[f"graph.{name}"] for name in Graph._fields})
+    n = len(graph.nodes)
+    faults = []
+    if not isinstance(polygon, MultiPolygon):
+        faults.append(f"polygon is a {type(polygon).__name__}")
+    if arrays["sdf"].ndim != 2 or arrays["sdf"].dtype != np.float32 or not np.isfinite(arrays["sdf"]).all():
+        faults.append("sdf is not a finite float32 grid")
+    if graph.distance.shape != (n, n) or graph.previous.shape != (n, n):
+        faults.append(f"tables of {graph.distance.shape} for {n} corners")
+    if len(graph.bucket_start) != graph.bucket_label.size + 1:
+        faults.append("buckets do not fit their grid")
+    if faults or not isinstance(polygon, MultiPolygon):
+        raise ValueError("; ".join(faults))
+    numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
+    space = FreeSpace(
+        key=arrays["key"].tobytes().decode(),
+        origin=arrays["origin"],
+        sdf=arrays["sdf"],
+        polygon=polygon,
+        graph=graph,
+        **numbers,
+    )
+    if "lattice.table" in arrays:
+        origin, rows, table = (arrays[f"lattice.{name}"] for name in ("origin", "rows", "table"))
+        space.__dict__["lattice"] = Lattice(origin=origin, step=float(arrays["lattice.step"]), rows=rows, table=table)
+    return space

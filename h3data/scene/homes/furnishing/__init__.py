@@ -1,0 +1,1 @@
+"""Furniture, clutter, and where they stand in a room."""

@@ -1,0 +1,89 @@
+"""Small things on receptacles: which, how many, where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from h3data.geometry import IDENTITY_QUAT, pose_multiply, quat_from_heading
+from h3data.scene.homes.furnishing.objects import AFFINITY, OBJECT_MAKERS, renamed
+from h3data.scene.homes.spec import CATEGORIES
+from h3data.scene.homes.style import Style
+from h3data.scene.records import Asset, Instance
+
+_VARIANTS = 3
+_CHANCE = {"dining_table": 1.0, "kitchen_counter": 0.85, "coffee_table": 0.9, "bed": 0.3, "sofa": 0.35, "armchair": 0.3}
+_MOST = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3, "kitchen_island": 4}
+_LIFT = 0.001
+"""Things float this much over their surface, so that a collision check does not call them stuck in it [m]."""
+
+
+def object_assets(rng: np.random.Generator, style: Style) -> dict[str, list[Asset]]:
+    """A few variants of each small thing, by category."""
+    return {
+        category: [renamed(make(rng, style), f"{category}_{i}") for i in range(_VARIANTS)]
+        for category, make in OBJECT_MAKERS.items()
+    }
+
+
+def clutter(
+    rng: np.random.Generator,
+    assets: dict[str, list[Asset]],
+    furniture: Sequence[tuple[Instance, Asset]],
+    amount: float = 1.0,
+) -> list[Instance]:
+    """Small things on the receptacles of ``furniture``, none overlapping, as kinematic instances.
+
+    Every one stands inside its receptacle and below its clearance; discs round them keep them apart. ``amount`` scales
+    how many receptacles hold things at all, and when that is all of them, how many things each holds.
+    """
+    out: list[Instance] = []
+    count: dict[str, int] = {}
+    for instance, asset in furniture:
+        fitting = AFFINITY.get(asset.category)
+        if fitting is None:
+            continue
+        for receptacle in asset.receptacles:
+            chance = _CHANCE.get(asset.category, 0.8) * amount
+            if rng.random() > chance:
+                continue
+            most = round(_MOST.get(asset.category, 1) * max(1.0, chance if amount > 1 else 1.0))
+            discs: list[tuple[float, float, float]] = []
+            for _ in range(int(rng.integers(1, most + 1))):
+                category = fitting[int(rng.integers(len(fitting)))]
+                thing = assets[category][int(rng.integers(_VARIANTS))]
+                low, high = thing.mesh.bounds.astype(float)
+                radius = float(np.hypot(*np.maximum(-low, high)[[0, 2]]))
+                room = receptacle.half_size - radius
+                if room.min() < 0 or high[1] - low[1] + 0.02 > receptacle.clearance_m:
+                    continue
+                spot = _free_spot(rng, room, radius, discs)
+                if spot is None:
+                    continue
+                discs.append((*spot, radius))
+                local = receptacle.center + np.array([spot[0], _LIFT - low[1], spot[1]])
+                pose = np.empty(7)
+                pose[:3] = pose_multiply(instance.pose, np.concatenate([local, IDENTITY_QUAT]))[:3]
+                pose[3:] = quat_from_heading(rng.uniform(-np.pi, np.pi))
+                count[category] = count.get(category, -1) + 1
+                out.append(
+                    Instance(
+                        name=f"{category}_{count[category]}",
+                        asset=thing.name,
+                        pose=pose,
+                        semantic_id=CATEGORIES[category],
+                        motion="kinematic",
+                    )
+                )
+    return out
+
+
+def _free_spot(
+    rng: np.random.Generator, room: np.ndarray, radius: float, discs: Sequence[tuple[float, float, float]]
+) -> tuple[float, float] | None:
+    for _ in range(8):
+        x, z = (rng.uniform(-1, 1, 2) * room).tolist()
+        if all(np.hypot(x - a, z - b) > radius + r + 0.01 for a, b, r in discs):
+            return x, z
+    return None

@@ -1,0 +1,1 @@
+"""Mixed models, marginal means, contrasts, intervals: arrays in, numbers out."""

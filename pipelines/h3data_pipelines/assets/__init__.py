@@ -1,0 +1,1 @@
+"""Commands about scenes, bodies, robots and motion."""

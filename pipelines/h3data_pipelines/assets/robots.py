@@ -1,0 +1,143 @@
+"""``h3data robots``: which robots there are, what they look like, what their hand reaches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from h3data.bodies import Robot, load_robot, robot_names, solve_ik
+from h3data.errors import InputError
+from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
+
+UpChoice = Annotated[
+    Literal["z", "y"], tyro.conf.arg(help="Axis of a URDF's base frame that points up; Habitat's own robots have y.")
+]
+
+
+@dataclass(frozen=True)
+class RobotsShow:
+    """Draw robots, turned before the camera: at rest, and with the hand led around a circle. Without -o only list them.
+
+    Examples:
+        h3data robots show
+        h3data robots show -o robots.jpg
+        h3data robots show lift_arm my_robot/my_robot.urdf --views 8 -o two.png
+    """
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Built-in robots or .urdf files; nothing means all built-in ones."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """PNG or JPEG file to write."""
+    views: int = 6
+    """How many, all around."""
+    width: int = 1600
+    """Of the picture [pixels]."""
+    up: UpChoice = "z"
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        robots = [load_robot(name, up=self.up) for name in self.names or robot_names()]
+        rows = [_row(robot) for robot in robots]
+        if self.out is None:
+            return Outcome(text="\n".join(_line(row) for row in rows), data={"robots": rows})
+        if not 1 <= self.views <= 24 or not 200 <= self.width <= 8000:
+            raise InputError(f"Expected --views 1 to 24 and --width 200 to 8000, got {self.views} and {self.width}.")
+        if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+        target = claim_file(self.out, force=self.force)
+        image = self._draw(robots)
+        _write(target, image)
+        height, width = image.shape[:2]
+        data = {"file": str(target), "width": width, "height": height, "robots": rows}
+        return Outcome(text=f"wrote {target} ({width}x{height}, {len(robots)} robots)", data=data)
+
+    def _draw(self, robots: list[Robot]) -> Any:
+        from h3data.render.sheets.robot_sheet import turntable
+
+        strips = []
+        for robot in robots:
+            strips.append(turntable(robot, views=self.views, width=self.width))
+            if robot.hand_link >= 0:
+                strips.append(turntable(robot, views=self.views, width=self.width, reaching=True))
+        return np.concatenate(strips)
+
+
+@dataclass(frozen=True)
+class RobotsReach:
+    """Joint positions that bring a robot's hand, or a link, to a point in its root frame (x forward, y up, z right) [m].
+
+    Exit code 1 if the point is out of reach; the nearest posture is then shown.
+
+    Examples:
+        h3data robots reach quad_arm 0.8 0.5 0.1
+        h3data robots reach lift_arm -0.1 0.9 0.6 --json
+        h3data robots reach my_robot.urdf 0.4 0 0.2 --link tool0
+    """
+
+    name: tyro.conf.Positional[str]
+    """Built-in robot or .urdf file."""
+    point: tyro.conf.Positional[tuple[float, float, float]]
+    """Where to."""
+    link: str = ""
+    """Link whose origin goes there; empty: the robot's hand, at the place where it holds things."""
+    up: UpChoice = "z"
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        robot = load_robot(self.name, up=self.up)
+        if not self.link and robot.hand_link < 0:
+            raise InputError(f"Robot {robot.name} has no hand: name one of its links with --link.")
+        link = self.link or robot.links[robot.hand_link].name
+        offset = (0.0, 0.0, 0.0) if self.link else robot.hand_position
+        found = solve_ik(robot, link, self.point, offset=offset)
+        moved = {n: float(v) for n, v in zip(robot.joint_names, found.joint_pos, strict=True)}
+        at_limit = [n for n, clamped in zip(robot.joint_names, found.clamped, strict=True) if clamped]
+        lines = [f"{n:<24} {v:9.4f}" + ("  at its limit" if n in at_limit else "") for n, v in moved.items()]
+        lines.append(f"{'reached' if found.reached else 'out of reach'}: {1000 * found.position_error_m:.2f} mm left")
+        data = {
+            "link": link, "joint_pos": moved, "reached": bool(found.reached),
+            "position_error_m": float(found.position_error_m), "clamped": at_limit,
+        }  # fmt: skip
+        return Outcome(text="\n".join(lines), data=data, exit_code=0 if found.reached else 1)
+
+
+ROBOTS = Group(
+    "Robots: show the built-in ones or any URDF, ask what their hand reaches.",
+    {"show": RobotsShow, "reach": RobotsReach},
+)
+
+
+def _row(robot: Robot) -> dict[str, Any]:
+    triangles = sum(len(link.mesh.faces) for link in robot.links if link.mesh is not None)
+    joints = {
+        name: [_finite(low), _finite(high)]
+        for name, low, high in zip(robot.joint_names, robot.lower, robot.upper, strict=True)
+    }
+    return {
+        "name": robot.name, "links": len(robot.links), "joints": joints, "triangles": triangles,
+        "base_height_m": robot.base_height_m, "cameras": [c.name for c in robot.cameras],
+    }  # fmt: skip
+
+
+def _finite(limit: float) -> float | None:
+    return float(limit) if np.isfinite(limit) else None
+
+
+def _line(row: dict[str, Any]) -> str:
+    cameras = ", ".join(row["cameras"]) or "none"
+    return (
+        f"{row['name']:<12} {row['links']:>3} links {len(row['joints']):>3} joints {row['triangles']:>6} triangles  "
+        f"cameras: {cameras}"
+    )
+
+
+def _write(path: Path, image: Any) -> None:
+    from h3data.render import write_png
+    from h3data.render.files import write_jpg
+
+    (write_png if path.suffix.lower() == ".png" else write_jpg)(path, image)

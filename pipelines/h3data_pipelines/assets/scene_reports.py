@@ -1,0 +1,183 @@
+"""What a scene holds and what is wrong with it, as plain JSON: the facts behind ``h3data scenes``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from h3data.errors import InputError, MissingAssetError, SceneError
+from h3data.habitat.scene_names import NamedScene, open_scene
+from h3data.scene import HOME_PRESETS, FreeSpace, Scene
+from h3data.scene.scene_sets import SceneFile, SceneSource, builtin_sets, find_scene_set
+from h3data_pipelines.command import Outcome
+
+if TYPE_CHECKING:
+    from h3data.scene.validation import Problem
+
+AGENT_RADIUS_M, AGENT_HEIGHT_M = 0.25, 1.41
+
+
+def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any]:
+    """What a scene holds, in numbers; ``free`` is None if nobody can stand in it."""
+    rectangles = [np.asarray(r.rectangles, np.float64) for r in scene.rooms]
+    floor = sum(float(np.sum((r[:, 2] - r[:, 0]) * (r[:, 3] - r[:, 1]))) for r in rectangles)
+    return {
+        "scene": name,
+        "rooms": len(scene.rooms),
+        "room_names": [r.name for r in scene.rooms],
+        "floor_m2": round(floor, 2),
+        "free_m2": 0.0 if free is None else round(float(free.polygon.area), 2),
+        "islands": 0 if free is None else len(free.island_areas),
+        "assets": len(scene.assets),
+        "instances": len(scene.instances),
+        "movable": sum(i.motion == "kinematic" for i in scene.instances),
+        "receptacles": sum(1 for _ in scene.receptacles()),
+        "triangles": sum(len(scene.assets[i.asset].mesh.faces) for i in scene.instances),
+    }
+
+
+def presets_and_sets() -> Outcome:
+    """What ships with h3data, in two tables."""
+    presets = [
+        {
+            "preset": name, "area_m2": p.area_m2, "bedrooms": p.bedrooms, "bathrooms": p.bathrooms,
+            "seeds": "0, 1, 2, ...",
+        }
+        for name, p in HOME_PRESETS.items()
+    ]  # fmt: skip
+    found = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
+    sets = [
+        {
+            "set": s.label, "scenes": len(s.scenes), "episodes_per_scene": s.social_nav.episodes_per_scene,
+            "episodes": s.episodes, "spawn_distance_m": s.social_nav.spawn_distance_m, "about": s.about,
+        }
+        for s in found
+        if s is not None
+    ]  # fmt: skip
+    parts = [
+        text_table(
+            ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
+        ),
+        "A home is preset:seed, e.g. small:3. Any seed from 0 gives one.",
+        text_table(
+            ("set", "scenes", "episodes each", "episodes", "starts apart m", "about"),
+            [[cell(v) for v in r.values()] for r in sets],
+        ),
+        "A scene of a set is set#number, e.g. h3-homes/test#3. A .toml file is a set of your own (docs/scene-sets.md).",
+    ]
+    return Outcome(text="\n\n".join(parts), data={"presets": presets, "sets": sets})
+
+
+def load_as_far_as_possible(source: SceneSource) -> tuple[Scene, str]:
+    """The scene, without what is missing, and what that is (empty: nothing)."""
+    from h3data.habitat.scenes.scene_instance import load_habitat_scene
+
+    try:
+        return open_scene(source), ""
+    except (MissingAssetError, SceneError) as fault:
+        if not isinstance(source, SceneFile) or source.strict or not Path(source.path).exists():
+            raise
+        try:
+            scene = load_habitat_scene(source.path, source.scene or None, allow_missing=True, assets=source.assets)
+            return scene, str(fault)
+        except SceneError:
+            raise fault from None
+
+
+def validate_scene(
+    named: NamedScene, *, radius_m: float = AGENT_RADIUS_M, picture: Path | None = None
+) -> dict[str, Any]:
+    """Everything that is wrong with a scene, as plain JSON; drawn to ``picture`` if that is given."""
+    from h3data.render import write_png
+    from h3data.render.sheets.scene_map import scene_map
+    from h3data.scene.validation import Problem, find_problems, free_space_for_validation
+
+    scene, missing = load_as_far_as_possible(named.source)
+    problems = [Problem(kind="missing_asset", subject=scene.name, text=missing)] if missing else []
+    notes = [str(w) for w in scene.source.get("warnings", ())]
+    try:
+        loose = free_space_for_validation(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
+    except SceneError as fault:
+        problems.append(Problem(kind="no_floor", subject=scene.name, text=str(fault)))
+        loose = picture = None
+    if loose is not None:
+        problems += find_problems(scene, loose, radius_m=radius_m)
+    overlaps, doubtful = _overlaps(scene)
+    problems += overlaps
+    if doubtful:
+        notes.append(
+            f"{doubtful} pairs overlap only as convex hulls, which fill the hollows of shelves and chairs: not counted"
+        )
+    if picture is not None:
+        free = FreeSpace.from_scene(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
+        image = scene_map(scene, free, problems=problems)
+        written(picture, lambda: write_png(picture, image))
+    rows = [
+        {
+            "kind": p.kind,
+            "subject": p.subject,
+            "text": p.text,
+            "position": None if p.position is None else np.round(p.position, 4).tolist(),
+        }
+        for p in problems
+    ]
+    free_m2 = 0.0 if loose is None else float(loose.polygon.buffer(loose.radius_m - radius_m).area)
+    return {"scene": named.name, "problems": rows, "notes": notes, "free_m2": round(free_m2, 3)}
+
+
+def _of_one_object(first: str, second: str) -> bool:
+    """Whether two instances are links of the same articulated object: a door touches the body that it closes."""
+    return "/" in first and first.split("/")[0] == second.split("/")[0]
+
+
+def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
+    """Things inside each other, and the number of pairs that may be so only because one is a hull of a hollow thing."""
+    from h3data.scene.validation import Problem, stands_for_hollow
+    from sim_kinematic.contact import overlapping_instances
+
+    hollow = {name for name, asset in scene.assets.items() if stands_for_hollow(asset)}
+    asset_of = {i.name: i.asset for i in scene.instances}
+    found = [o for o in overlapping_instances(scene) if not _of_one_object(o.first, o.second)]
+    sure = [o for o in found if not {asset_of[o.first], asset_of[o.second]} & hollow]
+    problems = [
+        Problem(
+            kind="overlap",
+            subject=f"{o.first} / {o.second}",
+            text=f"{100 * o.depth_m:.1f} cm inside each other",
+            position=o.point,
+        )
+        for o in sure
+    ]
+    return problems, len(found) - len(sure)
+
+
+def short_name(name: str) -> str:
+    """How tables name a scene: a path by its last part."""
+    return Path(name).name if "/" in name else name
+
+
+# --- tables and files -------------------------------------------------------------------------------------------------
+def cell(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Aligned columns, numbers to the right."""
+    widths = [max(len(h), *(len(r[k]) for r in rows)) if rows else len(h) for k, h in enumerate(heads)]
+
+    def line(cells: Sequence[str]) -> str:
+        parts = [c.rjust(w) if re.fullmatch(r"[\d.]+", c) else c.ljust(w) for c, w in zip(cells, widths, strict=True)]
+        return "  ".join(parts).rstrip()
+
+    return "\n".join(line(row) for row in (heads, *rows))
+
+
+def written(path: Path, write: Callable[[], object]) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f"Cannot write the picture ({error.strerror or error}): {path}") from None

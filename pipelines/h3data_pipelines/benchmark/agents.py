@@ -1,0 +1,151 @@
+"""The agents of the speed benchmark: each samples random actions and moves by the simulator's own kernels in W worlds.
+`h3data_pipelines.benchmark.protocol` puts them together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.bodies.people.reach import hand_points, reach_poses, reacher
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose, quat_from_heading, quat_rotate
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.manipulation import arm_columns, grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.person import HAND_SPEED_MPS
+from sim_kinematic.contact.frames import body_frames
+from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec, WalkerSpec
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.motion.step import drive_robots, walk_humans
+
+Action = Literal["nav", "pick"]
+HFOV_DEG = 90.0
+CAPSULE_SIDES = 12
+PLACES_TRIED = 1000
+
+
+class RobotAgent:
+    """A robot in W worlds. ``nav``: random base velocities; ``pick``: it stands, its arm moves at random, its hand opens and
+    closes."""
+
+    def __init__(
+        self, robot: Robot, free: FreeSpace, state: WorldState, *, number: int, is_clear: Callable[[Array], bool]
+    ) -> None:
+        """``state`` has the robot's joints. ``number`` is the agent's, for what it holds. ``is_clear`` says whether it can
+        start at a base pose [7]."""
+        self.body, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
+        self.own = state.robots[number]
+        self._pose()
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """At random places where nothing of the home touches it, its arm and its rear neither; the arm at rest."""
+        for w in range(len(self.own.heading)):
+            self.own.xz[w], self.own.heading[w] = self._clear_place(rng)
+        self.own.joints[:] = self.body.rest
+        self._pose()
+
+    def _clear_place(self, rng: np.random.Generator) -> tuple[Array, float]:
+        for _ in range(PLACES_TRIED):
+            (xz,), heading = self.free.sample(rng, 1), float(rng.uniform(-np.pi, np.pi))
+            if self._is_clear(ground_pose(xz, heading, self.free.floor_y)):
+                return xz, heading
+        raise InputError(f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.")
+
+    def sample(self, rng: np.random.Generator, action: Action) -> Array:
+        """Random actions [W, n], -1..1."""
+        worlds = len(self.own.heading)
+        return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(arm_columns(self.body)) + 1))
+
+    def step(self, action: Action, values: Array) -> None:
+        """Move, and take along what is held."""
+        if action == "nav":
+            drive_robots(self.own, self.free, values, BaseSpec())
+        else:
+            move_arms(self.own, self.body, values[:, :-1], ArmSpec())
+            hands = robot_hands(self.own, self.body, self.free.floor_y)
+            grip_objects(self.state, hands, values[:, -1], ArmSpec(), agent=self.number)
+        self._pose()
+
+    def _pose(self) -> None:
+        """The root poses [W, 7], frames of the links [W, L, 4, 4]."""
+        self.base = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)
+        self.frames = self.body.link_matrices(self.base, self.own.joints)
+
+
+class HumanAgent:
+    """A person in W worlds. ``nav``: she walks on shortest paths to random objects, a new one when she is there (oracle
+    navigation); ``pick``: she stands and her right hand goes to random objects as far as it reaches."""
+
+    def __init__(self, human: Humanoid, free: FreeSpace, state: WorldState, *, number: int) -> None:
+        """``number`` is the agent's, for what she holds."""
+        self.body, self.free, self.state, self.number = human, free, state, number
+        self.own = state.people[number - len(state.robots)]
+        self.walker = WalkerSpec()
+        worlds = state.worlds
+        self._paths: list[NDArray[np.float64]] = [np.zeros((0, 2))] * worlds
+        self._hands = np.tile(reacher(human, "right").rest, (worlds, 1))
+        self._pose("nav")
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Standing at random places, her hand at her side."""
+        own, worlds = self.own, self.state.worlds
+        own.xz[:] = self.free.sample(rng, worlds)
+        own.heading[:] = rng.uniform(-np.pi, np.pi, worlds)
+        for array in (own.distance, own.set_off, own.blend):
+            array[:] = 0
+        self._paths = [np.zeros((0, 2))] * worlds
+        self._hands[:] = reacher(self.body, "right").rest
+        self._pose("nav")
+
+    def sample(self, rng: np.random.Generator, action: Action) -> Array:
+        """Random objects, and whether the hand closes (above 0) or opens, [W, 2]."""
+        worlds, objects = self.state.held_by.shape
+        return np.stack([rng.integers(objects, size=worlds), rng.uniform(-1, 1, worlds)], axis=1)
+
+    def step(self, action: Action, values: Array) -> None:
+        """Walk, or reach and take."""
+        state, chosen = self.state, values[:, 0].astype(int)
+        targets = state.object_pose[np.arange(len(chosen)), chosen, :3]
+        if action == "nav":
+            walk_humans(self.own, self._way_points(targets[:, [0, 2]]), self.walker)
+            self._pose(action)
+        else:
+            away = quat_from_heading(-self.own.heading)
+            origin = ground_pose(self.own.xz, self.own.heading, self.free.floor_y)[:, :3]
+            way = quat_rotate(away, targets - origin) - self._hands
+            most = HAND_SPEED_MPS * STEP_S
+            self._hands += way * np.minimum(1.0, most / np.maximum(np.linalg.norm(way, axis=1), 1e-9))[:, None]
+            self._pose(action)
+            palms = np.tile(np.eye(4), (len(chosen), 1, 1))
+            palms[:, :3, 3] = hand_points(self.frames, self.body, "right")
+            grip_objects(state, palms, values[:, 1], ArmSpec(), agent=self.number)
+
+    def _way_points(self, goals: Array) -> Array:
+        """Next way points [W, 2]; who has arrived sets out for her goal of ``goals`` [W, 2]."""
+        here, points = self.own.xz, self.own.xz.copy()
+        for w, goal in enumerate(goals):
+            path = self._paths[w]
+            while len(path) and np.hypot(*(path[0] - here[w])) <= self.walker.arrive_m:
+                path = path[1:]
+            if not len(path):
+                path = self.free.path(here[w], self.free.snap(goal))[1:]
+            self._paths[w] = path
+            if len(path):
+                points[w] = path[0]
+        return points
+
+    def _pose(self, action: Action) -> None:
+        """The root poses [W, 7], frames of the joints [W, 55, 4, 4]."""
+        own, human = self.own, self.body
+        self.base = ground_pose(own.xz, own.heading, self.free.floor_y)
+        if action == "nav":
+            self.frames = body_frames(human, own, self.free.floor_y)
+        else:
+            reached = reach_poses(human, self._hands, "right")
+            self.frames = human.joint_matrices(self.base, reached.quats, reached.pelvis)
+
+
+Agent = RobotAgent | HumanAgent

@@ -1,0 +1,291 @@
+"""``h3data bench``: the paper's speed benchmark on this machine, its numbers beside ours."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import InputError
+from h3data_pipelines.command import JsonFlag, Outcome
+
+if TYPE_CHECKING:
+    from h3data_pipelines.benchmark.protocol import Cell, Run
+
+ALL = "all"
+HOMES = ("small", "medium", "large")
+OBJECTS = ("2", "10")
+AGENTS = ("robot", "human", "robot_robot", "human_robot")
+WORLDS = ("1", "16")
+ACTIONS = ("nav", "pick")
+BODIES = ("skinned", "bones")
+STARTED_WITHIN_S = 600.0
+"""How long processes wait for each other to have built their worlds."""
+PAPER = {
+    ("small", "robot", 1): "245±19", ("large", "robot", 1): "154±14", ("small", "human", 1): "188±2",
+    ("small", "robot_robot", 1): "150±13", ("small", "human_robot", 1): "136±8", ("small", "human_robot", 16): "1191±3",
+}  # fmt: skip
+"""Frames per second by home, agents and worlds, of 2 objects, nav, skinned, on one V100 (section 3, appendix benchmarking)."""
+NOTES = (
+    "FPS: steps of all worlds per second, mean ± standard error over the runs. CPU: user and system time per step and world.",
+    "Paper: one Nvidia V100; its appendix says 155±26 of the human. One depth image per agent: 128x128, of two agents 256x256.",
+)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure steps per second by the protocol of the paper: random actions for 300 steps, the first 10 not timed, and a depth
+    image for each agent, on CPU or GPU. Lists are separated by commas; "all" is every value.
+
+    Examples:
+        h3data bench sim
+        h3data bench sim --homes small --agents human_robot --worlds 1,16 --runs 10
+        h3data bench sim --homes all --objects all --actions all --bodies all --runs 10 --json
+        h3data bench sim --agents human_robot --worlds 16,1024 --backend gpu
+    """
+
+    group: tyro.conf.Positional[str]
+    """sim: the simulator with a depth image."""
+    homes: str = "small"
+    """small, medium, large."""
+    objects: str = "2"
+    """How many things can be taken; the paper has 2 and 10."""
+    agents: str = ALL
+    """robot, human, robot_robot, human_robot."""
+    worlds: str = "1,16"
+    """How many are stepped at once; the paper has 1 and 16."""
+    actions: str = "nav"
+    """nav: drive, walk; pick: the arm or a hand reaches while they stand."""
+    bodies: str = "skinned"
+    """skinned, or bones: people drawn as rigid capsules."""
+    runs: int = 3
+    """The paper has 10."""
+    steps: int = 300
+    """Of a run; the first 10 are not timed."""
+    backend: Literal["cpu", "gpu"] = "cpu"
+    """What draws. gpu: one process with all worlds."""
+    cores: int | None = None
+    """Processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
+    seed: int = 0
+    """Everything random follows from it."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        cells = self.cells()
+        cores = self.processes()
+        if self.backend == "gpu":
+            _check_gpu()
+        rows = []
+        with process_pool(cores) as pool, tqdm(total=len(cells), desc="bench", unit="cell", disable=None) as bar:
+            for cell in cells:
+                bar.set_postfix_str(f"{cell.home} {cell.agents} x{cell.worlds}")
+                rows.append(measure(cell, pool, runs=self.runs, steps=self.steps, backend=self.backend, seed=self.seed))
+                bar.update()
+        hardware = hardware_name(self.backend)
+        text = "\n".join([f"{hardware}, {self.runs} runs of {self.steps} steps", "", *_table(rows), "", *NOTES])
+        data = {"hardware": hardware, "backend": self.backend, "runs": self.runs, "steps": self.steps, "cells": rows}
+        return Outcome(text=text, data=data)
+
+    def cells(self) -> list[Cell]:
+        """What is to be measured, or an `InputError` that names the bad option."""
+        from h3data_pipelines.benchmark.protocol import UNTIMED, Cell
+
+        if self.group != "sim":
+            raise InputError(
+                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run from a checkout, by make bench."
+            )
+        if self.runs < 1:
+            raise InputError(f"--runs must be at least 1, got {self.runs}.")
+        if self.steps <= UNTIMED:
+            raise InputError(f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.")
+        chosen = product(
+            _names("--homes", self.homes, HOMES),
+            _numbers("--objects", self.objects, OBJECTS),
+            _names("--agents", self.agents, AGENTS),
+            _numbers("--worlds", self.worlds, WORLDS),
+            _names("--actions", self.actions, ACTIONS),
+            _names("--bodies", self.bodies, BODIES),
+        )
+        cells: list[Any] = [
+            Cell(home=home, objects=objects, agents=agents, worlds=worlds, action=action, skinned=body == "skinned")  # pyright: ignore[reportArgumentType] - checked above
+            for home, objects, agents, worlds, action, body in chosen
+            if body == "skinned" or "human" in agents  # robots have no skin
+        ]
+        if not cells:
+            raise InputError("Nothing is left to measure: robots have no skin. Hint: --bodies skinned.")
+        return cells
+
+    def processes(self) -> int:
+        """How many processes share the worlds at most."""
+        if self.cores is not None and self.cores < 1:
+            raise InputError(f"--cores must be at least 1, got {self.cores}.")
+        if self.backend == "gpu":
+            if self.cores not in (None, 1):
+                raise InputError("With --backend gpu one process draws all worlds. Hint: leave --cores out.")
+            return 1
+        return self.cores or len(os.sched_getaffinity(0))
+
+
+# --- measuring ------------------------------------------------------------------------------------------------------------
+class Pool:
+    """Processes that start their timed work together. A pool of one works in this process."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._executors: dict[int, ProcessPoolExecutor] = {}
+
+    def run(self, shares: list[int], cell: Cell, **options: Any) -> list[list[Run]]:
+        """The runs of each process; ``shares`` are the worlds of each."""
+        if len(shares) == 1:
+            return [_run_share(cell, shares[0], **options)]
+        executor = self._executor(len(shares))
+        waiting = [executor.submit(_run_share, cell, share, **options) for share in shares]
+        return [one.result() for one in waiting]
+
+    def _executor(self, count: int) -> ProcessPoolExecutor:
+        if count not in self._executors:
+            context = get_context("spawn")
+            self._executors[count] = ProcessPoolExecutor(
+                count, mp_context=context, initializer=_meet_at, initargs=(context.Barrier(count),)
+            )
+        return self._executors[count]
+
+    def close(self) -> None:
+        for executor in self._executors.values():
+            executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def process_pool(size: int) -> Iterator[Pool]:
+    """A `Pool` whose processes end with the block."""
+    pool = Pool(size)
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+_barrier: Any = None
+
+
+def _meet_at(barrier: Any) -> None:
+    global _barrier
+    _barrier = barrier
+
+
+def _run_share(
+    cell: Cell, worlds: int, *, runs: int, steps: int, backend: Literal["cpu", "gpu"], seed: int
+) -> list[Run]:
+    """The runs of one process. Where there are several, they begin each run together."""
+    from h3data_pipelines.benchmark.protocol import UNTIMED, BenchmarkWorlds
+
+    try:
+        benchmark = BenchmarkWorlds(cell, worlds=worlds, backend=backend)
+        benchmark.run(seed, steps=2 * UNTIMED)  # compiles, fills caches
+        results = []
+        for k in range(runs):
+            if _barrier is not None:
+                _barrier.wait(STARTED_WITHIN_S)
+            results.append(benchmark.run(seed + k, steps=steps))
+        return results
+    except BaseException:
+        if _barrier is not None:
+            _barrier.abort()  # the others would wait
+        raise
+
+
+def measure(
+    cell: Cell, pool: Pool, *, runs: int, steps: int, backend: Literal["cpu", "gpu"] = "cpu", seed: int = 0
+) -> dict[str, Any]:
+    """A row of the table: the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], the paper's.
+
+    The frames per second of a run are worlds x timed steps over the mean time of the processes, as Habitat's script counts.
+    """
+    from h3data_pipelines.benchmark.protocol import UNTIMED
+
+    count = min(pool.size, cell.worlds)
+    shares = [cell.worlds // count + (k < cell.worlds % count) for k in range(count)]
+    results = pool.run(shares, cell, runs=runs, steps=steps, backend=backend, seed=seed)
+    wall = np.array([[run.wall_s for run in process] for process in results]).mean(0)
+    cpu = np.array([[run.cpu_s for run in process] for process in results]).sum(0)
+    frames = (steps - UNTIMED) * cell.worlds
+    fps = frames / wall
+    usual = cell.objects == 2 and cell.action == "nav" and cell.skinned and cell.pictures == "each"
+    return {
+        **asdict(cell),
+        "image": list(cell.image_size),
+        "processes": count,
+        "fps": fps.tolist(),
+        "fps_mean": float(fps.mean()),
+        "fps_standard_error": float(fps.std(ddof=1) / np.sqrt(runs)) if runs > 1 else float("nan"),
+        "cpu_ms_per_frame": float(1e3 * np.median(cpu) / frames),
+        "paper": PAPER.get((cell.home, cell.agents, cell.worlds)) if usual else None,
+    }
+
+
+# --- words ----------------------------------------------------------------------------------------------------------------
+def hardware_name(backend: str = "cpu") -> str:
+    """The processor and its cores here, and the GPU where it draws."""
+    info = Path("/proc/cpuinfo")
+    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")] \
+        if info.is_file() else []  # fmt: skip
+    cpu = f"{names[0] if names else platform.processor() or platform.machine()}, {len(os.sched_getaffinity(0))} cores"
+    if backend == "cpu":
+        return cpu
+    import torch
+
+    return f"{torch.cuda.get_device_name()}; {cpu}"
+
+
+def _check_gpu() -> None:
+    """Refuse at once, not after the home is built."""
+    import torch
+
+    from h3data.errors import MissingExtraError
+
+    if not torch.cuda.is_available():
+        raise MissingExtraError("--backend gpu needs a CUDA device, and PyTorch finds none. Hint: --backend cpu.")
+
+
+def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
+    head = ["home", "objects", "agents", "worlds", "action", "body", "images", "FPS", "CPU ms", "paper FPS"]
+    lines = [head]
+    for row in rows:
+        error = row["fps_standard_error"]
+        lines.append([
+            row["home"], str(row["objects"]), row["agents"], f"{row['worlds']} on {row['processes']}", row["action"],
+            ("skinned" if row["skinned"] else "bones") if "human" in row["agents"] else "-",
+            f"{len(row['agents'].split('_'))} {row['image'][0]}x{row['image'][1]}",
+            f"{row['fps_mean']:.0f}" + (f"±{error:.0f}" if error == error else ""),
+            f"{row['cpu_ms_per_frame']:.2f}", row["paper"] or "-",
+        ])  # fmt: skip
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    return ["  ".join(f"{word:<{width}}" for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+
+
+def _names(option: str, given: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    names = known if given == ALL else tuple(dict.fromkeys(name.strip() for name in given.split(",")))
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(
+            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(known)}; or all."
+        )
+    return names
+
+
+def _numbers(option: str, given: str, usual: tuple[str, ...]) -> tuple[int, ...]:
+    words = usual if given == ALL else tuple(dict.fromkeys(word.strip() for word in given.split(",")))
+    if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
+        raise InputError(f"{option}: expected whole numbers from 1, separated by commas, or all; got {given!r}.")
+    return tuple(map(int, words))

@@ -1,0 +1,225 @@
+"""``h3data convert``: MCAP logs become a Parquet dataset, a dataset becomes MCAP logs; nothing is lost either way."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording.storage import AnyPath, place
+from h3data_pipelines.command import (
+    ForceFlag,
+    JsonFlag,
+    Outcome,
+    claim_file,
+    claim_folder,
+    remove_dataset,
+    uninterrupted,
+)
+from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
+
+if TYPE_CHECKING:
+    from h3data.recording import DatasetWriter, Recording
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Convert recordings between the session log (MCAP) and the dataset (Parquet, LeRobot v3 layout), without loss.
+
+    The output decides: OUT.mcap is one log; a folder is a dataset for logs, and a folder of logs for a dataset.
+
+    Examples:
+        h3data convert recordings/ ds/
+        h3data convert ds/ logs/
+        h3data convert ds#3 episode.mcap
+        h3data convert recordings/ ds/ --resume
+        h3data convert ds/ s3://bucket/ds
+        h3data convert hitl_sessions/ ds/ --nominal-fps 30 --check
+    """
+
+    source: tyro.conf.Positional[Path]
+    """A .mcap file, a dataset, one of its episodes (ds#3), or a folder of these, which is walked; or its URI."""
+    out: tyro.conf.Positional[Path]
+    """A .mcap file or a folder; or its URI: s3://bucket/ds."""
+    to: Literal["auto", "mcap", "dataset"] = "auto"
+    """What a folder becomes, where the input does not decide."""
+    nominal_fps: int | None = None
+    """Let a dataset hold episodes of other or irregular rates: LeRobot's time stamps count so many steps per second, the
+    true times stay in time_ns (default: the rate of the first episode, which all must have)."""
+    check: bool = False
+    """Read everything back and compare it with the input, bit for bit."""
+    resume: bool = False
+    """Go on with an interrupted conversion of the same input: what is there is kept."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if self.force and self.resume:
+            raise InputError("Choose one: --resume goes on with what is there, --force replaces it.")
+        if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
+            raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
+        sources = find_episodes([self._source])
+        if self._out.suffix == ".mcap" and not self._out.is_dir():
+            if len(sources) != 1 or self.to == "dataset":
+                raise InputError(
+                    f"{len(sources)} episodes cannot become one .mcap file. Name a folder instead: {self._out}"
+                )
+            return self._report([self._log(sources[0], self._out)], "mcap")
+        self._refuse_itself()
+        to = self.to
+        if to == "auto":
+            of_datasets = {source.dataset is not None or "#" in source.name for source in sources}
+            if len(of_datasets) > 1:
+                raise InputError("The input holds logs and datasets. Say what they become: --to mcap or --to dataset.")
+            to = "mcap" if of_datasets.pop() else "dataset"
+        return self._report(self._dataset(sources) if to == "dataset" else self._logs(sources), to)
+
+    @property
+    def _source(self) -> AnyPath:
+        return place(self.source)
+
+    @property
+    def _out(self) -> AnyPath:
+        return place(self.out)
+
+    def _refuse_itself(self) -> None:
+        """An output inside the input would be walked, and one that holds the input replaced."""
+        source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
+        if out == source or source in out.parents or out in source.parents:
+            raise InputError(f"Input and output lie inside each other; choose another output folder: {self._out}")
+
+    # --- to logs --------------------------------------------------------------------------------------------------
+    def _logs(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
+        if not self.resume:
+            claim_folder(self._out, force=self.force)
+        return [
+            self._log(source, self._target(source))
+            for source in tqdm(sources, desc="convert", unit="episode", disable=None)
+        ]
+
+    def _target(self, source: EpisodeSource) -> AnyPath:
+        """A log keeps its place below the input folder; episode 3 of a dataset becomes ``000003.mcap`` in its place."""
+        if not self._source.is_dir():
+            return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
+        at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
+        return at if source.dataset is None else at / f"{source.index:06d}.mcap"
+
+    def _log(self, source: EpisodeSource, target: AnyPath) -> dict[str, Any]:
+        from h3data.recording import write_mcap
+
+        row: dict[str, Any] = {"source": source.name, "recording": str(target)}
+        try:
+            if self.resume and target.is_file():  # it has its name, so it is complete
+                if source.read().episode.uid != _read_log(target).episode.uid:
+                    raise InputError(f"This is another episode. --resume needs the same input: {target}")
+                return {**row, "status": "kept"}
+            recording = source.read()
+            claim_file(target, force=self.force)
+            write_mcap(recording, target, overwrite=self.force or self.resume)
+            if self.check:
+                _require_equal(recording, _read_log(target), target)
+        except H3DataError as fault:
+            return {**row, "status": "failed", "reason": str(fault)}
+        return {**row, "status": "converted", "steps": len(recording)}
+
+    # --- to a dataset ---------------------------------------------------------------------------------------------
+    def _dataset(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
+        from h3data.recording import Dataset, DatasetWriter
+
+        rate = _steps_per_second(sources) if self.nominal_fps is None else self.nominal_fps
+        if self.force:
+            remove_dataset(self._out)
+        if not self.resume:
+            claim_folder(self._out, force=False)
+        begun = self.resume and (self._out / "h3" / "schema.json").is_file()
+        rows = []
+        with DatasetWriter(
+            self._out, resume=self.resume, fps=rate, nominal_fps=self.nominal_fps is not None,
+            like=() if begun else _readable(sources),
+        ) as writer:  # fmt: skip
+            done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).episodes.to_pylist())} if len(writer) else {}
+            for source in tqdm(sources, desc="convert", unit="episode", disable=None):
+                row = self._add(source, writer, done)
+                rows.append({"source": source.name, **row})
+        if self.check:
+            self._compare(sources, rows)
+        return rows
+
+    def _compare(self, sources: list[EpisodeSource], rows: list[dict[str, Any]]) -> None:
+        """Read every episode of the dataset back; what differs from its source has failed."""
+        from h3data.recording import Dataset
+
+        dataset = Dataset(self._out)
+        for source, row in zip(sources, tqdm(rows, desc="compare", unit="episode", disable=None), strict=True):
+            if row["status"] == "failed":
+                continue
+            index = int(row["recording"].rpartition("#")[2])
+            try:
+                _require_equal(source.read(), dataset.recording(index), self._out)
+            except H3DataError as fault:
+                row |= {"status": "failed", "reason": str(fault)}
+
+    def _add(self, source: EpisodeSource, writer: DatasetWriter, done: dict[str, int]) -> dict[str, Any]:
+        try:
+            recording = source.read()
+            index = done.get(recording.episode.uid)
+            if index is not None:
+                return {"status": "kept", "recording": f"{self._out}#{index}"}
+            with uninterrupted():
+                index = writer.add(recording)
+        except H3DataError as fault:
+            return {"status": "failed", "reason": str(fault)}
+        return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}
+
+    # --- result ---------------------------------------------------------------------------------------------------
+    def _report(self, rows: list[dict[str, Any]], to: str) -> Outcome:
+        if len(rows) == 1 and rows[0]["status"] == "failed":
+            raise InputError(rows[0]["reason"])
+        count = {status: sum(r["status"] == status for r in rows) for status in ("converted", "kept", "failed")}
+        lines = [f"failed {row['source']}: {row['reason']}" for row in rows if row["status"] == "failed"]
+        checked = ", compared bit for bit" if self.check else ""
+        lines.append(
+            f"{self._out}: {count['converted']} episodes converted{checked}, {count['kept']} kept, {count['failed']} failed"
+        )
+        data = {"out": str(self._out), "to": to, "checked": self.check, **count, "episodes": rows}
+        return Outcome(text="\n".join(lines), data=data, exit_code=1 if count["failed"] else 0)
+
+
+def _read_log(path: AnyPath) -> Recording:
+    from h3data.recording import read_mcap
+
+    return read_mcap(path)
+
+
+def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> None:
+    from h3data.recording import recordings_equal
+
+    differences = recordings_equal(recording, stored)
+    if differences:
+        raise H3DataError(f"What was read back differs from the input: {'; '.join(differences[:4])}: {path}")
+
+
+def _readable(sources: list[EpisodeSource]) -> Iterator[Recording]:
+    """Every episode that can be read: they fix the columns of a dataset. The others fail when their turn comes."""
+    for source in tqdm(sources, desc="read", unit="episode", disable=None):
+        with suppress(H3DataError):
+            yield source.read()
+
+
+def _steps_per_second(sources: list[EpisodeSource]) -> int:
+    """Of the first episode that can be read; refuses inputs of which none can."""
+    faults = []
+    for source in sources:
+        try:
+            return max(1, round(1e9 / max(source.read().episode.dt_ns, 1)))
+        except H3DataError as fault:
+            faults.append(fault)
+    told = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
+    raise InputError(f"{told}{faults[0]}")

@@ -1,0 +1,172 @@
+"""``h3data demo``: one episode through every room of the house, in a minute, offline."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import InputError
+from h3data.recording import Recording
+from h3data.replay import Replay, camera_track
+from h3data_pipelines.command import (
+    ForceFlag,
+    JsonFlag,
+    Outcome,
+    claim_folder,
+    open_episode,
+    remove_dataset,
+    write_text,
+)
+from h3data_pipelines.outputs import Target
+from h3data_pipelines.pictures.drawing import core_count, draw_files
+
+FILES = (
+    "episode.mcap",
+    "third_person.mp4",
+    "arm_depth.mp4",
+    "top_down.mp4",
+    "episode.rrd",
+    "metrics.json",
+    "summary.json",
+)
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Simulate a person and a robot in a home, record, make a dataset, render from three cameras, measure, inspect.
+
+    Examples:
+        h3data demo
+        h3data demo -o out/demo --seed 5 --force
+    """
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/demo")
+    """Folder for the results."""
+    seed: int = 15
+    """Home and episode."""
+    steps: int = 900
+    """Length of the episode at most, at 30 steps per second."""
+    human_speed: float = 1.2
+    """Walking speed of the person [m/s]. (The paper's task, and `h3data generate`, use 2.5.)"""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.metrics import measure_many
+        from h3data.recording import DatasetWriter
+        from h3data_viewers import write_rrd
+
+        if self.steps < 1:
+            raise InputError(f"--steps must be at least 1, got {self.steps}.")
+        if not 0 < self.human_speed <= 4:
+            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
+        out = claim_folder(self.out, force=self.force)
+        if self.force:
+            remove_dataset(out / "dataset")
+            for name in FILES:
+                (out / name).unlink(missing_ok=True)
+        clock = _Clock()
+        with clock.part("simulate"):
+            recording = self._simulate(out / "episode.mcap")
+        with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:
+            writer.add(recording)
+        with clock.part("metrics"):
+            table = measure_many([recording])
+            write_text(out / "metrics.json", table.to_json() + "\n")
+        with clock.part("render"):
+            videos = _videos(recording, out)
+        with clock.part("rerun"):
+            write_rrd(recording, out / "episode.rrd", replay=Replay(recording, detail=False), videos=videos)
+        summary: dict[str, Any] = {
+            "wall_s": round(clock.total, 2),
+            "parts_s": {name: round(seconds, 2) for name, seconds in clock.parts.items()},
+            "steps": len(recording),
+            "seconds_of_life": round(recording.duration_s, 1),
+            "ended": recording.episode.info["ended"],
+            "files": {name: _size(out / name) for name in (*FILES[:-1], "dataset")},
+        }
+        write_text(out / "summary.json", jsonlib.dumps(summary, indent=2) + "\n")
+        return Outcome(
+            text=_text(out, summary, table.to_text()), data=summary | {"out": str(out), "metrics": table.to_dict()}
+        )
+
+    def _simulate(self, path: Path) -> Recording:
+        from h3data.recording import RecordingWriter
+        from h3data.scene import HomeSpec, build_home
+        from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
+        from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+
+        scene = build_home(HomeSpec(preset="small", seed=self.seed))
+        spec = SocialNavSpec(
+            max_steps=self.steps, spawn_distance_m=4.0, human=replace(HOME_WALKER, speed_mps=self.human_speed)
+        )
+        world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
+        with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
+            simulate_social_nav(
+                world,
+                episode_id="demo",
+                progress=bar.update,
+                sink=lambda header: RecordingWriter(path, header, overwrite=self.force),
+            )
+        return open_episode(path)  # from the file: what follows uses nothing but the recording
+
+
+def _videos(recording: Recording, out: Path) -> dict[str, Path]:
+    """The three videos of the demo, by camera name."""
+    replay = Replay(recording)
+    wanted = {
+        "third_person": ("third_person", "rgb"),
+        "arm_depth": ("robot_arm", "depth"),
+        "top_down": ("top_down", "rgb"),
+    }
+    for output in ("rgb", "depth"):
+        names = [name for name, (_, kind) in wanted.items() if kind == output]
+        tracks = [camera_track(replay, wanted[name][0]) for name in names]
+        targets = [Target(output, "h264", out / f"{name}.mp4") for name in names]
+        views = [(track, [target]) for track, target in zip(tracks, targets, strict=True)]
+        draw_files(replay, views, steps=range(len(recording)), threads=core_count(), description=f"render {output}")
+    return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
+
+
+@dataclass
+class _Clock:
+    """Wall time of each part."""
+
+    parts: dict[str, float] = field(default_factory=dict)
+    begin: float = field(default_factory=time.perf_counter)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.parts[name] = time.perf_counter() - start
+
+    @property
+    def total(self) -> float:
+        return time.perf_counter() - self.begin
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file or of everything in a folder."""
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def _text(out: Path, summary: dict[str, Any], table: str) -> str:
+    lines = [
+        f"{summary['steps']} steps ({summary['seconds_of_life']} s of life, ended by {summary['ended']}) "
+        f"in {summary['wall_s']} s. In {out}:",
+        *(f"  {name:<18} {size / 1e6:8.2f} MB" for name, size in summary["files"].items()),
+        "",
+        table,
+        "",
+        f"Look: open {out}/third_person.mp4 in a browser, or: rerun {out}/episode.rrd",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,274 @@
+"""``h3data generate``: episode datasets, one row group per episode, safe to interrupt and to resume."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.bodies import load_humanoid
+from h3data.errors import H3DataError, InputError, did_you_mean
+from h3data.recording import Recording
+from h3data.recording.storage import place
+from h3data_pipelines.command import (
+    AssetsOption,
+    ForceFlag,
+    JsonFlag,
+    MissingFlag,
+    Outcome,
+    claim_folder,
+    counted,
+    remove_dataset,
+    uninterrupted,
+)
+from h3data_pipelines.jobs.episode_jobs import (
+    ANY_BODY,
+    AnyJob,
+    Changes,
+    file_jobs,
+    seeded_jobs,
+    set_jobs,
+    simulate_jobs,
+)
+from h3data_pipelines.jobs.failed_episodes import beside, is_failed
+from h3data_pipelines.jobs.generated import ReadBack, first_played, measured, require_same_options, whose
+
+if TYPE_CHECKING:
+    from h3data.recording import DatasetWriter
+
+COMMIT_S = 60.0
+"""At most the work of this time is lost when the process is killed."""
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Simulate episodes into a Parquet dataset (LeRobot v3 layout). The same seed gives the same episodes, bit for bit.
+
+    Finished episodes survive Ctrl-C and kill: the same command with --resume goes on. An episode that cannot be played is
+    listed at the end with its seed and error (exit code 1); the others are not stopped by it.
+
+    Examples:
+        h3data generate social_nav --episodes 20 --seed 7 -o ds/
+        h3data generate social_nav --scenes medium --homes 8 --episodes 200 --workers 2 -o ds/
+        h3data generate social_nav --scenes h3-homes/test --human any -o ds/
+        h3data generate social_nav --scenes h3-homes/train --episodes 1000 --workers 2 -o ds/
+        h3data generate social_nav --episodes-file exports/episodes/social_nav_h3-homes_test.json.gz -o ds/
+        h3data generate social_nav --scenes h3-homes/test --policy weights:net.npz -o ds/
+        h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
+        h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
+        h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
+        h3data generate wander --agents robot,human,human --human any --episodes 50 --workers 2 -o ds/
+        h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
+    """
+
+    task: tyro.conf.Positional[str]
+    """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals.
+    wander: any robots and people walk about from one random point to another."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder of the dataset, or its URI: s3://bucket/ds."""
+    episodes: int | None = None
+    """How many (default: all of a set or file, else 10)."""
+    seed: int = 0
+    """Everything random follows from it. With a set, 0 gives its own episodes, any other number new ones in its scenes."""
+    scenes: str = "small"
+    """small, medium or large (built-in homes), one home as small:3, a set (h3-homes/train, /val, /test, or a .toml file), one
+    of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb)."""
+    episodes_file: Path | None = None
+    """Habitat episode file (.json.gz) with starts and way points of ours, instead of --scenes."""
+    assets: AssetsOption = ()
+    allow_missing: MissingFlag = False
+    homes: int = 4
+    """Number of different homes of a preset that the episodes go round."""
+    policy: str | None = None
+    """Robot policy. social_nav: heuristic_expert (default), plain_expert, sampling_expert, future_oracle (knows her walk),
+    learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo
+    (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
+    partner: str | None = None
+    """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
+    plan_pop_2, plan_pop_3 or plan_pop_4."""
+    agents: str | None = None
+    """rearrange, wander: who is there, robots and people with commas between, as robot,robot or human,human or
+    robot,human,male_1 (default: robot,human). In rearrange --policy and --partner may have a name for each robot and person."""
+    human: str | None = None
+    """Body of those who are called human: a built-in one, an .npz file, or any: each episode draws one, in wander for each
+    person (default: the episode's, else female_0)."""
+    human_speed: float | None = None
+    """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
+    max_steps: int | None = None
+    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750;
+    wander: 300, and they walk as long as that)."""
+    spawn_distance: float | None = None
+    """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files
+    decide it."""
+    workers: int = 1
+    """Processes."""
+    mcap: bool = False
+    """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
+    resume: bool = False
+    """Go on with an interrupted dataset that was started with the same options."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.recording import Dataset, DatasetWriter
+
+        if self.force and self.resume:
+            raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
+        jobs, out = self.jobs(), place(self.out)
+        if self.force:
+            remove_dataset(out)
+        if self.resume:
+            require_same_options(out, jobs)
+        else:
+            claim_folder(out, force=False)
+        with DatasetWriter(out, resume=self.resume) as writer:
+            done = len(writer)
+            self._simulate(jobs[done:], writer)
+        written = ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
+        table = measured(written)
+        shown = f"\n\n{table.to_text()}" if table else ""
+        text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}{shown}"
+        text += "".join(f"\nfailed {line}" for line in written.failed)
+        data: dict[str, Any] = {
+            "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
+            "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict() if table else None,
+        }  # fmt: skip
+        return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
+
+    def _simulate(self, jobs: Sequence[AnyJob], writer: DatasetWriter) -> None:
+        """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
+        played = first_played(writer)
+        waiting: list[Recording] = []
+        committed, failures = time.monotonic(), 0
+        bar = tqdm(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode", disable=None)
+        with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
+            for recording in recordings:
+                waiting.append(recording)
+                if is_failed(recording):
+                    bar.set_postfix(failed=(failures := failures + 1), refresh=False)
+                else:
+                    played = played or recording
+                if played is not None:
+                    with uninterrupted():
+                        for each in waiting:
+                            writer.add(beside(each, played) if is_failed(each) else each)
+                        waiting.clear()
+                        if time.monotonic() - committed > COMMIT_S:
+                            writer.commit()
+                            committed = time.monotonic()
+                bar.update()
+        with uninterrupted():
+            writer.commit()
+        if waiting:
+            first = waiting[0].episode
+            raise H3DataError(
+                f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
+                f"{first.scene} (seed {first.seed}): {first.info['failed']}"
+            )
+
+    def jobs(self) -> Sequence[AnyJob]:
+        """All episodes, or an `InputError` that names the bad option."""
+        tasks = {"social_nav": self._social_nav_jobs, "rearrange": self._rearrange_jobs, "wander": self._wander_jobs}
+        if self.task not in tasks:
+            raise InputError(
+                f"Unknown task {self.task!r}.{did_you_mean(self.task, tasks)} Expected {', '.join(tasks)}."
+            )
+        self._check_numbers()
+        if self.human not in (None, ANY_BODY):
+            load_humanoid(self.human)
+        if self.episodes_file is not None and self.task != "social_nav":
+            raise InputError(
+                f"--episodes-file is for social_nav: episodes of {self.task} are drawn from --scenes and --seed."
+            )
+        return tasks[self.task]()
+
+    def _social_nav_jobs(self) -> Sequence[AnyJob]:
+        from h3data.habitat.scene_names import named_scenes
+        from h3data.scene.scene_sets import find_scene_set
+        from sim_kinematic.motion.spec import SocialNavSpec
+        from sim_kinematic.policies.learned import stamped
+        from sim_kinematic.policies.social_nav import policy_by_name
+
+        policy = stamped(self.policy or "heuristic_expert")
+        policy_by_name(policy)
+        if self.partner is not None:
+            raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
+        if self.agents is not None:
+            raise InputError("--agents is for rearrange and wander: in social_nav a robot follows a person.")
+        changes = Changes(
+            policy=policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
+        )  # fmt: skip
+        if self.episodes_file is not None:
+            self._refuse_beside("--episodes-file", scenes=self.scenes != "small", seed=self.seed != 0)
+            return file_jobs(self.episodes_file, episodes=self.episodes, changes=changes)
+        label, _, which = self.scenes.partition("#")
+        scenes = find_scene_set(label)
+        if scenes is not None:
+            if "#" in self.scenes:
+                scenes = replace(scenes, scenes=(scenes.entry(which),))
+            self._refuse_beside(f"--scenes {self.scenes}")
+            return set_jobs(scenes, episodes=self.episodes, seed=self.seed, changes=changes)
+        spec = SocialNavSpec() if self.spawn_distance is None else SocialNavSpec(spawn_distance_m=self.spawn_distance)
+        return seeded_jobs(
+            named_scenes(self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing),
+            episodes=10 if self.episodes is None else self.episodes, seed=self.seed, spec=spec, changes=changes,
+        )  # fmt: skip
+
+    def _rearrange_jobs(self) -> Sequence[AnyJob]:
+        from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
+        from sim_kinematic.agents.roster import cast_of
+        from sim_kinematic.tasks.rearrange.log import SOLO
+
+        if self.agents is not None:
+            kinds = [member.kind for member in cast_of(self.agents)]
+            for option, given, kind in (("--policy", self.policy, "robot"), ("--partner", self.partner, "human")):
+                if given not in (None, SOLO) and kind not in kinds:
+                    raise InputError(f"{option} {given} is for a {kind}, but there is none in --agents {self.agents}.")
+        return rearrange_jobs(
+            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
+            seed=self.seed, policy=self.policy or "complement", partner=self.partner or "both", human=self.human,
+            agents=self.agents,
+            spec=rules(human_speed=self.human_speed, max_steps=self.max_steps, spawn_distance=self.spawn_distance),
+        )  # fmt: skip
+
+    def _wander_jobs(self) -> Sequence[AnyJob]:
+        from h3data_pipelines.jobs.wander_jobs import AGENTS, STEPS, wander_jobs
+        from sim_kinematic.motion.spec import SocialNavSpec
+
+        for option, given in (("--policy", self.policy), ("--partner", self.partner)):
+            if given is not None:
+                raise InputError(f"{option} is for social_nav or rearrange: who wanders follows no policy.")
+        spec = SocialNavSpec(max_steps=STEPS)
+        if self.spawn_distance is not None:
+            spec = replace(spec, spawn_distance_m=self.spawn_distance)
+        return wander_jobs(
+            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
+            seed=self.seed, agents=AGENTS if self.agents is None else self.agents, human=self.human,
+            spec=Changes(policy="", human_speed=self.human_speed, max_steps=self.max_steps).applied(spec),
+        )  # fmt: skip
+
+    def _check_numbers(self) -> None:
+        for name, value, least in (
+            ("--episodes", self.episodes, 1), ("--homes", self.homes, 1), ("--max-steps", self.max_steps, 1),
+            ("--workers", self.workers, 1), ("--seed", self.seed, 0),
+        ):  # fmt: skip
+            if value is not None and value < least:
+                raise InputError(f"{name} must be at least {least}, got {value}.")
+        if self.human_speed is not None and not 0 < self.human_speed <= 4:
+            raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
+        if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
+            raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
+
+    def _refuse_beside(self, option: str, **given: bool) -> None:
+        """Refuse options that a stored episode decides already."""
+        given["spawn-distance"] = self.spawn_distance is not None
+        for name, is_given in given.items():
+            if is_given:
+                raise InputError(f"{option} says where the episodes start: leave out --{name}.")

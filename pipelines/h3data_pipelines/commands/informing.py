@@ -1,0 +1,89 @@
+"""``h3data info``: what is in recordings and datasets, without measuring or drawing anything."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording.storage import AnyPath, place
+from h3data_pipelines.command import JsonFlag, Outcome
+from h3data_pipelines.jobs.episode_sources import find_episodes
+
+if TYPE_CHECKING:
+    from h3data.recording import Dataset, Recording
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what recordings and datasets hold: task, scene, agents, steps, columns.
+
+    Examples:
+        h3data info out/demo/episode.mcap
+        h3data info ds/
+        h3data info ds#3 --json
+        h3data info recordings/
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """.mcap files, datasets, single episodes (ds#3), folders of these, or their URIs."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        if not self.paths:
+            raise InputError("Expected at least one recording (.mcap) or dataset.")
+        told = [part for path in map(place, self.paths) for part in _told(path)]
+        faults = sum("error" in data for _, data in told)
+        if faults == len(told) == 1:
+            raise InputError(told[0][1]["error"])
+        return Outcome(
+            text="\n\n".join(text for text, _ in told),
+            data={"found": [data for _, data in told]},
+            exit_code=int(faults > 0),
+        )
+
+
+def _told(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
+    """Text and JSON types of everything below a path; of a folder of recordings one each."""
+    from h3data.recording import Dataset
+    from h3data.recording.parquet.dataset_writer import is_dataset
+
+    if path.is_dir() and is_dataset(path):
+        return [_of_dataset(Dataset(path))]
+    found = []
+    for source in find_episodes([path]):
+        try:
+            recording = source.read()
+        except H3DataError as fault:
+            found.append((f"{source.name}: {fault}", {"path": source.name, "error": str(fault)}))
+        else:
+            found.append((f"{source.name}\n{recording!r}", {"path": source.name, **_described(recording)}))
+    return found
+
+
+def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
+    rows = dataset.rows
+    tasks, scenes = (Counter(str(row[key]) for row in rows) for key in ("task", "scene"))
+    failed = sum(1 for row in rows if not row["length"])
+    text = f"{dataset!r}\n  scenes   " + ", ".join(f"{name} ({times})" for name, times in scenes.most_common(8))
+    text += f", ... ({len(scenes)} in all)" if len(scenes) > 8 else ""
+    text += f"\n  without steps: {failed} episodes (h3data info {dataset.root}#K says why)" if failed else ""
+    return text, {
+        "path": str(dataset.root), "kind": "dataset", "episodes": len(dataset), "steps": sum(r["length"] for r in rows),
+        "tasks": dict(tasks), "scenes": dict(scenes), "without_steps": failed,
+        "columns": {c.name: {"dtype": c.dtype, "shape": list(c.shape)} for c in dataset.schema.columns},
+    }  # fmt: skip
+
+
+def _described(recording: Recording) -> dict[str, Any]:
+    return {
+        "kind": "recording", "steps": len(recording), "duration_s": recording.duration_s, **asdict(recording.episode),
+        "agents": [asdict(agent) for agent in recording.agents], "bodies": len(recording.bodies),
+        "moving_bodies": len(recording.moving_bodies), "events": len(recording.events), "skills": len(recording.skills),
+        "columns": {name: {"dtype": str(a.dtype), "shape": list(a.shape)} for name, a in recording.columns.items()},
+        "attachments": {name: len(data) for name, data in recording.attachments.items()},
+    }  # fmt: skip

@@ -1,0 +1,132 @@
+"""``h3data replay``: simulate a recording again, to check it, to go on from any step, or to try another policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import H3DataError, InputError
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data_pipelines.jobs.episode_sources import find_episodes
+
+
+@dataclass(frozen=True)
+class ReplayCommand:
+    """Simulate the recorded actions again: compare every step, continue from any step, or swap the robot's policy.
+
+    --verify names the first step, column and values that differ. --resume-from K keeps the first K steps as they are and
+    simulates on, under the episode's own policy or another. --counterfactual keeps people's tracks, who then do not
+    react, and lets another policy drive the robots. For recordings of social_nav, rearrange and wander.
+
+    Examples:
+        h3data replay out/demo/episode.mcap --verify
+        h3data replay ds/ --verify --json
+        h3data replay ds#3 --resume-from 200 -o again.mcap
+        h3data replay episode.mcap --resume-from 200 --policy stand_still -o other.mcap
+        h3data replay episode.mcap --counterfactual --policy random -o what_if.mcap
+        h3data replay rearrange.mcap --resume-from 120 --policy greedy_nearest --partner object_2 -o other.mcap
+    """
+
+    recording: tyro.conf.Positional[Path]
+    """A .mcap file or one episode of a dataset (ds#3); with --verify also a dataset or a folder of .mcap files."""
+    verify: bool = False
+    """Compare the simulation with the recording, bit for bit."""
+    resume_from: int | None = None
+    """Keep this many steps, then simulate on."""
+    counterfactual: bool = False
+    """Keep people's recorded tracks; robots follow --policy, from --resume-from on or from the start."""
+    policy: str | None = None
+    """Robot policy, as of h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
+    plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement,
+    greedy_nearest, same_object or still."""
+    partner: str | None = None
+    """rearrange: what moves the person, as of h3data generate (default: the recording's own)."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The new recording (.mcap)."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        continues = self.resume_from is not None or self.counterfactual
+        if self.verify == continues:
+            raise InputError("Choose what to do: --verify, or --resume-from K or --counterfactual or both.")
+        if self.verify:
+            if (self.policy, self.partner, self.out) != (None, None, None):
+                raise InputError(
+                    "--verify simulates what was recorded and writes nothing: leave out --policy, --partner and -o."
+                )
+            return self._verify()
+        return self._continue()
+
+    def _verify(self) -> Outcome:
+        from sim_kinematic.tasks.resume import verify
+
+        rows: list[dict[str, Any]] = []
+        for source in tqdm(find_episodes([self.recording]), desc="verify", unit="episode", disable=None):
+            row: dict[str, Any] = {"recording": source.name}
+            try:
+                recording = source.read()
+                row["steps"] = len(recording)
+                found = verify(recording)
+            except H3DataError as fault:
+                rows.append({**row, "equal": None, "reason": str(fault)})
+                continue
+            difference = None if found.difference is None else vars(found.difference)
+            version = recording.episode.schema_version
+            rows.append({**row, "equal": found.equal, "difference": difference, "schema_version": version})
+        if len(rows) == 1 and rows[0]["equal"] is None:
+            name, reason = rows[0]["recording"], rows[0]["reason"]
+            raise InputError(reason if name in reason else f"{reason} Recording: {name}")
+        equal = sum(row["equal"] is True for row in rows)
+        lines = [_line(row) for row in rows]
+        if len(rows) != 1:
+            lines.append(f"{equal} of {len(rows)} recordings came out again, bit for bit")
+        data = {"recordings": len(rows), "equal": equal, "episodes": rows}
+        return Outcome(text="\n".join(lines), data=data, exit_code=0 if equal == len(rows) else 1)
+
+    def _continue(self) -> Outcome:
+        from h3data.recording import write_mcap
+        from sim_kinematic.tasks.resume import counterfactual, resume
+
+        if self.out is None or self.out.suffix != ".mcap":
+            raise InputError(f"Expected a .mcap file to write with -o, got {self.out or 'none'}.")
+        if self.counterfactual and self.policy is None:
+            raise InputError("--counterfactual needs the other policy: --policy NAME.")
+        if self.counterfactual and self.partner is not None:
+            raise InputError("With --counterfactual people keep their tracks: leave out --partner.")
+        out = claim_file(self.out, force=self.force)
+        old, step = open_episode(self.recording), self.resume_from or 0
+        if self.counterfactual:
+            assert self.policy is not None
+            made = counterfactual(old, self.policy, step=step)
+        else:
+            made = resume(old, step, policy=self.policy, partner=self.partner)
+        write_mcap(made, out, overwrite=self.force)
+        info = made.episode.info
+        then = f", then {info['policy']}" if info.get("policy") else ""
+        whose = " beside the recorded person, who does not react" if self.counterfactual else ""
+        ended = f"; ended by {info['ended']}" if "ended" in info else ""
+        text = f"{out}: {len(made)} steps, the first {step} as recorded{then}{whose}{ended}"
+        data = {
+            "recording": str(out), "uid": made.episode.uid, "of": old.episode.uid, "steps": len(made), "kept": step,
+            "policy": info.get("policy"), "ended": info.get("ended"), "human_reactive": info.get("human_reactive"),
+        }  # fmt: skip
+        return Outcome(text=text, data=data)
+
+
+def _line(row: dict[str, Any]) -> str:
+    if row["equal"] is None:
+        return f"refused    {row['recording']}: {row['reason']}"
+    if row["equal"]:
+        return f"equal      {row['recording']}: {row['steps']} steps"
+    d = row["difference"]
+    old = row["schema_version"] == "1.0"
+    hint = " (written with schema 1.0, whose actions were rounded after they had acted)" if old else ""
+    return (
+        f"different  {row['recording']}: from step {d['step']} on, first in {d['column']}: recorded {d['recorded']}, "
+        f"simulated {d['simulated']}{hint}"
+    )

@@ -1,0 +1,295 @@
+"""``h3data sql``: DuckDB queries over the steps, episodes and events of Parquet datasets."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import pyarrow as pa
+import tyro
+
+from h3data.errors import InputError, MissingExtraError
+from h3data.files import part_file
+from h3data.recording.storage import place
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
+from h3data_pipelines.commands.measuring import ProfileName
+
+if TYPE_CHECKING:
+    import duckdb
+
+    from h3data.recording import Dataset
+
+_ROWS = 40
+"""At most so many are shown as text: the first, and the last of the first 10,000."""
+_RECORDS = ("events", "skills", "agents", "bodies", "inputs")
+_EPISODE_COLUMNS = (
+    "dataset", "episode_index", "episode_id", "uid", "task", "scene", "seed", "policy", "partner", "length", "seconds",
+    "created_by", "info",
+)  # fmt: skip
+_READ_ONLY = {"enable_external_access": "false", "python_enable_replacements": "false", "lock_configuration": "true"}
+
+
+@dataclass(frozen=True)
+class Sql:
+    """Query Parquet datasets with SQL (DuckDB; pip install "h3data[sql]"). Reads only what the query needs, writes nothing.
+
+    Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: docs/queries.md):
+        steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.
+                   Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
+        episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...
+        events     episode_index, step, agent, kind, target, detail. Likewise skills, agents, bodies, inputs.
+    all        each has a column dataset (its path as you wrote it), so several datasets can be compared.
+
+    Examples:
+        h3data sql "select policy, avg(dist_agents) from steps join episodes using (dataset, episode_index) group by 1" a/ b/
+        h3data sql "select episode_index, min(seconds) from steps where collision group by 1 order by 1" ds/
+        h3data sql "select episode_index, scene, seed, length from episodes order by length desc limit 10" ds/
+        h3data sql "select scene, count(*) n, avg(S) found, avg(CR) from episodes group by all" ds/ --json
+        h3data sql "select kind, agent, count(*) from events group by all order by 3 desc" ds/
+        h3data sql "select episode_index, seconds, agent_1_x, agent_1_z from steps" ds/ -o paths.parquet
+    """
+
+    query: tyro.conf.Positional[str]
+    """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders or URIs (s3://bucket/ds) of datasets."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Write all rows to this .csv or .parquet instead of showing them."""
+    profile: ProfileName = "paper"
+    """Which definitions the metrics in episodes follow."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.recording import Dataset, open_recording
+
+        if not self.datasets:
+            raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET')
+        opened = {str(place(path)): open_recording(path) for path in self.datasets}
+        for path, found in opened.items():
+            if not isinstance(found, Dataset):
+                raise InputError(
+                    f"Expected a dataset, this is one recording. Hint: h3data convert {path} DATASET: {path}"
+                )
+        if self.out is not None:
+            if self.out.suffix not in (".csv", ".parquet"):
+                raise InputError(f"Expected a file name that ends in .csv or .parquet, got {self.out.name!r}.")
+            claim_file(self.out, force=self.force)
+        datasets = {path: found for path, found in opened.items() if isinstance(found, Dataset)}
+        connection = connect(datasets, profile=self.profile if "episodes" in self.query.lower() else None)
+        with explained_errors(connection):
+            found = select(connection, self.query)
+            if self.out is None:
+                return (
+                    Outcome(text="", data=_data(found.to_arrow_table())) if self.json else Outcome(text=_text_of(found))
+                )
+            rows = _write(found, self.out)
+        return Outcome(text=f"{rows} rows in {self.out}", data={"rows": rows, "file": str(self.out)})
+
+
+def connect(datasets: dict[str, Dataset], *, profile: str | None = "paper") -> duckdb.DuckDBPyConnection:
+    """A DuckDB connection with the views over ``datasets`` (name to dataset) that can read nothing else and write nothing.
+
+    Without ``profile`` the metrics in ``episodes`` are left out: nothing is measured.
+
+    Raises:
+        MissingExtraError: DuckDB is not installed.
+    """
+    try:
+        import duckdb
+    except ImportError:
+        raise MissingExtraError('SQL needs DuckDB. Hint: pip install "h3data[sql]"') from None
+    from h3data.recording.tables import record_table, step_source
+
+    connection = duckdb.connect()
+    steps = []
+    for number, (name, dataset) in enumerate(datasets.items()):
+        connection.register(f"_steps_{number}", step_source(dataset))
+        steps.append(f"SELECT {_text(name)} AS dataset, {', '.join(_step_columns(dataset))} FROM _steps_{number}")
+    connection.execute(f"CREATE VIEW steps AS {' UNION ALL BY NAME '.join(steps)}")
+    episodes = pa.concat_tables([_episodes(*item, profile) for item in datasets.items()], promote_options="default")
+    connection.register("episodes", episodes)
+    for kind in _RECORDS:
+        tables = [_named(record_table(dataset, kind), name) for name, dataset in datasets.items()]
+        connection.register(kind, pa.concat_tables(tables))
+    for option, value in _READ_ONLY.items():
+        connection.execute(f"SET {option} = {value}")
+    return connection
+
+
+def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPyRelation:
+    """The result of one query, not yet computed.
+
+    Raises:
+        InputError: it is not one statement that reads.
+        duckdb.Error: it is not SQL, or names what is not there; see `explained_errors`.
+    """
+    import duckdb
+
+    reading = (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN)
+    kinds = [statement.type for statement in connection.extract_statements(query)]
+    if len(kinds) != 1 or kinds[0] not in reading:
+        raise InputError("Expected one query that reads: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE or EXPLAIN.")
+    return connection.sql(query)
+
+
+@contextmanager
+def explained_errors(connection: duckdb.DuckDBPyConnection) -> Iterator[None]:
+    """DuckDB's errors as an `InputError`; where the query may name what is not there, with the views and their columns."""
+    import duckdb
+
+    try:
+        yield
+    except duckdb.ParserException as error:
+        raise InputError(str(error)) from None
+    except duckdb.Error as error:
+        raise InputError(f"{error}\n\n{views(connection)}") from None
+
+
+def views(connection: duckdb.DuckDBPyConnection) -> str:
+    """Every view with its columns, a paragraph each."""
+    shown = []
+    for view in ("steps", "episodes", *_RECORDS):
+        columns = [column for column, *_ in connection.execute(f"DESCRIBE {view}").fetchall()]
+        quoted = [c if re.fullmatch(r"\w+", c) else f'"{c}"' for c in columns]
+        shown.append(f"{view}: {', '.join(quoted)}")
+    return "\n".join(shown)
+
+
+# --- the views --------------------------------------------------------------------------------------------------------
+def _step_columns(dataset: Dataset) -> list[str]:
+    """All stored columns, lists without a fixed length (it differs between datasets), and shorter names for what is common."""
+    from h3data.recording.tables import table_schema
+
+    schema = table_schema(dataset)
+    taken = {name.lower() for name in schema.names}
+    columns = []
+    for field in schema:
+        name = _name(field.name)
+        listed = pa.types.is_fixed_size_list(field.type)
+        item = field.type.value_type if listed else field.type
+        if item == pa.uint64():  # newer files hold its bits as int64
+            value = f"[{_unsigned('v')} for v in {name}]" if listed else _unsigned(name)
+        else:
+            value = f"{name}::{_SQL_TYPES[str(item)]}[]" if listed else name
+        columns.append(f"{value} AS {name}")
+    short = {"seconds": "time_ns / 1e9"}
+    for name in schema.names:
+        if found := re.fullmatch(r"agent_(\d+)\.base_pose", name):
+            pose, agent = _name(name), f"agent_{found[1]}"
+            short |= {f"{agent}_{axis}": f"{pose}[{k}]" for k, axis in enumerate("xyz", 1)}
+            x, y, z, w = (f"{pose}[{k}]" for k in range(4, 8))
+            short[f"{agent}_heading"] = f"atan2(2 * ({y} * {w} - {x} * {z}), 1 - 2 * ({y} * {y} + {z} * {z}))"
+        elif name.startswith("metrics."):
+            short[name.removeprefix("metrics.")] = _name(name)
+    return columns + [f"{value} AS {_name(name)}" for name, value in short.items() if name.lower() not in taken]
+
+
+_SQL_TYPES = {
+    "bool": "BOOLEAN", "float": "FLOAT", "halffloat": "FLOAT", "double": "DOUBLE", "int8": "TINYINT", "int16": "SMALLINT",
+    "int32": "INTEGER", "int64": "BIGINT", "uint8": "UTINYINT", "uint16": "USMALLINT", "uint32": "UINTEGER",
+}  # fmt: skip
+
+
+def _unsigned(value: str) -> str:
+    """The 64 bits of a whole number as UBIGINT."""
+    return f"({value}::HUGEINT & {2**64 - 1})::UBIGINT"
+
+
+def _episodes(name: str, dataset: Dataset, profile: str | None) -> pa.Table:
+    """One row per episode; policy and partner from its info, metrics measured now."""
+    rows = []
+    for row in dataset.rows:
+        info = json.loads(row["info"])
+        policy, partner = (info.get(key) if isinstance(info.get(key), str) else None for key in ("policy", "partner"))
+        rows.append(
+            {"dataset": name}
+            | {key: row[key] for key in ("episode_index", "episode_id", "uid", "task", "scene", "seed")}
+            | {"policy": policy, "partner": partner, "length": row["length"], "seconds": row["length"] * row["dt_ns"] / 1e9}
+            | {key: row[key] for key in ("created_by", "info")}
+        )  # fmt: skip
+    text, number, real = pa.string(), pa.int64(), pa.float64()
+    kinds = {"episode_index": number, "seed": number, "length": number, "seconds": real}
+    schema = pa.schema([(name, kinds.get(name, text)) for name in _EPISODE_COLUMNS])
+    table = pa.Table.from_pylist(rows, schema=schema)
+    values = [] if profile is None else _metrics(dataset, profile)
+    for metric in dict.fromkeys(metric for row in values for metric in row):
+        table = table.append_column(metric, pa.array([row.get(metric) for row in values], real))
+    return table
+
+
+def _metrics(dataset: Dataset, profile: str) -> list[dict[str, float | None]]:
+    """The metrics of each episode by name; none where a profile does not fit the task or the recording."""
+    from h3data.metrics import measure
+    from h3data.metrics.batch import recordings
+
+    found: list[dict[str, float | None]] = []
+    for recording in recordings([dataset.root], profile):
+        try:
+            values = measure(recording, profile).values
+        except InputError:
+            values = {}
+        found.append({name: None if math.isnan(value) else value for name, value in values.items()})
+    return found
+
+
+def _named(table: pa.Table, dataset: str) -> pa.Table:
+    return table.add_column(0, "dataset", pa.array([dataset] * len(table), pa.string()))
+
+
+def _name(column: str) -> str:
+    return '"' + column.replace('"', '""') + '"'
+
+
+def _text(value: str) -> str:
+    return "'" + value.replace("'", "''") + "'"
+
+
+# --- the result -------------------------------------------------------------------------------------------------------
+def _text_of(relation: duckdb.DuckDBPyRelation) -> str:
+    """A table of the terminal's width; computes no more rows than DuckDB looks at for it."""
+    text = io.StringIO()
+    with redirect_stdout(text):
+        relation.show(max_width=shutil.get_terminal_size((120, 24)).columns, max_rows=_ROWS)
+    return text.getvalue()
+
+
+def _data(table: pa.Table) -> dict[str, Any]:
+    columns = [[_plain(value) for value in column.to_pylist()] for column in table.columns]
+    return {
+        "columns": table.column_names,
+        "types": [str(field.type) for field in table.schema],
+        "rows": [list(row) for row in zip(*columns, strict=True)],
+    }
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold: sums of whole numbers are decimals in DuckDB, times and the like become text."""
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() else float(value)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
+    """All rows into a file, as they come, through a second connection: that of the views may write nothing."""
+    import duckdb
+
+    writer = duckdb.connect()
+    writer.register("result", relation.to_arrow_reader())
+    with part_file(path) as part:
+        kind = path.suffix.removeprefix(".")
+        (written,) = writer.execute(f"COPY (FROM result) TO {_text(str(part))} (FORMAT {kind})").fetchall()
+    return written[0]

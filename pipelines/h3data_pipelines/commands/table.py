@@ -1,0 +1,50 @@
+"""All commands by name, in the order of the first page of help."""
+
+from __future__ import annotations
+
+from h3data_pipelines.assets.bodies import BODIES
+from h3data_pipelines.assets.motion import MOTION
+from h3data_pipelines.assets.robots import ROBOTS
+from h3data_pipelines.assets.scenes import SCENES
+from h3data_pipelines.command import Command, Group
+from h3data_pipelines.commands.bench import Bench
+from h3data_pipelines.commands.converting import Convert
+from h3data_pipelines.commands.demo import Demo
+from h3data_pipelines.commands.doctor import Doctor
+from h3data_pipelines.commands.evaluating import Evaluate
+from h3data_pipelines.commands.exporting import Export
+from h3data_pipelines.commands.generate import Generate
+from h3data_pipelines.commands.importing import Import
+from h3data_pipelines.commands.informing import Info
+from h3data_pipelines.commands.measuring import Metrics
+from h3data_pipelines.commands.recovering import Recover
+from h3data_pipelines.commands.replaying import ReplayCommand
+from h3data_pipelines.commands.sql import Sql
+from h3data_pipelines.commands.validating import Validate
+from h3data_pipelines.pictures.report import ReportCommand
+from h3data_pipelines.pictures.rerender import Rerender
+from h3data_pipelines.pictures.viewing import View
+
+COMMANDS: dict[str, type[Command] | Group] = {
+    "demo": Demo,
+    "generate": Generate,
+    "evaluate": Evaluate,
+    "import": Import,
+    "export": Export,
+    "rerender": Rerender,
+    "info": Info,
+    "metrics": Metrics,
+    "sql": Sql,
+    "view": View,
+    "report": ReportCommand,
+    "scenes": SCENES,
+    "bodies": BODIES,
+    "motion": MOTION,
+    "robots": ROBOTS,
+    "replay": ReplayCommand,
+    "convert": Convert,
+    "validate": Validate,
+    "recover": Recover,
+    "doctor": Doctor,
+    "bench": Bench,
+}

@@ -1,0 +1,98 @@
+"""``h3data validate``: what is wrong with recordings, as a table or as JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from tqdm import tqdm
+
+from h3data.errors import FormatError, H3DataError, InputError
+from h3data_pipelines.command import JsonFlag, Outcome
+from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
+
+_SHOWN = 4
+"""Findings of one kind and recording in the text; all are in the JSON."""
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets.
+
+    Errors are what no sound recording has; warnings what one should know of. Exit code 1 if a recording has errors.
+
+    Examples:
+        h3data validate out/demo/episode.mcap
+        h3data validate ds/ recordings/ --json
+        h3data validate rec/session.mcap --assets ~/habitat --strict
+    """
+
+    paths: tyro.conf.Positional[tuple[Path, ...]]
+    """.mcap files, datasets, single episodes (ds#3), and folders of these."""
+    assets: tuple[Path, ...] = ()
+    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
+    strict: bool = False
+    """Warnings count as errors."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.habitat.assets import AssetLibrary
+
+        if not self.paths:
+            raise InputError("Expected at least one recording (.mcap) or dataset.")
+        sources = find_episodes(self.paths)
+        library = AssetLibrary(self.assets)
+        rows = [
+            self._row(source, library, alone=len(sources) == 1)
+            for source in tqdm(sources, desc="validate", unit="episode", disable=None)
+        ]
+        failed = sum(row["verdict"] == "failed" for row in rows)
+        counts = {
+            s: Counter(f["check"] for row in rows for f in row["findings"] if f["severity"] == s) for s in _SEVERITIES
+        }
+        data: dict[str, Any] = {"recordings": len(rows), "failed": failed, **counts, "episodes": rows}
+        return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
+
+    def _row(self, source: EpisodeSource, library: Any, *, alone: bool) -> dict[str, Any]:
+        from h3data.replay.validation import Finding, validate_recording
+
+        steps = 0
+        try:
+            recording = source.read()
+            steps = len(recording)
+            findings = validate_recording(recording, assets=library)
+        except H3DataError as fault:
+            if alone and not isinstance(fault, FormatError):
+                raise
+            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=str(fault))]
+        bad = bool(findings) if self.strict else any(f.severity == "error" for f in findings)
+        verdict = "failed" if bad else "warnings" if findings else "sound"
+        return {
+            "recording": source.name, "steps": steps, "verdict": verdict, "findings": [asdict(f) for f in findings],
+        }  # fmt: skip
+
+
+_SEVERITIES = ("error", "warning")
+
+
+def _text(rows: list[dict[str, Any]], failed: int) -> str:
+    from h3data.replay.validation import Finding
+
+    width = max(len(row["recording"]) for row in rows)
+    lines = [f"{'recording':<{width}}  {'steps':>6}  verdict   errors  warnings"]
+    for row in rows:
+        errors, warnings = (sum(f["severity"] == s for f in row["findings"]) for s in _SEVERITIES)
+        lines.append(f"{row['recording']:<{width}}  {row['steps']:>6}  {row['verdict']:<8}  {errors:>6}  {warnings:>8}")
+        kinds: dict[tuple[str, str], list[Finding]] = {}
+        for values in row["findings"]:
+            kinds.setdefault((values["severity"], values["check"]), []).append(Finding(**values))
+        for (severity, check), found in kinds.items():
+            lines += [f"  {finding}" for finding in found[:_SHOWN]]
+            if len(found) > _SHOWN:
+                lines.append(f"  {severity:<7} {check:<11} ... and {len(found) - _SHOWN} more; --json lists all")
+    if len(rows) > 1:
+        lines.append(f"{len(rows)} recordings, {failed} failed")
+    return "\n".join(lines)

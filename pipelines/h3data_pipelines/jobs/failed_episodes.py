@@ -1,0 +1,57 @@
+"""Episodes that raised: the job goes on, and their place in the dataset says why."""
+
+from __future__ import annotations
+
+import json
+import traceback
+import uuid
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from h3data.errors import H3DataError
+from h3data.recording import AssetRef, Body, Episode, Recording
+
+if TYPE_CHECKING:
+    from h3data_pipelines.jobs.episode_jobs import AnyJob
+
+
+def reason_of(fault: Exception) -> str:
+    """One line about what went wrong; of what we did not foresee, also where."""
+    if isinstance(fault, H3DataError):
+        return " ".join(str(fault).split())
+    frame = traceback.extract_tb(fault.__traceback__)[-1]
+    return f"{type(fault).__name__}: {fault} ({Path(frame.filename).name}, line {frame.lineno})"
+
+
+def failed_recording(job: AnyJob, fault: Exception) -> Recording:
+    """The episode of a job that raised: no agents, no rows, the error in ``info["failed"]``."""
+    name = f"h3data:failed:{json.dumps(job.to_json())}"
+    return Recording(
+        episode=Episode(
+            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, name)), episode_id=f"{job.index:06d}", task=job.task,
+            scene=job.scene, seed=job.seed, info={"failed": reason_of(fault)},
+        ),
+        columns={"time_ns": np.zeros(0, np.int64)},
+    )  # fmt: skip
+
+
+def is_failed(recording: Recording) -> bool:
+    """Whether it is the place of an episode that raised."""
+    return "failed" in recording.episode.info
+
+
+def beside(failed: Recording, played: Recording) -> Recording:
+    """A failed episode as a dataset holds it that has ``played`` too: the same agents, roles and columns, without rows."""
+    columns = {name: array[:0] for name, array in played.columns.items()}
+    nowhere = np.full(7, np.nan, np.float32)
+    moving = columns["object_pose"].shape[1] if "object_pose" in columns else 0
+    bodies = [Body(name=f"object_{k}", asset="unknown", pose=nowhere, moving=k) for k in range(moving)]
+    roles = {name: value for name, value in played.episode.info.items() if name in ("policy", "partner", "max_steps")}
+    return replace(
+        failed, episode=replace(failed.episode, info={**roles, **failed.episode.info}),
+        agents=tuple(replace(agent, model="") for agent in played.agents),
+        assets=(AssetRef(name="unknown", uri="primitive:none"),) if bodies else (), bodies=tuple(bodies), columns=columns,
+    )  # fmt: skip

@@ -1,0 +1,111 @@
+"""The episodes of a generated dataset: what they add up to, and whether other options would make them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from h3data.errors import InputError
+from h3data.recording import Recording
+from h3data.recording.storage import AnyPath
+from h3data_pipelines.jobs.episode_jobs import AnyJob
+from h3data_pipelines.jobs.failed_episodes import is_failed
+
+if TYPE_CHECKING:
+    from h3data.metrics.table import MetricsTable
+    from h3data.recording import Dataset, DatasetWriter
+
+
+class ReadBack:
+    """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
+
+    def __init__(self, dataset: Dataset, mcap: AnyPath | None) -> None:
+        self.dataset, self.mcap = dataset, mcap
+        self.hashes: list[str] = []
+        self.failed: list[str] = []
+        """Episodes that raised: their number, seed and error."""
+        self.steps = 0
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __iter__(self) -> Iterator[Recording]:
+        from h3data.recording import write_mcap
+
+        for index in range(len(self.dataset)):
+            recording = self.dataset.recording(index)
+            if self.mcap is not None:
+                log = self.mcap / f"{recording.episode.episode_id}.mcap"
+                if not log.exists():
+                    write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
+            episode = recording.episode
+            if is_failed(recording):
+                self.failed.append(f"{episode.episode_id} (seed {episode.seed}): {episode.info['failed']}")
+            self.hashes.append(str(recording.columns["state_hash"][-1]) if len(recording) else "")
+            self.steps += len(recording)
+            yield recording
+
+
+def measured(recordings: ReadBack) -> MetricsTable | None:
+    """Their metrics: the paper's of its tasks, else those of any two agents; nothing where somebody is alone."""
+    from h3data.metrics import measure_many
+
+    first = recordings.dataset.recording(0)
+    if first.episode.task != "wander":
+        return measure_many(recordings)
+    if len(first.agents) > 1:
+        return measure_many(recordings, "field")
+    for _ in recordings:
+        pass
+    return None
+
+
+def first_played(writer: DatasetWriter) -> Recording | None:
+    """An episode of a dataset to go on with that did not fail."""
+    from h3data.recording import Dataset
+
+    if not len(writer):
+        return None
+    dataset = Dataset(writer.root)
+    return next((r for r in map(dataset.recording, range(len(dataset))) if not is_failed(r)), None)
+
+
+def whose(job: AnyJob) -> str:
+    """Which set or file the episodes are from."""
+    origin = job.origin
+    if origin is None:
+        return ""
+    if "file" in origin:
+        return f" of {origin['file']}"
+    label = "/".join(filter(None, (origin["set"], origin["split"])))
+    return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
+
+
+def require_same_options(folder: AnyPath, jobs: Sequence[AnyJob]) -> None:
+    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
+    from h3data.recording import Dataset
+
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    for job, row in zip(jobs, Dataset(folder).episodes.to_pylist(), strict=False):
+        info, wanted = json.loads(row["info"]), {**job.to_json(), "origin": job.origin}
+        was = {**info.get("job", {}), "origin": info.get("origin")}
+        differs = _differences(was, wanted)
+        if differs:
+            raise InputError(
+                f"Cannot resume with other options: episode {job.index} of the dataset was made differently "
+                f"({'; '.join(differs)}). Use the options it was started with, or another -o: {folder}"
+            )
+
+
+def _differences(was: Mapping[str, Any], wanted: Mapping[str, Any], group: str = "") -> list[str]:
+    """What of the options has changed, each as ``spec.max_steps was 30, is 60``."""
+    found = []
+    for name, value in wanted.items():
+        before = was.get(name)
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            found += _differences(before, value, f"{group}{name}.")
+        elif before != value:
+            found.append(f"{group}{name} was {before}, is {value}")
+    return found

@@ -1,0 +1,1 @@
+"""Commands that show recordings: pictures, videos, reports, Rerun files."""

@@ -1,0 +1,89 @@
+"""``h3data report``: one HTML file about datasets, to be handed on; its tables as Markdown and LaTeX."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from h3data.errors import InputError
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
+
+if TYPE_CHECKING:
+    from h3data_viewers.html_report.report import Report
+
+
+@dataclass(frozen=True)
+class ReportCommand:
+    """Write one self-contained HTML file about runs: the paper's tables with its numbers beside yours, distributions,
+    trajectories, paired differences, worst and best episodes with key frames.
+
+    Each DIR is a dataset, a folder of .mcap files or one .mcap file. Episodes are grouped by the policy that they name;
+    runs over the same episodes are compared one by one. A file learning.csv in a dataset gives learning curves.
+
+    Examples:
+        h3data report ds/ -o report.html
+        h3data report expert/ random/ still/ -o report.html --latex tables.tex
+        h3data report ds/ --markdown tables.md --pictures 0
+    """
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Datasets, folders of .mcap files, .mcap files."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html")
+    """The HTML file."""
+    title: str = ""
+    """Its title (default: the tasks)."""
+    markdown: Path | None = None
+    """Write the tables to this Markdown file too."""
+    latex: Path | None = None
+    """Write the tables to this LaTeX file too (needs booktabs)."""
+    pictures: int = 6
+    """Episodes of each task that are shown with key frames."""
+    assets: tuple[Path, ...] = ()
+    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data_viewers.html_report.report import write_report
+
+        if not self.datasets:
+            raise InputError("Expected at least one dataset or recording.")
+        if self.pictures < 0:
+            raise InputError(f"--pictures must not be negative, got {self.pictures}.")
+        wanted = [path for path in (self.out, self.markdown, self.latex) if path is not None]
+        if len({path.resolve() for path in wanted}) < len(wanted):
+            raise InputError("-o, --markdown and --latex must be different files.")
+        for path in wanted:
+            claim_file(path, force=self.force)
+        report = write_report(self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets)
+        if self.markdown is not None:
+            write_text(self.markdown, report.to_markdown())
+        if self.latex is not None:
+            write_text(self.latex, report.to_latex())
+        return Outcome(text=_text(report, wanted), data=self._data(report), exit_code=int(bool(report.data.unmeasured)))
+
+    def _data(self, report: Report) -> dict[str, Any]:
+        return {
+            "out": str(self.out),
+            "bytes": self.out.stat().st_size,
+            "title": report.title,
+            "runs": [
+                {"name": run.name, "policy": run.policy, "task": run.task}
+                | {key: run.table.to_dict()[key] for key in ("metrics", "summary")}
+                | {"episodes": len(run.episodes)}
+                for run in report.data.runs
+            ],
+            "tables": [table.key for table in report.tables],
+            "missing": list(report.missing),
+            "unmeasured": {reason: list(names) for reason, names in report.data.unmeasured.items()},
+        }
+
+
+def _text(report: Report, written: list[Path]) -> str:
+    runs = [f"  {run.name}: {len(run.episodes)} episodes of {run.task}" for run in report.data.runs]
+    failed = [f"not measured: {len(names)}, {reason}" for reason, names in report.data.unmeasured.items()]
+    size = written[0].stat().st_size / 1e6
+    return "\n".join([f"{written[0]} ({size:.1f} MB)", *map(str, written[1:]), *runs, *failed])

@@ -1,0 +1,197 @@
+"""Arms and grips: joints that move by small steps within their limits, objects that a hand takes, carries and lets go.
+
+Kinematic, as in Habitat: a held object is rigid with the hand, a released one stays where it is, in the air if need be
+(spec/habitat.md 2.4). Scalar definitions, looped over worlds, as in `sim_kinematic.motion.step`. The order of a step: base, arm,
+grip, then `carry_objects` with the hand's new place.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Robot
+from h3data.bodies.people.tuple_math import from_axes, inverse, multiply, plus, turned
+from h3data.errors import InputError
+from h3data.geometry import ground_pose
+from h3data.kernels import kernel
+from sim_kinematic.motion.spec import ArmSpec
+from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState, WorldState
+from sim_kinematic.motion.step import first_not_finite
+
+
+# --- the robot's arm ----------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=32)
+def arm_columns(robot: Robot) -> tuple[int, ...]:
+    """Columns of the joint positions that move the hand, base first: 7 of ``quad_arm``.
+
+    Raises:
+        InputError: the robot has no hand.
+    """
+    if robot.hand_link < 0:
+        raise InputError(
+            f"Robot {robot.name} has no hand, so it has no arm to move. Hint: name a hand_link in robot.toml."
+        )
+    chain, link = set(), robot.hand_link
+    while link >= 0:
+        chain.add(link)
+        link = robot.links[link].parent
+    return tuple(column for column, moved in enumerate(robot.joint_links) if int(moved) in chain)
+
+
+@kernel(error_model="numpy")
+def step_joint(position, command, most, lower, upper):
+    """A joint after one step of ``command``, clipped to -1..1 of ``most`` [rad or m] and to its limits."""
+    return min(max(position + min(max(command, -1.0), 1.0) * most, lower), upper)
+
+
+@kernel(error_model="numpy")
+def _step_arms(joints, columns, action, most, lower, upper):
+    broken = first_not_finite(action)
+    if broken >= 0:
+        return broken
+    for w in range(len(joints)):
+        for k, j in enumerate(columns):
+            joints[w, j] = step_joint(joints[w, j], action[w, k], most, lower[j], upper[j])
+    return -1
+
+
+def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
+    """Move the arm of a robot in all its worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of
+    `arm_columns`.
+
+    Raises:
+        InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moved.
+    """
+    columns = np.array(arm_columns(robot))
+    joints = _checked_joints(state, robot)
+    rows = _rows(action, (len(joints), len(columns)), "One number per world and arm joint")
+    broken = _step_arms(joints, columns, rows, spec.joint_step, robot.lower, robot.upper)
+    if broken >= 0:
+        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
+
+
+def robot_hands(state: RobotState, robot: Robot, floor_y: float = 0.0) -> NDArray[np.float64]:
+    """Where a robot holds things: frames of its hand at ``hand_position``, shape [W, 4, 4], hand to world."""
+    base = ground_pose(state.xz, state.heading, floor_y)
+    hands = robot.link_matrices(base, _checked_joints(state, robot))[:, robot.hand_link]
+    hands[:, :3, 3] += hands[:, :3, :3] @ robot.hand_position
+    return np.ascontiguousarray(hands)
+
+
+def _checked_joints(state: RobotState, robot: Robot) -> NDArray[np.float64]:
+    expected = len(state.heading), len(robot.joint_names)
+    if state.joints.shape != expected:
+        raise InputError(
+            f"Expected the joints of {robot.name} in the state, shape {list(expected)}, got "
+            f"{list(state.joints.shape)}. Hint: WorldState.zeros(worlds, joints={expected[1]})."
+        )
+    return state.joints
+
+
+# --- objects in a hand --------------------------------------------------------------------------------------------------
+@kernel(error_model="numpy")
+def nearest_free(hand, object_pose, held_by, nobody):
+    """``(index, distance [m])`` of the object nearest to a hand [4, 4] that nobody holds, -1 if there is none."""
+    best, distance = -1, math.inf
+    for o in range(len(held_by)):
+        if held_by[o] == nobody:
+            d = math.hypot(
+                math.hypot(object_pose[o, 0] - hand[0, 3], object_pose[o, 1] - hand[1, 3]),
+                object_pose[o, 2] - hand[2, 3],
+            )
+            if d < distance:
+                best, distance = o, d
+    return best, distance
+
+
+@kernel(error_model="numpy")
+def _quaternion(frame):
+    a = (frame[0, 0], frame[1, 0], frame[2, 0])
+    b = (frame[0, 1], frame[1, 1], frame[2, 1])
+    c = (frame[0, 2], frame[1, 2], frame[2, 2])
+    return from_axes(a, b, c)
+
+
+@kernel(error_model="numpy")
+def _grip_worlds(hand, object_pose, held_by, grip_pose, action, agent, nobody, reach):
+    for w in range(len(action)):
+        if not math.isfinite(action[w]):
+            return w
+    for w in range(len(action)):
+        holds = False
+        for o in range(held_by.shape[1]):
+            if held_by[w, o] == agent:
+                holds = True
+                if action[w] < 0.0:
+                    held_by[w, o] = nobody
+        if holds or action[w] <= 0.0:
+            continue
+        o, distance = nearest_free(hand[w], object_pose[w], held_by[w], nobody)
+        if o >= 0 and distance < reach:
+            held_by[w, o] = agent
+            q = object_pose[w, o]
+            grip = multiply(inverse(_quaternion(hand[w])), (q[3], q[4], q[5], q[6]))
+            grip_pose[w, o, :3] = 0.0
+            for k in range(4):
+                grip_pose[w, o, 3 + k] = grip[k]
+    return -1
+
+
+@kernel(error_model="numpy")
+def _carry_worlds(hand, object_pose, held_by, grip_pose, agent):
+    for w in range(held_by.shape[0]):
+        for o in range(held_by.shape[1]):
+            if held_by[w, o] == agent:
+                q = _quaternion(hand[w])
+                g = grip_pose[w, o]
+                at = plus((hand[w, 0, 3], hand[w, 1, 3], hand[w, 2, 3]), turned(q, (g[0], g[1], g[2])), 1.0)
+                turn = multiply(q, (g[3], g[4], g[5], g[6]))
+                for k in range(3):
+                    object_pose[w, o, k] = at[k]
+                for k in range(4):
+                    object_pose[w, o, 3 + k] = turn[k]
+
+
+def grip_objects(
+    state: WorldState, hands: NDArray[np.float64], action: ArrayLike, spec: ArmSpec, *, agent: int = ROBOT
+) -> None:
+    """Close or open the hands of one agent in all worlds by ``action`` [W], in place.
+
+    Above 0, an empty hand takes the nearest object that nobody holds, if its origin is within ``spec.grasp_m``: the
+    object snaps to the hand and keeps its orientation (Habitat's takes the hand's; and there, 0 grasps too). Below 0, it
+    lets go. ``hands`` [W, 4, 4]: `robot_hands`, or any frame for a person.
+
+    Raises:
+        InputError: another shape, or an action or a hand that is not finite; then nothing is taken.
+    """
+    frames = _hands(hands, state)
+    rows = _rows(action, (len(frames),), "One number per world")
+    broken = _grip_worlds(
+        frames, state.object_pose, state.held_by, state.grip_pose, rows, agent, NOBODY, spec.grasp_m
+    )  # fmt: skip
+    if broken >= 0:
+        raise InputError(f"Actions must be finite. That of world {broken} is {rows[broken]}.")
+    carry_objects(state, frames, agent=agent)
+
+
+def carry_objects(state: WorldState, hands: NDArray[np.float64], *, agent: int = ROBOT) -> None:
+    """Take along what an agent holds, in place: ``hands`` [W, 4, 4] are the new frames of its hands."""
+    _carry_worlds(_hands(hands, state), state.object_pose, state.held_by, state.grip_pose, agent)
+
+
+def _hands(hands: ArrayLike, state: WorldState) -> NDArray[np.float64]:
+    frames = _rows(hands, (len(state.held_by), 4, 4), "One hand per world, hand to world")
+    if not np.isfinite(frames).all():
+        raise InputError("Frames of hands must be finite.")
+    return frames
+
+
+def _rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+    rows = np.ascontiguousarray(values, np.float64)
+    if rows.shape != shape:
+        raise InputError(f"Expected shape {list(shape)}: {what[0].lower()}{what[1:]}, got {list(rows.shape)}.")
+    return rows

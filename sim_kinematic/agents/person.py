@@ -1,0 +1,380 @@
+"""A person under control, at three levels: joints (`Person.set_pose`), a hand's target (`Person.reach_to`), and skills.
+
+Skills are generators. Each ``next`` is one step of 1/30 s, after which the person's pose and the objects in her hands hold the
+new moment; the generator's return value is a `SkillResult`. `run` plays one to its end and keeps the frames:
+
+```python
+person = Person(load_humanoid("female_1"), ground_pose([0, 0], 0.0), {"mug": mug_pose})
+frames, result = run(person, person.pick("mug", "left"))
+```
+
+Everything is kinematic: nothing is pushed and nothing stops a hand. What a hand cannot reach it does not pick: success is
+judged by where the hand is, unlike in Habitat, which judges by where it was sent (spec/habitat.md 3.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from h3data.bodies import JOINT_INDEX, Humanoid
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.reach import (
+    BaseMotion,
+    Hand,
+    ReachPoses,
+    ReachResult,
+    hand_points,
+    reach,
+    reach_poses,
+    reacher,
+)
+from h3data.errors import InputError
+from h3data.geometry import (
+    Array,
+    ground_pose,
+    heading_from_quat,
+    pose_inverse,
+    pose_multiply,
+    quat_from_heading,
+    quat_from_matrix,
+    quat_multiply,
+    quat_nlerp,
+    quat_rotate,
+    wrap_angle,
+)
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.arm_tuck import HANDS, draw_arms
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.motion.step import walk_humans
+
+CARRY = (0.27, 0.80, 0.15)
+"""Where a hand carries something: forward, up, to its side, in heights of the shoulder."""
+HAND_SPEED_MPS, HAND_LEAST_S = 0.9, 0.4
+"""Mean speed of a hand on its line, and the time that even a short one takes."""
+JOINT_STEP_RAD = 0.18
+"""A line is gone more slowly where a joint would turn faster than this per step (310 degrees a second)."""
+EASE_M = 0.08
+"""Over this much of the way the trunk goes from standing to reaching; there an empty hand may leave its line by 8 mm."""
+SNAP_M = 0.01
+"""A hand takes hold of what is nearer to its palm than this."""
+UPRIGHT_FROM = 0.5
+"""From this share of the way on, what is put down is turned upright."""
+PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkillResult:
+    """How a skill ended."""
+
+    success: bool
+    reason: str = ""
+    """Why not: a status of `h3data.bodies.people.reach`, or ``missed``."""
+    hand_error_m: float = 0.0
+    """From where the hand (or what it puts down) should be to where it is, or would be, nearest."""
+    base_motion: BaseMotion | None = None
+    """Where to stand instead (see `Person.approach`); None when that does not help either."""
+
+
+Skill = Generator[object, None, SkillResult]
+
+
+class Frame(NamedTuple):
+    """One moment of a person: what a recording's free-form pose columns hold, and the objects."""
+
+    base: Array
+    """Agent root, pose7 [7]."""
+    root: Array
+    """Pelvis in the world, pose7 [7]."""
+    joints: Array
+    """Local rotations of the other joints, shape [54, 4]."""
+    objects: dict[str, Array]
+    """pose7 each."""
+
+
+class _Held(NamedTuple):
+    name: str
+    grip: Array
+    """Pose of the object in the palm's frame."""
+    stood: Array
+    """Rotation of the object relative to the person's heading when it was taken."""
+
+
+class Person:
+    """A humanoid somewhere, with a pose, and the objects that it can take."""
+
+    def __init__(
+        self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
+        spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None,
+    ) -> None:  # fmt: skip
+        """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name. ``free`` is the
+        map, by which she draws in her arms where ``spec.arms`` says how."""
+        self.body, self.spec, self.free = body, spec, free
+        self._drawn = HumanState.zeros(1)
+        self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
+        self.held: dict[Hand, _Held] = {}
+        self.base = np.array(base_pose, np.float64)
+        self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
+        self._stand()
+
+    # --- joints -----------------------------------------------------------------------------------------------------
+    def set_pose(self, quats: ArrayLike, pelvis: ArrayLike, base_pose: ArrayLike | None = None) -> None:
+        """Local rotations [55, 4] (the pelvis' in the agent root frame) and the pelvis [3] [m], as `Humanoid.clip_pose`
+        returns them; the objects in the hands follow."""
+        quats, pelvis = np.array(quats, np.float64), np.array(pelvis, np.float64)
+        if quats.shape != (55, 4) or pelvis.shape != (3,):
+            raise InputError(f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.")
+        if base_pose is not None:
+            self.base = np.array(base_pose, np.float64)
+        self.quats, self.pelvis = quats, pelvis
+        for hand, held in self.held.items():
+            self.objects[held.name] = pose_multiply(self.palm(hand), held.grip)
+
+    @property
+    def joint_matrices(self) -> Array:
+        """World frames of the joints, shape [55, 4, 4]."""
+        return self.body.joint_matrices(self.base, self.quats[None], self.pelvis[None])[0]
+
+    def palm(self, hand: Hand) -> Array:
+        """pose7 of a palm in the world: its grasp point, axes of the wrist."""
+        joints = self.joint_matrices
+        turn = quat_from_matrix(joints[JOINT_INDEX[f"{hand}_wrist"], :3, :3])
+        return np.concatenate([hand_points(joints[None], self.body, hand)[0], turn])
+
+    def frame(self) -> Frame:
+        """A copy of this moment."""
+        root = pose_multiply(self.base, np.concatenate([self.pelvis, self.quats[0]]))
+        return Frame(self.base.copy(), root, self.quats[1:].copy(), {n: p.copy() for n, p in self.objects.items()})
+
+    # --- a hand's target --------------------------------------------------------------------------------------------
+    def reach_to(self, position: ArrayLike, hand: Hand = "right") -> ReachResult:
+        """Put a palm at a world position [3] at once; where it cannot be, as near as it gets, and the result says so."""
+        result = reach(self.body, self.seen(position), hand)
+        self._drawn.arms[0, HANDS.index(hand)] = 0.0
+        self._pose(result.quats, result.pelvis, hand)
+        return result
+
+    # --- skills -----------------------------------------------------------------------------------------------------
+    def wait(self, seconds: float) -> Skill:
+        """Keep the pose."""
+        for _ in range(round(seconds / STEP_S)):
+            yield
+        return SkillResult(success=True)
+
+    def turn(self, heading: float) -> Skill:
+        """Turn on the spot by steps until the heading [rad] is reached."""
+        start = float(heading_from_quat(self.base[3:]))
+        way = float(wrap_angle(heading - start))
+        clip = self.body.motion_names.index("turn_left" if way > 0 else "turn_right")
+        per_cycle, first = self.body.clips[clip].turn_rad, self.body.clips[clip].start_phase
+        steps = max(int(np.ceil(abs(way) / (self.spec.turn_rad_s * STEP_S))), 1) if abs(way) > 1e-9 else 0
+        fade = round(self.spec.blend_s / STEP_S)
+        for k in range(1, steps + (fade if steps else 0) + 1):
+            turned = way * min(k / steps, 1.0)
+            blend = min(0.5 + k / fade, 1.0) if k <= steps else 1 - (k - steps) / fade
+            self.base[3:] = quat_from_heading(start + turned)
+            self.play(clip, first + turned / per_cycle, blend)
+            yield
+        return SkillResult(success=True)
+
+    def walk_to(self, path: ArrayLike) -> Skill:
+        """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
+        points = np.atleast_2d(np.asarray(path, np.float64))
+        if points.shape[-1] != 2 or not np.isfinite(points).all():
+            raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.")
+        clip = self.body.clip_for_speed(self.spec.speed_mps)
+        walk = self.body.clips[clip]
+        for point in points:
+            way = point - self.base[[0, 2]]
+            if np.hypot(*way) <= self.spec.arrive_m:
+                continue
+            heading = float(np.arctan2(-way[1], way[0]))
+            if abs(wrap_angle(heading - heading_from_quat(self.base[3:]))) > self.spec.turn_before_walk_rad:
+                yield from self.turn(heading)
+            state = HumanState.zeros(1)
+            state.xz[0], state.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
+            while True:
+                walk_humans(state, point[None], self.spec)
+                floor = float(self.base[1])
+                self.base = ground_pose(state.xz[0], state.heading[0], floor)
+                phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
+                self.play(clip, float(phase), float(state.blend[0]))
+                yield
+                if state.blend[0] == 0:
+                    break
+        return SkillResult(success=True)
+
+    def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
+        """Walk, in a straight line, to where the hand reaches a world position [3]."""
+        result = reach(self.body, self.seen(position), hand)
+        if result.base_motion is None:
+            return SkillResult(success=False, reason=result.status, hand_error_m=result.hand_error_m)
+        goal = result.base_motion.of(self.base)
+        yield from self.walk_to(goal[[0, 2]])
+        yield from self.turn(float(heading_from_quat(goal[3:])))
+        return SkillResult(success=True)
+
+    def pick(self, name: str, hand: Hand = "right") -> Skill:
+        """Move a hand on a straight line to an object, take it, and bring it to where it is carried."""
+        if name not in self.objects:
+            raise InputError(f"There is no object {name!r}. There are: {', '.join(self.objects) or 'none'}.")
+        if hand in self.held:
+            raise InputError(f"The {hand} hand already holds {self.held[hand].name!r}. Hint: place it first.")
+        target = self.seen(self.objects[name][:3])
+        answer = reach(self.body, target, hand)
+        if not answer.reached:
+            return _unreached(answer)
+        yield from self._move(hand, self._way_out(hand, target), ends=(0.0, 1.0))
+        palm = self.palm(hand)
+        error = float(np.linalg.norm(palm[:3] - self.objects[name][:3]))
+        if error > SNAP_M:
+            yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+            return SkillResult(success=False, reason="missed", hand_error_m=error)
+        heading = quat_from_heading(-heading_from_quat(self.base[3:]))
+        self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
+        self.held[hand] = _Held(
+            name, pose_multiply(pose_inverse(palm), self.objects[name]), quat_multiply(heading, self.objects[name][3:])
+        )
+        yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
+        return SkillResult(success=True, hand_error_m=error)
+
+    def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
+        """Put what a hand holds down at a world position [3], upright as it stood, and take the hand back."""
+        if hand not in self.held:
+            raise InputError(f"The {hand} hand holds nothing.")
+        held, target = self.held[hand], self.seen(position)
+        answer = reach(self.body, target, hand)
+        if not answer.reached:
+            return _unreached(answer)
+        line = np.stack([self._carry_point(hand), target])
+        for share in self._move(hand, line, ends=(0.0, 1.0), arms=(1.0, 1.0)):
+            upright = quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
+            weight = np.clip((share - UPRIGHT_FROM) / (1 - UPRIGHT_FROM), 0, 1)
+            pose = self.objects[held.name]
+            pose[3:] = quat_nlerp(pose[3:], upright, weight)
+            yield
+        del self.held[hand]
+        error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
+        yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
+        return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
+
+    # --- how ---------------------------------------------------------------------------------------------------------
+    def seen(self, position: ArrayLike) -> Array:
+        """A world position [3] in the agent root frame."""
+        inverse = pose_inverse(self.base)
+        return inverse[:3] + quat_rotate(inverse[3:], np.asarray(position, np.float64))
+
+    def hand_way(self, position: ArrayLike, hand: Hand = "right", *, full: bool = False) -> ReachPoses:
+        """The poses of a hand's way to a world position [3], in the agent root frame: of an empty one, as `pick` takes it, or
+        of one that holds something, as `place` does. Nothing moves."""
+        target = self.seen(position)
+        if full:
+            return self._line(hand, np.stack([self._carry_point(hand), target]), (0.0, 1.0), (1.0, 1.0))[0]
+        return self._line(hand, self._way_out(hand, target), (0.0, 1.0), (0.0, 1.0))[0]
+
+    def _carry_point(self, hand: Hand) -> Array:
+        side = 1.0 if hand == "right" else -1.0
+        return np.array(CARRY) * (1, 1, side) * reacher(self.body, hand).body.scale
+
+    def _way_out(self, hand: Hand, target: Array) -> Array:
+        """Corners of the hand's way from hanging to a target: in front of the chest first, unless the target is low."""
+        rest = reacher(self.body, hand).rest
+        return np.stack([rest, target] if target[1] < rest[1] else [rest, self._carry_point(hand), target])
+
+    def _move(
+        self, hand: Hand, corners: Array, *, ends: tuple[float, float], arms: tuple[float, float] | None = None
+    ) -> Generator[float, None, None]:
+        """Move a palm along straight lines through ``corners`` [K, 3] (agent root frame), at ease at each.
+
+        ``ends`` says whether it begins and ends in the standing trunk (0) or the reaching one (1), ``arms`` the same of
+        the elbow. Yields the share of the way.
+        """
+        poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
+        fastest = float(joint_steps(poses.quats).max(initial=0.0))
+        if fastest > JOINT_STEP_RAD:
+            poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
+        for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
+            self._pose(quats, pelvis, hand)
+            yield float(at / way[-1]) if way[-1] else 1.0
+
+    def _line(
+        self, hand: Hand, corners: Array, ends: tuple[float, float], arms: tuple[float, float], slower: float = 1.0
+    ) -> tuple[ReachPoses, Array]:
+        """The poses of `_move` and the way [T] [m] gone at each."""
+        legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        points, done = [], []
+        for k, leg in enumerate(legs):
+            steps = int(np.ceil(slower * max(leg / HAND_SPEED_MPS, HAND_LEAST_S) / STEP_S))
+            u = np.arange(1, steps + 1)[:, None] / steps
+            u = u * u * (3 - 2 * u)
+            points.append(corners[k] + u * (corners[k + 1] - corners[k]))
+            done.append(legs[:k].sum() + u[:, 0] * leg)
+        way = np.concatenate(done)
+        trunk, arm = _eased(way, ends), _eased(way, arms)
+        return reach_poses(self.body, np.concatenate(points), hand, trunk=trunk, arm=arm), way
+
+    def _stand(self) -> None:
+        self.play(0, 0.0, 1.0)
+
+    def play(self, clip: int, phase: float, blend: float) -> None:
+        """Take the pose of a clip at a phase (0..1), blended with standing; hands that hold something keep carrying it."""
+        quats, pelvis = self.body.clip_pose([clip], [phase], [blend])
+        self._pose(quats[0], pelvis[0], None)
+
+    def _pose(self, quats: Array, pelvis: Array, moving: Hand | None) -> None:
+        """Take a pose, with arms drawn in where there is little room; arms that hold something and do not move keep
+        carrying it."""
+        quats = quats.copy()
+        if self.free is not None and self.spec.arms is not None:
+            self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
+            draw_arms(self._drawn, self.free, self.body, self.spec.arms, busy=moving)
+            draw_in(quats[None], self._drawn.arms)
+        for hand in self.held:
+            if hand != moving:
+                joints, arm = self._carry_arm(hand)
+                quats[joints] = arm
+        self.set_pose(quats, pelvis)
+
+    def _carry_arm(self, hand: Hand) -> tuple[list[int], Array]:
+        if hand not in self._carry_arms:
+            joints = [JOINT_INDEX[f"{hand}_{part}"] for part in ("collar", "shoulder", "elbow", "wrist")]
+            poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
+            self._carry_arms[hand] = joints, poses.quats[0, joints]
+        return self._carry_arms[hand]
+
+
+def run(person: Person, skill: Skill) -> tuple[list[Frame], SkillResult]:
+    """Play a skill to its end: a frame after each step, and how it ended."""
+    frames = []
+    while True:
+        try:
+            next(skill)
+        except StopIteration as end:
+            return frames, end.value
+        frames.append(person.frame())
+
+
+def _unreached(answer: ReachResult) -> SkillResult:
+    return SkillResult(
+        success=False, reason=answer.status, hand_error_m=answer.hand_error_m, base_motion=answer.base_motion
+    )
+
+
+def joint_steps(quats: Array) -> Array:
+    """How far each joint turns from one pose to the next, [T-1, 55] [rad], of local rotations [T, 55, 4]."""
+    return 2 * np.arccos(np.minimum(np.abs(np.sum(quats[1:] * quats[:-1], axis=-1)), 1.0))
+
+
+def _eased(way: Array, ends: tuple[float, float]) -> Array:
+    """Weights [T] that go over between ``ends`` and 1 within `EASE_M` of either end of the way [T] [m]."""
+    ease = min(EASE_M, way[-1] / 2) or 1.0
+    weight = np.ones_like(way)
+    for from_end, value in ((way, ends[0]), (way[-1] - way, ends[1])):
+        u = np.clip(from_end / ease, 0, 1)
+        weight = np.minimum(weight, value + (1 - value) * u * u * (3 - 2 * u))
+    return weight

@@ -1,0 +1,110 @@
+"""Room to reach: whether a person who stands somewhere gets her hand to a point without her body in the walls or furniture.
+
+Her collision capsules are posed along the way of her hand (`Person.hand_way`) and asked of FCL against the static scene,
+thinner by `TOLERANCE_M`: what then touches is deeper than that.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid
+from h3data.bodies.people.reach import Hand
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_inverse, pose_multiply, pose_to_matrix
+from h3data.scene import Scene
+from sim_kinematic.agents.person import Person
+from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, contacts, shapes_from_capsules
+from sim_kinematic.contact.clearance import scenery_of
+
+TOLERANCE_M = 0.02
+"""So deep a capsule may be in something: bodies are softer than capsules, and capsules a little thicker than bodies."""
+EVERY = 4
+"""Each so many-th frame of the hand's way is looked at, and the last one."""
+REACHING_PARTS: dict[Hand, tuple[str, str]] = {
+    "right": ("right_forearm", "right_hand"),
+    "left": ("left_forearm", "left_hand"),
+}
+"""They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
+WAYS_KEPT = 200
+"""So many ways of the hand are remembered, 50 kB each."""
+SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
+"""A thing in which the capsule from the point so far down is, of this radius, is what the point lies on."""
+
+
+class _Part(NamedTuple):
+    """Some of the capsules."""
+
+    rows: NDArray[np.intp]
+    shapes: MovingShapes
+
+
+class ReachRoom:
+    """Asks for one scene and one person."""
+
+    def __init__(self, scene: Scene, body: Humanoid, floor_y: float) -> None:
+        self._scenery, self._body, self._floor_y = scenery_of(scene), body, floor_y
+        start, end, radius = body.capsules_world(np.tile(np.eye(4), (1, 55, 1, 1)))
+        thinner = shapes_from_capsules(start[0], end[0], np.maximum(radius - TOLERANCE_M, 0.25 * radius))
+        self._parts: dict[Hand, tuple[_Part, _Part]] = {}
+        for hand, names in REACHING_PARTS.items():
+            reaches = np.array([capsule.name in names for capsule in body.capsules])
+            trunk, arm = (
+                _Part(rows, MovingShapes([thinner[k] for k in rows])) for rows in map(np.flatnonzero, (~reaches, reaches))
+            )  # fmt: skip
+            self._parts[hand] = trunk, arm
+        self._below = MovingShapes(
+            shapes_from_capsules(np.zeros((1, 3)), np.array([[0.0, SUPPORT_M, 0.0]]), SUPPORT_RADIUS_M)
+        )
+        self._person = Person(body, IDENTITY_POSE)
+        self._ways: dict[tuple[Hand, tuple[float, ...]], Array] = {}
+
+    def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
+        """Whether she can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        base = ground_pose(stand[:2], float(stand[2]), self._floor_y)
+        frames = pose_to_matrix(base) @ self._capsules(base, np.asarray(point, np.float64), hand)
+        allowed = self._supports(point)
+        trunk, arm = self._parts[hand]
+        for pose in frames[::-1]:  # at the point she leans most
+            trunk.shapes.set_transforms(pose[trunk.rows])
+            if collide(self._scenery, trunk.shapes):
+                return False
+            arm.shapes.set_transforms(pose[arm.rows])
+            if any(self._scenery.names[c.index_a] not in allowed for c in contacts(self._scenery, arm.shapes)):
+                return False
+        return True
+
+    def _supports(self, point: Array) -> set[str]:
+        foot = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M, 0.0])
+        self._below.set_transforms(capsule_transforms(foot[None], np.asarray(point, np.float64)[None]))
+        return {self._scenery.names[c.index_a] for c in contacts(self._scenery, self._below)}
+
+    def _capsules(self, base: Array, point: Array, hand: Hand) -> NDArray[np.floating]:
+        """Frames of the capsules on a hand's ways there, empty and full, in her root frame, [T, C, 4, 4]; last at the point.
+
+        Stands on one ring round the point share them.
+        """
+        local = pose_multiply(pose_inverse(base), np.append(point, [0, 0, 0, 1.0]))[:3]
+        seen = hand, tuple(np.round(local, 4).tolist())
+        if seen not in self._ways:
+            if len(self._ways) >= WAYS_KEPT:
+                self._ways.clear()
+            quats, pelvis = [], []
+            for full in (False, True):
+                way = self._person.hand_way(np.array(seen[1]), hand, full=full)
+                rows = np.unique(np.append(np.arange(0, len(way.quats), EVERY), len(way.quats) - 1))
+                quats.append(way.quats[rows])
+                pelvis.append(way.pelvis[rows])
+            joints = self._body.joint_matrices(IDENTITY_POSE[None], np.concatenate(quats), np.concatenate(pelvis))
+            start, end, _ = self._body.capsules_world(joints)
+            self._ways[seen] = capsule_transforms(start, end)
+        return self._ways[seen]
+
+
+@lru_cache(maxsize=8)
+def reach_room(scene: Scene, body: Humanoid, floor_y: float) -> ReachRoom:
+    """Made once for each scene and body."""
+    return ReachRoom(scene, body, floor_y)

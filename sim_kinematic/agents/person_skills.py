@@ -1,0 +1,301 @@
+"""The skills of a person (paper sections 3.1 and 4.2; spec/habitat.md 2.3, 2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.people.reach import Hand, reacher
+from h3data.geometry import Array, ground_pose, heading_from_quat, wrap_angle
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.person import Person, SkillResult
+from sim_kinematic.agents.person import Skill as Motion
+from sim_kinematic.agents.person_clearance import ReachRoom
+from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
+from sim_kinematic.agents.stands import nearest_stand, person_stands
+from sim_kinematic.agents.waypoint_walker import walking_path
+from sim_kinematic.avoidance.yielding import NO_WAY, PATIENCE_STEPS, Seen, crowds, in_the_way, round_others, waits
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
+from sim_kinematic.motion.step import walk_humans
+
+TURN_PATIENCE_STEPS = 10
+"""So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
+HANDS: tuple[Hand, ...] = ("right", "left")
+"""In the order in which she tries them."""
+
+
+class _Posture(NamedTuple):
+    """How she stands, and what she carries."""
+
+    base: Array
+    quats: Array
+    pelvis: Array
+    objects: dict[str, Array]
+
+
+@dataclass(eq=False)
+class PersonActor:
+    """A person with two hands; the left one is for what the right one cannot. She heeds those she sees (``others``): a person
+    with one robot sees nobody, as Habitat's planners."""
+
+    person: Person
+    free: FreeSpace
+    spec: WalkerSpec
+    objects: Objects
+    number: int = HUMAN
+    """Of the agent."""
+    room: ReachRoom | None = None
+    """Looks where her body would be; None: nobody does."""
+    others: tuple[Seen, ...] = ()
+    """Who else is there, the nearest first."""
+    agreed: bool = False
+    """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
+    meets: Callable[[], bool] = field(default=lambda: False)
+    """Whether she touches somebody as she is now: then she stops where she was."""
+    way: NDArray[np.floating] = field(default_factory=lambda: NO_WAY)
+    yields: bool = True
+    aside: NDArray[np.float64] | None = None
+    hindered_by: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        self._gait = HumanState.zeros(1)
+
+    @property
+    def is_robot(self) -> bool:
+        return False
+
+    @property
+    def xz(self) -> NDArray:
+        return self.person.base[[0, 2]]
+
+    @property
+    def heading(self) -> float:
+        return float(heading_from_quat(self.person.base[3:]))
+
+    @property
+    def hand_pose(self) -> Array:
+        """pose7 of the palm that holds something in the world, else of the right one."""
+        holding = tuple(self.person.held)
+        return self.person.palm(holding[0] if holding else "right")
+
+    @property
+    def arm(self) -> NDArray:
+        """She has no joints that could be driven, [0]."""
+        return np.zeros(0)
+
+    def infeasible(self, action: Action) -> str:
+        if action.skill in (*PRIMITIVES, CONTROL):
+            return "not_of_a_person"
+        return self.objects.why_not(self.number, action)
+
+    def start(self, action: Action) -> Skill:
+        k = action.target
+        if action.skill == "wait":
+            return self._wait(action.steps)
+        if action.skill.startswith("nav"):
+            to_goal = action.skill == "nav_to_goal"
+            return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
+        return self._handle(action.skill == "pick", k)
+
+    def idle(self) -> None:
+        self._stand()
+
+    def _wait(self, steps: int) -> Skill:
+        for _ in range(steps):
+            self._stand()
+            yield
+        return Ending("done")
+
+    def _hands(self, k: int) -> tuple[Hand, ...]:
+        """The hand that holds an object, else both in the order in which she tries them."""
+        holding: list[Hand] = [hand for hand, held in self.person.held.items() if held.name == self.objects.names[k]]
+        return tuple(holding) or HANDS
+
+    def _navigate(self, point: NDArray, hands: tuple[Hand, ...]) -> Skill:
+        """Walk to where the first of these hands that can reaches a world point [3], and turn to it."""
+        gets_there = False
+        for hand in hands:
+            stands = person_stands(self.free, self.person.body, point, hand)
+            for _ in range(PATIENCE_STEPS):
+                if not len(stands) or not crowds(stands, self.others).all():
+                    break
+                self._stand()
+                yield
+            crowded = crowds(stands, self.others)
+            k, left = nearest_stand(
+                self.free, stands, self.xz, crowded, partial(self._has_room, point=point, hand=hand)
+            )
+            if np.isfinite(left):
+                break
+            gets_there |= bool(np.isfinite(nearest_stand(self.free, stands, self.xz)[1]))
+        else:
+            return Ending("failed", "no_room" if gets_there else "no_way")
+        yield from self._walk(stands[k, :2])
+        if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
+            return Ending("failed", "stuck")
+        yield from self._careful(self.person.turn(float(stands[k, 2])))
+        return Ending("done")
+
+    def _walk(self, goal: NDArray) -> Generator[None, None, None]:
+        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1)."""
+        path = self._path(goal)
+        if len(path):
+            dx, dz = path[0] - self.xz
+            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx))), TURN_PATIENCE_STEPS)
+        if self._gait.blend[0] == 0:
+            self._gait = self._set_off()
+        k, waited, left = 0, 0, False
+        while k < len(path) and waited <= PATIENCE_STEPS:
+            left |= self.aside is not None
+            if left and self.aside is None:  # back from where she had stepped aside to
+                path, k, waited, left = self._path(goal), 0, 0, False
+                continue
+            self.way = np.vstack([self.xz[None], path[k:]])
+            if left:
+                self._stand()
+                yield
+                continue
+            blocker = in_the_way(self.xz, path[k], self.others)
+            if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
+                detour = round_others(self.free, self.xz, goal, self.others)
+                path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
+            waited = 0 if blocker is None else waited + 1
+            self._pace(path[k] if blocker is None else None)
+            yield
+            there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
+            k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
+
+    def _path(self, goal: NDArray) -> NDArray[np.float64]:
+        """Way points [N, 2] to a floor point [2]."""
+        return walking_path(self.free, self.xz, goal, self.spec)[1:]
+
+    def _stand(self) -> None:
+        """One step of standing, or of stepping aside."""
+        if self.aside is not None and len(self.aside):
+            blocked = in_the_way(self.xz, self.aside[0], self.others) is not None
+            self._pace(None if blocked else self.aside[0])
+        elif self._gait.blend[0] > 0:
+            self._pace(None)
+
+    def _pace(self, towards: NDArray | None) -> None:
+        """One step of walking towards a floor point [2], or of coming to a stand; where she would touch somebody she does not
+        get on."""
+        person, gait, before = self.person, self._gait, self._posture()
+        if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
+            self._gait = gait = self._set_off()
+        stopped = gait.take([0])
+        clip = person.body.clip_for_speed(self.spec.speed_mps)
+        for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
+            walk_humans(gait, target[None], self.spec)
+            person.base = ground_pose(gait.xz[0], gait.heading[0], self.free.floor_y)
+            walk = person.body.clips[clip]
+            phase = walk.start_phase + (gait.distance[0] - gait.set_off[0]) / walk.stride_m
+            person.play(clip, float(phase), float(gait.blend[0]))
+            if not self.meets():
+                break
+            self._gait = gait = stopped.take([0])
+            self._take(before)
+        self._follow()
+
+    def _careful(self, motion: Motion, patience: int = PATIENCE_STEPS) -> Generator[None, None, SkillResult]:
+        """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
+        back what she has done of it, if nothing has come into her hands."""
+        before, done, holding = self._posture(), [], tuple(self.person.held)
+        while True:
+            try:
+                next(motion)
+            except StopIteration as end:
+                return end.value
+            after, blocked = self._posture(), 0
+            while self.meets():
+                self._take(before)
+                blocked += 1
+                if blocked > patience and tuple(self.person.held) == holding:
+                    yield from self._back_through(done)
+                    return SkillResult(success=False, reason="blocked")
+                self._follow()
+                yield
+                self._take(after)
+            self._follow()
+            yield
+            done.append(before)
+            before = after
+
+    def _back_through(self, done: list[_Posture]) -> Generator[None, None, None]:
+        """Take postures again, the last first."""
+        now = self._posture()
+        while done:
+            self._take(done[-1])
+            if self.meets():
+                self._take(now)
+            else:
+                now = done.pop()
+            self._follow()
+            yield
+
+    def _set_off(self) -> HumanState:
+        """Standing where she is."""
+        gait = HumanState.zeros(1)
+        gait.xz[0], gait.heading[0] = self.xz, self.heading
+        return gait
+
+    def _posture(self) -> _Posture:
+        person = self.person
+        objects = {name: pose.copy() for name, pose in person.objects.items()}
+        return _Posture(person.base.copy(), person.quats.copy(), person.pelvis.copy(), objects)
+
+    def _take(self, posture: _Posture) -> None:
+        self.person.set_pose(posture.quats, posture.pelvis, posture.base)
+        self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
+
+    def _handle(self, picks: bool, k: int) -> Skill:
+        """Pick or place; objects change hands in the step in which the hand is there."""
+        name = self.objects.names[k]
+        point = self.objects.poses[k, :3] if picks else self.objects.goals[k]
+        stand = np.append(self.xz, self.heading)
+        hands = self._hands(k)
+        near: list[Hand] = [hand for hand in hands if self._reaches(stand, point, hand)]
+        able: list[Hand] = [hand for hand in near if self._has_room(stand, point, hand)]
+        if near and not able:
+            return Ending("failed", "no_room")
+        hand = able[0] if able else hands[0]
+        self.person.objects[name] = self.objects.poses[k].copy()
+        motion = self._careful(self.person.pick(name, hand) if picks else self.person.place(point, hand))
+        result = SkillResult(success=False)
+        self.yields = False
+        while True:
+            try:
+                next(motion)
+            except StopIteration as end:
+                result = end.value
+                break
+            if picks and hand not in self.person.held:  # it may go away under her hand
+                self.person.objects[name] = self.objects.poses[k].copy()
+            yield
+        return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
+
+    def _reaches(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
+        seen = Person(self.person.body, ground_pose(stand[:2], float(stand[2]), self.free.floor_y)).seen(point)
+        return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
+
+    def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
+        """Whether her body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
+        where it does not get there anyway."""
+        return self.room is None or not self._reaches(stand, point, hand) or self.room.is_clear(stand, point, hand)
+
+    def _follow(self) -> None:
+        """Tell the others what the hand holds."""
+        held = next(iter(self.person.held.values()), None)
+        for k, name in enumerate(self.objects.names):
+            if held is not None and held.name == name:
+                self.objects.held_by[k] = self.number
+                self.objects.poses[k] = self.person.objects[name]
+            elif self.objects.held_by[k] == self.number:
+                self.objects.held_by[k] = NOBODY
+                self.objects.poses[k] = self.person.objects[name]

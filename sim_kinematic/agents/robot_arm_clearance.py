@@ -1,0 +1,124 @@
+"""Ways for a robot's arm: whether its hand gets from a stand to a point without a wall or furniture between them.
+
+Two questions, both of FCL against the static scene. `ArmWay.is_open`: nothing stands between the shoulder and the point, seen
+at the height of the hand. `ArmWay.is_clear`: the arm itself touches nothing on its way there and back.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.bodies import Robot, solve_ik
+from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_to_matrix
+from h3data.scene import Scene
+from h3data.scene.records import Capsule
+from sim_kinematic.agents.arm_contact import arm_links
+from sim_kinematic.agents.stands import hand_turn
+from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
+from sim_kinematic.contact.clearance import scenery_of
+
+APPROACH_M = 0.1
+"""A robot's hand comes to an object from so far above it and lifts it as high."""
+LINE_RADIUS_M = 0.01
+FRAMES = 8
+"""Postures that are looked at between the resting one and the one over the point."""
+HELD_M = 0.05
+"""What the hand carries is taken for a ball of this radius."""
+WAYS_KEPT = 200
+"""So many ways of the arm are remembered, 20 kB each."""
+
+
+class _Part(NamedTuple):
+    """Some of the shapes, and the links that move them."""
+
+    shapes: MovingShapes
+    links: list[int]
+
+
+class ArmWay:
+    """Asks for one scene and one robot."""
+
+    def __init__(self, scene: Scene, robot: Robot, floor_y: float) -> None:
+        self._scenery, self._robot, self._floor_y = scenery_of(scene), robot, floor_y
+        links, hand = arm_links(robot), robot.hand_link
+        rest = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+        self._shoulder = np.asarray(rest[links[0], :3, 3], np.float64)
+        at = np.asarray(robot.hand_position, np.float64)
+        held = Capsule(start=at, end=at, radius=HELD_M)
+        in_hand = [
+            (k, shape) for k in links if k == hand or robot.links[k].parent == hand for shape in robot.links[k].shapes
+        ]
+        behind = [
+            (k, shape) for k in links if k != hand and robot.links[k].parent != hand for shape in robot.links[k].shapes
+        ]
+        self._hand, self._arm = (
+            _Part(MovingShapes([shape for _, shape in part]), [k for k, _ in part])
+            for part in ([*in_hand, (hand, held)], behind)
+        )  # fmt: skip
+        self._ways: dict[tuple[float, float], tuple[Array, Array] | None] = {}
+
+    def is_open(self, stand: Array, point: Array) -> bool:
+        """Whether nothing is in the way from the shoulder of a robot at a stand ``(x, z, heading)`` [3] to a world point [3]:
+        up or down to `APPROACH_M` over the point, then level to there."""
+        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
+        shoulder = base[:3, :3] @ self._shoulder + base[:3, 3]
+        over = np.asarray(point, np.float64) + np.array([0.0, APPROACH_M, 0.0])
+        raised = np.array([shoulder[0], over[1], shoulder[2]])
+        start, end = np.stack([shoulder, raised]), np.stack([raised, over])
+        line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
+        line.set_transforms(capsule_transforms(start, end))
+        return not collide(self._scenery, line)
+
+    def is_clear(self, stand: Array, point: Array) -> bool:
+        """Whether, beside that, the arm of a robot that faces the point touches nothing from its resting posture to the one at
+        the point; its hand, and what it may hold, to the one over it."""
+        if not self.is_open(stand, point):
+            return False
+        base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
+        distance = float(np.hypot(*(np.asarray(point, np.float64)[[0, 2]] - stand[:2])))
+        way = self._way(round(distance, 3), round(float(point[1]) - self._floor_y, 3))
+        if way is None:
+            return False
+        for part, frames in zip((self._hand, self._arm), way, strict=True):
+            for pose in (base @ frames)[::-1]:  # where it is farthest out
+                part.shapes.set_transforms(pose)
+                if collide(self._scenery, part.shapes):
+                    return False
+        return True
+
+    def _way(self, distance: float, height: float) -> tuple[Array, Array] | None:
+        """Frames in the root frame of the shapes of hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] on their way to what lies so far
+        ahead and so high [m]; None: it is not reached. Stands on one ring round a point share them."""
+        seen = distance, height
+        if seen not in self._ways:
+            if len(self._ways) >= WAYS_KEPT:
+                self._ways.clear()
+            line = reach_line(self._robot, np.array([distance, height, 0.0, *hand_turn(self._robot)]))
+            self._ways[seen] = None if line is None else self._frames(*line)
+        return self._ways[seen]
+
+    def _frames(self, over: Array, at: Array) -> tuple[Array, Array]:
+        share = np.linspace(0.0, 1.0, FRAMES)[:, None]
+        postures = np.vstack([self._robot.rest + share * (over - self._robot.rest), at])
+        links = self._robot.link_matrices(np.tile(IDENTITY_POSE, (len(postures), 1)), postures)
+        return links[:-1, self._hand.links], links[:, self._arm.links]
+
+
+def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
+    """Joint positions `APPROACH_M` over a pose7 [7] of the hand in the agent root frame, and at it; None: it is not reached."""
+    link = robot.links[robot.hand_link].name
+    at = solve_ik(robot, link, hand, offset=robot.hand_position)
+    if not at.reached:
+        return None
+    raised = hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0])
+    over = solve_ik(robot, link, raised, at.joint_pos, offset=robot.hand_position, restarts=0)
+    return over.joint_pos, at.joint_pos
+
+
+@lru_cache(maxsize=8)
+def arm_way(scene: Scene, robot: Robot, floor_y: float) -> ArmWay:
+    """Made once for each scene and robot."""
+    return ArmWay(scene, robot, floor_y)

@@ -1,0 +1,121 @@
+"""What a task's agents can be told to do: oracle skills of robot and person (paper section 4.2; spec/habitat.md 2.3, 2.4).
+
+A skill is a generator: each ``next`` is one step of 1/30 s, its return value says how it ended. Before it starts, its
+pre-conditions are checked; an infeasible one is a no-op that is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from sim_kinematic.motion.state import NOBODY, WorldState
+
+SKILLS = (
+    "nav_to_object", "nav_to_goal", "pick", "place", "wait", "move_forward", "move_backward", "turn_left", "turn_right",
+    "control",
+)  # fmt: skip
+"""What there is; recordings number them in this order."""
+PRIMITIVES = {
+    "move_forward": (1.0, 0.0, 4),
+    "move_backward": (-1.0, 0.0, 4),
+    "turn_left": (0.0, 1.0, 2),
+    "turn_right": (0.0, -1.0, 2),
+}
+"""Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
+CONTROL = "control"
+"""One step of a robot's lower layer: base, arm and hand by `Action.command`."""
+CHOICE_WAIT_STEPS = 5
+"""How long `choices` wait."""
+
+
+class Action(NamedTuple):
+    """What a high-level policy chooses."""
+
+    skill: str
+    target: int = -1
+    """Index of the object (or of the object whose goal it is) of the skills that have one."""
+    steps: int = 30
+    """How long ``wait`` waits."""
+    command: tuple[float, ...] = ()
+    """Of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows."""
+
+
+class Ending(NamedTuple):
+    """How a skill ended."""
+
+    outcome: Literal["done", "failed", "aborted"]
+    reason: str = ""
+
+
+Skill = Generator[None, None, Ending]
+
+
+def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
+    """What can be chosen among, as a learned policy numbers it: each of the four skills with each of the objects, ``wait``
+    and, for robots, the four primitives: 4 K + 5 or 4 K + 1 actions."""
+    with_target = [Action(skill, k) for skill in SKILLS[:4] for k in range(objects)]
+    primitives = [Action(skill) for skill in PRIMITIVES] if robot else []
+    return (*with_target, Action("wait", steps=CHOICE_WAIT_STEPS), *primitives)
+
+
+class Actor(Protocol):
+    """Somebody with skills."""
+
+    def infeasible(self, action: Action) -> str:
+        """Why a skill cannot start now; empty: it can."""
+        ...
+
+    def start(self, action: Action) -> Skill: ...
+
+    def idle(self) -> None:
+        """One step of doing nothing."""
+        ...
+
+
+@dataclass(eq=False)
+class Objects:
+    """The objects of the task, shared by all actors."""
+
+    names: tuple[str, ...]
+    goals: NDArray[np.float64]
+    """Shape [K, 3] [m]."""
+    state: WorldState
+    """``object_pose`` [1, K, 7], ``held_by`` [1, K], ``grip_pose`` [1, K, 7]."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """pose7 [K, 7] in the world; a view."""
+        return self.state.object_pose[0]
+
+    @property
+    def held_by(self) -> NDArray[np.int64]:
+        """Agent that holds each, [K]; a view."""
+        return self.state.held_by[0]
+
+    def held(self, agent: int) -> int:
+        """Index of what an agent holds, -1 = nothing."""
+        found = np.flatnonzero(self.held_by == agent)
+        return int(found[0]) if len(found) else -1
+
+    def why_not(self, agent: int, action: Action) -> str:
+        """The pre-conditions that both kinds of actors share."""
+        skill, k = action.skill, action.target
+        if skill not in SKILLS:
+            raise InputError(f"Unknown skill {skill!r}. Expected one of: {', '.join(SKILLS)}.")
+        if skill in SKILLS[:4] and not 0 <= k < len(self.names):
+            raise InputError(f"{skill} needs one of the objects 0 to {len(self.names) - 1}, got {k}.")
+        if skill in ("nav_to_object", "pick") and self.held_by[k] not in (NOBODY, agent):
+            return "held_by_other"
+        if skill == "nav_to_object" and self.held_by[k] == agent:
+            return "already_held"
+        if skill == "pick" and self.held(agent) >= 0:
+            return "hand_full"
+        if skill == "place" and self.held_by[k] != agent:
+            return "not_held"
+        return ""

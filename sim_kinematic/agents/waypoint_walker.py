@@ -1,0 +1,180 @@
+"""The scripted person of social navigation: shortest paths to random points of the home, one after the other
+(paper section 4.1; spec/habitat.md 1.4). She does not react to the robot, so her whole track is known from the seed, or
+from the goals that are given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.scene import FreeSpace
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import HumanState
+from sim_kinematic.motion.step import walk_humans
+
+ARC_STEP_M = 0.08
+"""Way points nearer together than this belong to one rounded corner (5 cm apart at a radius of 0.25 m)."""
+ARC_TURN_MAX = 1.75
+"""Corners that turn farther [rad] are taken as they are: their tangents meet far away."""
+MIN_WALK_M = 1.5
+"""A new goal nearer than this is drawn again: standing about is not following practice."""
+ASIDE_STEP_M = 0.02
+"""A way point is moved away from what is near in steps of this length."""
+AHEAD_M = 0.2
+"""Goals that she draws are so much farther from everything than `WalkerSpec.clearance_m`: she may run at a wall there, hands
+first."""
+APART_M = 0.15
+"""Way points are not moved nearer together than this: short legs mean turning on the spot."""
+
+
+@dataclass
+class WaypointHuman:
+    """Which way point of which goal the person walks to. ``goal`` and ``leg`` are all that it remembers."""
+
+    free: FreeSpace
+    seed: int
+    spec: WalkerSpec
+    given: Sequence[tuple[float, float]] = ()
+    """Goals ``(x, z)`` to walk to first; after them she draws her own."""
+    goal: int = -1
+    """Index of the current goal, -1 before the first."""
+    leg: int = 0
+    """Index of the way point within the path to it."""
+    goals: list[NDArray[np.float64]] = field(default_factory=list)
+    """All goals so far, ``(x, z)`` each."""
+    _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
+        while True:
+            while self.leg < len(self._path):
+                waypoint = self._path[self.leg]
+                if np.hypot(*(waypoint - position)) > self.spec.arrive_m:
+                    return waypoint
+                self.leg += 1
+            self._next_goal(position)
+
+    def _next_goal(self, position: NDArray[np.float64]) -> None:
+        self.goal += 1
+        goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
+        self.goals.append(goal)
+        self._path = walking_path(self.free, position, goal, self.spec)
+        self.leg = 1
+
+    def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        rng = generator(self.seed, "human_goal", step=self.goal)
+        candidates = self.free.sample(rng, 32)
+        lengths = self.free.geodesic(np.broadcast_to(position, candidates.shape), candidates)
+        walkable = np.flatnonzero(np.isfinite(lengths) & (lengths >= MIN_WALK_M))
+        # a home with nothing that far away: the farthest point there is
+        pick = walkable[0] if len(walkable) else int(np.argmax(np.where(np.isfinite(lengths), lengths, -1)))
+        clearance = self.spec.clearance_m
+        return aside(self.free, candidates[pick], clearance + AHEAD_M) if clearance else candidates[pick]
+
+
+def walking_path(
+    free: FreeSpace, start: NDArray[np.float64], goal: NDArray[np.float64], spec: WalkerSpec
+) -> NDArray[np.float64]:
+    """Way points [K, 2] of a person from ``start`` to ``goal``: the shortest path with sharp corners, each of them kept
+    ``spec.clearance_m`` away from walls and furniture as far as there is room."""
+    return with_room(free, sharp_corners(free, free.path(start, goal)), spec.clearance_m)
+
+
+def with_room(free: FreeSpace, path: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
+    """The path [K, 2] with its corners moved away from what they go round, up to ``clearance_m``; its ends stay.
+
+    A shortest path touches things at its corners alone, so the legs between get room with them. A corner moves only as far
+    as the straight ways to both its neighbours stay free.
+    """
+    roomy = path.copy()
+    for k in range(1, len(path) - 1):
+        for share in (1.0, 0.5, 0.25):
+            moved = path[k] + share * (aside(free, path[k], clearance_m) - path[k])
+            ends = roomy[k - 1], path[k + 1]
+            apart = all(np.hypot(*(moved - end)) >= APART_M for end in ends)
+            if apart and all(_sees(free, end, moved) for end in ends):
+                roomy[k] = moved
+                break
+    return roomy
+
+
+def aside(free: FreeSpace, point: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
+    """A point [2] moved up the distance field until it has ``clearance_m``, or to where there is no more room."""
+    here, room = point, float(free.signed_distance(point))
+    while room < clearance_m:
+        away = free.gradient(here)
+        length = float(np.hypot(*away))
+        if length < 1e-6:
+            break
+        there = here + away / length * min(ASIDE_STEP_M, clearance_m - room)
+        wider = float(free.signed_distance(there))
+        if wider < room + 1e-3:
+            break
+        here, room = there, wider
+    return here
+
+
+def sharp_corners(free: FreeSpace, path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The path [K, 2] with each rounded corner replaced by the point where its tangents meet, where that way is free.
+
+    A taut path follows an inflated corner in many short legs; somebody who turns on the spot before each would stutter.
+    """
+    short = np.hypot(*np.diff(path, axis=0).T) < ARC_STEP_M
+    kept = [path[0]]
+    k = 1
+    while k < len(path) - 1:
+        last = k
+        while last < len(path) - 2 and short[last]:
+            last += 1
+        meeting = _tangents_meet(path[k - 1 : k + 1], path[last : last + 2]) if last > k else None
+        if meeting is not None and _sees(free, kept[-1], meeting) and _sees(free, meeting, path[last + 1]):
+            kept.append(meeting)
+        else:
+            kept += list(path[k : last + 1])
+        k = last + 1
+    return np.array([*kept, path[-1]])
+
+
+def _tangents_meet(arriving: NDArray[np.float64], leaving: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Where the lines through two legs [2, 2] cross, ahead of the first; None when the turn between them is too wide."""
+    u, v = arriving[1] - arriving[0], leaving[1] - leaving[0]
+    cross = u[0] * v[1] - u[1] * v[0]
+    if abs(np.arctan2(cross, u @ v)) > ARC_TURN_MAX or cross == 0:
+        return None
+    gap = leaving[0] - arriving[0]
+    return arriving[0] + u * ((gap[0] * v[1] - gap[1] * v[0]) / cross)
+
+
+def _sees(free: FreeSpace, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Whether the straight way from a to b is free: then it is the shortest."""
+    return float(free.geodesic(a, b, max_snap_m=1e-3)) <= float(np.hypot(*(b - a))) + 1e-6
+
+
+class HumanPlan(NamedTuple):
+    """What the scripted person will do, whatever the robot does."""
+
+    xz: NDArray[np.float64]
+    """Where she is after each step, shape [steps, 2] [m]."""
+    goals: list[NDArray[np.float64]]
+    """The points that she walks to, one after the other, ``(x, z)`` each [m]."""
+
+
+def human_plan(
+    free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int,
+    given: Sequence[tuple[float, float]] = (),
+) -> HumanPlan:  # fmt: skip
+    """Where the scripted person will be in each of ``steps`` steps, and her goals; the first are those ``given``."""
+    state = HumanState.zeros(1)
+    state.xz[0], state.heading[0] = start_xz, heading
+    human = WaypointHuman(free, seed, spec, given)
+    track = np.empty((steps, 2))
+    for k in range(steps):
+        walk_humans(state, human.target(state.xz[0])[None], spec)
+        track[k] = state.xz[0]
+    return HumanPlan(track, human.goals)

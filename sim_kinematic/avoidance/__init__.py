@@ -1,0 +1,1 @@
+"""How agents keep out of each other's path: roll-outs, velocities, routes, yielding."""

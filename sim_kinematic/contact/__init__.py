@@ -1,0 +1,20 @@
+"""Exact collision of convex shapes, through FCL: what touches what, how deep, how far apart."""
+
+from sim_kinematic.contact.agent_contact import AgentContacts
+from sim_kinematic.contact.fcl_world import Contact, FclScene, MovingShapes, collide, contacts, distance
+from sim_kinematic.contact.overlaps import Overlap, overlapping_instances
+from sim_kinematic.contact.shapes import capsule_transforms, shapes_from_capsules
+
+__all__ = [
+    "AgentContacts",
+    "Contact",
+    "FclScene",
+    "MovingShapes",
+    "Overlap",
+    "capsule_transforms",
+    "collide",
+    "contacts",
+    "distance",
+    "overlapping_instances",
+    "shapes_from_capsules",
+]

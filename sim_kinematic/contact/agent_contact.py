@@ -1,0 +1,126 @@
+"""Contact between the agents of a world, any pair of them: capsules around their shapes first, then FCL on the exact
+shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.kernels import kernel
+from h3data.scene.records import Shape
+from sim_kinematic.contact.fcl_world import Contact, MovingShapes, collide, contacts, distance
+from sim_kinematic.contact.shapes import bounding_capsule
+
+NEAR_M = 1e-3
+"""Capsules nearer than this are left to FCL, whose word on what touches is right to about 1e-6 m."""
+
+
+class AgentContacts:
+    """Which agents touch, step after step.
+
+    An agent is its collision shapes, one world transform each: those of a robot's links, or the capsules of a person's
+    bones (`sim_kinematic.contact.clearance.body_shapes`). Poses are only stored by `update`: FCL is touched when somebody asks and
+    two agents are near each other. The gate is conservative: the capsules hold every shape, so it never hides a contact.
+    """
+
+    def __init__(self, *agents: Sequence[Shape]) -> None:
+        """The shapes of each agent, in their own frames."""
+        self._bodies = tuple(_Body(shapes) for shapes in agents)
+
+    def update(self, agent: int, frames: ArrayLike) -> None:
+        """New world frames [n, 4, 4] of one agent's shapes."""
+        self._bodies[agent].update(np.asarray(frames, np.float64))
+
+    def touching(self) -> list[tuple[int, int]]:
+        """All pairs (a < b) that touch."""
+        return [(a, b) for a, b in combinations(range(len(self._bodies)), 2) if self.collides(a, b)]
+
+    def collides(self, a: int = 0, b: int = 1) -> bool:
+        """Whether two agents touch."""
+        first, second = self._bodies[a], self._bodies[b]
+        return first.is_near(second) and collide(first.posed(), second.posed())
+
+    def contacts(self, a: int = 0, b: int = 1) -> list[Contact]:
+        """Where two agents touch, deepest first."""
+        first, second = self._bodies[a], self._bodies[b]
+        return contacts(first.posed(), second.posed()) if first.is_near(second) else []
+
+    def distance(self, a: int = 0, b: int = 1) -> float:
+        """Distance between two agents [m], negative when they overlap. Always exact: not gated."""
+        return distance(self._bodies[a].posed(), self._bodies[b].posed())
+
+
+class _Body:
+    """One agent's shapes: where they are, the capsules round them, and FCL's objects, which follow when they are needed."""
+
+    def __init__(self, shapes: Sequence[Shape]) -> None:
+        self._objects = MovingShapes(shapes)
+        capsules = [bounding_capsule(s) for s in shapes]
+        self._ends = np.array([ends for *ends, _ in capsules]).reshape(-1, 2, 3)
+        self._radii = np.array([radius for *_, radius in capsules])
+        self._frames = np.tile(np.eye(4), (len(capsules), 1, 1))
+        self._stale = True
+
+    def update(self, frames: NDArray[np.float64]) -> None:
+        self._frames, self._stale = frames, True
+
+    def is_near(self, other: _Body) -> bool:
+        """Whether a capsule of this body is within `NEAR_M` of one of the other's."""
+        return _any_near(
+            _world(self._frames, self._ends), self._radii, _world(other._frames, other._ends), other._radii
+        )
+
+    def posed(self) -> MovingShapes:
+        if self._stale:
+            self._objects.set_transforms(self._frames)
+            self._stale = False
+        return self._objects
+
+
+@kernel(error_model="numpy")
+def _world(frames, ends):
+    """Ends of axes [n, 2, 3] in the world, of those in frames [n, 4, 4]."""
+    out = np.empty_like(ends)
+    for n in range(len(ends)):
+        for k in range(2):
+            for i in range(3):
+                out[n, k, i] = frames[n, i, 3]
+                for j in range(3):
+                    out[n, k, i] += frames[n, i, j] * ends[n, k, j]
+    return out
+
+
+@kernel(error_model="numpy")
+def _any_near(ends_a, radii_a, ends_b, radii_b):
+    for a in range(len(radii_a)):
+        for b in range(len(radii_b)):
+            reach = radii_a[a] + radii_b[b] + NEAR_M
+            if segment_square(ends_a[a, 0], ends_a[a, 1], ends_b[b, 0], ends_b[b, 1]) <= reach * reach:
+                return True
+    return False
+
+
+@kernel(error_model="numpy")
+def segment_square(p, q, r, s):
+    """Square of the distance between segments p-q and r-s in space (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    a = b = c = d = e = 0.0
+    for i in range(3):
+        u, v, w = q[i] - p[i], s[i] - r[i], p[i] - r[i]
+        a, b, c, d, e = a + u * u, b + u * v, c + v * v, d + u * w, e + v * w
+    det = a * c - b * b
+    at = min(max((b * e - c * d) / det, 0.0), 1.0) if det > 1e-12 * a * c else 0.0
+    on = b * at + e
+    if on <= 0.0 or c == 0.0:
+        on, at = 0.0, min(max(-d / a, 0.0), 1.0) if a > 0.0 else 0.0
+    elif on >= c:
+        on, at = 1.0, min(max((b - d) / a, 0.0), 1.0) if a > 0.0 else 0.0
+    else:
+        on /= c
+    square = 0.0
+    for i in range(3):
+        gap = p[i] + at * (q[i] - p[i]) - r[i] - on * (s[i] - r[i])
+        square += gap * gap
+    return square

@@ -1,0 +1,122 @@
+"""Do two agents touch, or a robot the furniture where it starts? FCL on the exact shapes says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
+from h3data.scene import Scene
+from sim_kinematic.contact import AgentContacts, FclScene, MovingShapes, capsule_transforms, collide
+from sim_kinematic.contact.frames import body_shapes, shape_frames
+
+FLOOR_M = 0.02
+"""What lies on the floor lower than this, such as a rug, is stood on."""
+REACH_MARGIN_M = 0.05
+"""Added to the person's reach, which is taken at a number of phases and blends of each clip."""
+
+
+class RobotHumanContact:
+    """Contact between a robot that keeps its posture (collision shapes of its links) and a person who plays clips (her
+    18 capsules)."""
+
+    def __init__(self, robot: Robot, human: Humanoid, posture: ArrayLike | None = None) -> None:
+        """``posture``: the robot's joint positions [J]; None is its resting one."""
+        self._human = human
+        joints = np.asarray(robot.rest if posture is None else posture, np.float64)
+        links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
+        self._shapes_at = shape_frames(robot, links)
+        self._pair = AgentContacts(body_shapes(robot), body_shapes(human))
+        self.gate_m = robot_reach(robot, joints) + clip_reach(human)
+        """Bases farther apart than this on the floor [m] cannot touch."""
+
+    def touching(
+        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: int, phase: float, blend: float,
+        arms: tuple[float, float] = (0.0, 0.0),
+    ) -> bool:  # fmt: skip
+        """Whether they touch: base poses [7], the frame of the clip that the person plays, and how far her arms are drawn
+        in."""
+        at = np.array([clip]), np.array([phase]), np.array([blend]), np.array([arms])
+        return bool(self.touching_many(robot_base[None], human_base[None], *at)[0])
+
+    def touching_many(
+        self, robot_base: NDArray[np.floating], human_base: NDArray[np.floating], clip: NDArray, phase: NDArray,
+        blend: NDArray, arms: NDArray | None = None,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Whether they touch in each of N cases, [N]: base poses [N, 7], frames [N] of clips, arms [N, 2]. Poses the people
+        together."""
+        gap = robot_base[:, [0, 2]] - human_base[:, [0, 2]]
+        near = np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.gate_m)
+        result = np.zeros(len(gap), np.bool_)
+        if not len(near):
+            return result
+        start, end, _ = _clip_capsules(
+            self._human, clip[near], phase[near], blend[near], human_base[near], None if arms is None else arms[near]
+        )
+        bases = pose_to_matrix(robot_base[near].astype(np.float64))
+        for n, base, starts, ends in zip(near, bases, start, end, strict=True):
+            self._pair.update(0, base @ self._shapes_at)
+            self._pair.update(1, capsule_transforms(starts, ends))
+            result[n] = self._pair.collides()
+        return result
+
+
+def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
+    """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
+
+    Its feet may stand on anything up to `FLOOR_M`. FCL, because the discs of the base do not see its rear and its arm.
+    """
+    scenery = scenery_of(scene)
+    shapes = MovingShapes(body_shapes(robot))
+    links = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
+    shapes_at = shape_frames(robot, links)
+
+    def is_clear(base: Array) -> bool:
+        raised = base + np.array([0, FLOOR_M, 0, 0, 0, 0, 0])
+        shapes.set_transforms(pose_to_matrix(raised) @ shapes_at)
+        return not collide(scenery, shapes)
+
+    return is_clear
+
+
+@lru_cache(maxsize=4)
+def scenery_of(scene: Scene) -> FclScene:
+    """The static things of a scene in FCL, made once."""
+    return FclScene(scene)
+
+
+def robot_reach(robot: Robot, joints: Array) -> float:
+    """Farthest that a shape of the robot gets from its root along the floor in this posture [J] [m]; a bound."""
+    from sim_kinematic.contact.shapes import bounding_sphere
+
+    links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
+    reach = 0.0
+    for matrix, link in zip(links, robot.links, strict=True):
+        for shape in link.shapes:
+            center, radius = bounding_sphere(shape)
+            reach = max(reach, float(np.hypot(*(matrix[:3, :3] @ center + matrix[:3, 3])[[0, 2]])) + radius)
+    return reach
+
+
+@lru_cache(maxsize=32)
+def clip_reach(human: Humanoid) -> float:
+    """Farthest that the person's capsules get from her root along the floor in any of her clips [m]."""
+    clip, phase, blend = (
+        grid.ravel()
+        for grid in np.meshgrid(np.arange(len(human.clips)), np.arange(32) / 32, [0.0, 0.5, 1.0], indexing="ij")
+    )
+    start, end, radius = _clip_capsules(human, clip, phase, blend)
+    ends = np.hypot(*np.stack([start, end])[..., [0, 2]].transpose(3, 0, 1, 2))
+    return float((ends + radius).max()) + REACH_MARGIN_M
+
+
+def _clip_capsules(
+    human: Humanoid, clip: NDArray, phase: NDArray, blend: NDArray, base: NDArray[np.floating] = IDENTITY_POSE[None],
+    arms: NDArray | None = None,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [T or 1, 7]."""
+    return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))

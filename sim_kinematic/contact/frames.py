@@ -1,0 +1,72 @@
+"""From the state to bodies: frames of links and joints, and the collision shapes that they carry."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose
+from h3data.scene import Shape
+from sim_kinematic.contact import capsule_transforms, shapes_from_capsules
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
+
+Body = Robot | Humanoid
+"""What an agent looks like."""
+
+
+def require_bodies(state: WorldState, bodies: tuple[Body, ...]) -> None:
+    """Refuse bodies that do not belong to the agents of a state: robots first, then people.
+
+    Raises:
+        InputError: they do not.
+    """
+    robots = sum(isinstance(body, Robot) for body in bodies)
+    fits = all(isinstance(body, Robot) == (k < robots) for k, body in enumerate(bodies))
+    if not fits or (robots, len(bodies) - robots) != (len(state.robots), len(state.people)):
+        raise InputError(
+            f"Expected the bodies of {len(state.robots)} robots, then of {len(state.people)} people, as in the state, got: "
+            f"{', '.join(type(body).__name__ for body in bodies) or 'none'}."
+        )
+
+
+def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mps: float | None = None) -> Array:
+    """World frames of a robot's links [W, L, 4, 4], or of a person's joints [W, 55, 4, 4].
+
+    A robot without joints in the state is at rest. A person plays her clip for ``speed_mps`` (default: `WalkerSpec`'s).
+    """
+    base = ground_pose(state.xz, state.heading, floor_y)
+    if isinstance(body, Robot) and isinstance(state, RobotState):
+        joints = state.joints if state.joints.shape[1] else np.tile(body.rest, (state.worlds, 1))
+        return body.link_matrices(base, joints)
+    if isinstance(body, Humanoid) and isinstance(state, HumanState):
+        clip = body.clip_for_speed(WalkerSpec().speed_mps if speed_mps is None else speed_mps)
+        stands = state.blend == 0  # the first clip stands: cheaper than a walk of no weight
+        phase, blend = walking_phase(body, clip, state), np.where(stands, 1.0, state.blend)
+        posture = body.clip_pose(np.where(stands, 0, clip), phase, blend, arms=state.arms)
+        return body.joint_matrices(base, *posture)
+    raise InputError(f"Expected the body of a {type(state).__name__}, got a {type(body).__name__}.")
+
+
+def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:
+    """Where in the cycle of a clip a person is, 0..1, [W]."""
+    walk = body.clips[clip]
+    return (walk.start_phase + (state.distance - state.set_off) / walk.stride_m) % 1.0
+
+
+def body_shapes(body: Body) -> tuple[Shape, ...]:
+    """The collision shapes of an agent: those of a robot's links, or a person's capsules, each in its own frame."""
+    if isinstance(body, Robot):
+        return tuple(shape for link in body.links for shape in link.shapes)
+    standing = body.joint_matrices(ground_pose(np.zeros((1, 2)), np.zeros(1)), *body.clip_pose([0], [0.0]))
+    start, end, radius = body.capsules_world(standing)
+    return shapes_from_capsules(start[0], end[0], radius)
+
+
+def shape_frames(body: Body, frames: NDArray[np.floating]) -> NDArray[np.floating]:
+    """World frames of `body_shapes` [..., n, 4, 4], from `body_frames` [..., L or 55, 4, 4]."""
+    if isinstance(body, Robot):
+        return frames[..., [k for k, link in enumerate(body.links) for _ in link.shapes], :, :]
+    return capsule_transforms(*body.capsules_world(frames)[:2])

@@ -1,0 +1,74 @@
+"""Which things of a scene stand inside each other, by FCL: the check behind ``h3data scenes validate``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import transform_points
+from h3data.scene.records import Scene, instance_matrix
+from sim_kinematic.contact.fcl_world import CONTACTS_MAX, FclScene
+from sim_kinematic.contact.shapes import bounding_sphere, shape_bounds
+
+
+class Overlap(NamedTuple):
+    """Two instances that share space."""
+
+    first: str
+    second: str
+    depth_m: float
+    """How deep the deepest pair of their parts overlaps [m]: the shorter of FCL's depth, which is too great for deep round
+    parts and hulls, and the way along an axis that parts their bounds."""
+    point: NDArray[np.float64]
+    """A point in the overlap, world, shape [3] [m]."""
+
+
+def overlapping_instances(scene: Scene, *, tolerance_m: float = 0.01) -> list[Overlap]:
+    """Pairs of instances, static or not, whose collision parts overlap by more than ``tolerance_m``, deepest first.
+
+    Instances without parts (rugs, lamp shades, a Habitat stage) take no part; parts of one instance may overlap. Pairs
+    of parts whose balls meet go to FCL one by one: python-fcl hides exceptions of the callbacks of its managers.
+    """
+    import fcl
+
+    world = FclScene(replace(scene, instances=tuple(replace(i, motion="static") for i in scene.instances)))
+    bounds = [
+        shape_bounds(shape, instance_matrix(i)) for i in scene.instances for shape in scene.assets[i.asset].shapes
+    ]
+    deepest: dict[tuple[str, str], Overlap] = {}
+    for a, b in _near_pairs(scene, world.names):
+        result = fcl.CollisionResult()
+        request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
+        fcl.collide(world.objects[a], world.objects[b], request, result)
+        names = world.names[a], world.names[b]
+        (low_a, high_a), (low_b, high_b) = bounds[a], bounds[b]
+        apart = float(np.minimum(high_a - low_b, high_b - low_a).min())
+        for contact in result.contacts:
+            depth = min(abs(float(contact.penetration_depth)), apart)
+            if depth > tolerance_m and (names not in deepest or depth > deepest[names].depth_m):
+                deepest[names] = Overlap(*names, depth, np.array(contact.pos, np.float64))
+    return sorted(deepest.values(), key=lambda o: (-o.depth_m, o.first, o.second))
+
+
+def _near_pairs(scene: Scene, names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Pairs (a < b) of parts of different instances whose bounding balls and boxes around those meet."""
+    centers, radii = np.zeros((len(names), 3)), np.zeros(len(names))
+    k = 0
+    for instance in scene.instances:
+        matrix = instance_matrix(instance)
+        largest = float(np.abs(instance.scale).max())
+        for shape in scene.assets[instance.asset].shapes:
+            center, radius = bounding_sphere(shape)
+            centers[k] = transform_points(matrix, center[None])[0]
+            radii[k] = radius * largest
+            k += 1
+    owner = np.unique(names, return_inverse=True)[1] if names else np.zeros(0, int)
+    pairs = []
+    for a in range(len(names)):
+        apart = np.linalg.norm(centers[a + 1 :] - centers[a], axis=1)
+        near = (apart < radii[a + 1 :] + radii[a]) & (owner[a + 1 :] != owner[a])
+        pairs += [(a, int(b)) for b in a + 1 + np.flatnonzero(near)]
+    return pairs

@@ -1,0 +1,1 @@
+"""Training environments: Gymnasium, vector, PettingZoo. Needs the extra ``env``."""

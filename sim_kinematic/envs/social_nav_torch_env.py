@@ -1,0 +1,286 @@
+"""Social navigation for training on a device: W worlds whose actions, observations and rewards are torch tensors there.
+
+The interface is Gymnasium's of vector environments, which need not be installed. On a GPU a step is one CUDA graph.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.scene import Scene
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.sensor import DEPTH_RANGE_M, DETECTED_PIXELS, HUMAN_ID
+from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.torch.graph import can_fuse, captured, fused
+from sim_kinematic.torch.random import keys, random
+from sim_kinematic.torch.social_nav import Play, SocialNavTensors
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Box, Dict, Space
+
+    from sim_kinematic.torch.cameras import TensorCameras
+    from sim_kinematic.torch.episodes import EpisodeBank
+
+TorchObservation = Literal[
+    "arm_depth",
+    "humanoid_detector",
+    "humanoid_gps",
+    "egomotion",
+    "localization",
+    "humanoid_velocity",
+    "way",
+    "range_scan",
+]
+"""What a device shows; as in `sim_kinematic.envs.social_nav_observations`."""
+PICTURED = ("arm_depth", "humanoid_detector")
+"""Those that need a picture, and so a GPU and a bank of one scene."""
+STATE: tuple[TorchObservation, ...] = ("humanoid_gps", "egomotion")
+EPISODES = 512
+"""Of the bank, unless said otherwise: some seconds to draw."""
+
+Tensors = dict[str, Tensor]
+
+
+class SocialNavTorchEnv:
+    """W worlds of social navigation on one device (docs/gpu.md).
+
+    They play the episodes of a bank, each world in order from a place of its own, which follows from its seed. Autoreset is
+    Gymnasium's NEXT_STEP, as in `sim_kinematic.envs.social_nav_vector_env.SocialNavVectorEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+        *,
+        device: torch.device | str = "cuda",
+        dtype: torch.dtype | None = None,
+        observations: Sequence[TorchObservation] = STATE,
+        spec: SocialNavSpec | None = None,
+        reward: str = "paper",
+        end_on_success: bool = False,
+        depth_size: tuple[int, int] | None = None,
+        episodes: int | EpisodeBank = EPISODES,
+        episodes_seed: int = 0,
+        robot: str = "quad_arm",
+        human: str = "female_0",
+        graph: bool | None = None,
+        compile: bool | None = None,
+    ) -> None:
+        """
+        Args:
+            num_envs: W.
+            scenes: As `sim_kinematic.tasks.social_nav_batch.SocialNavBatch`.
+            device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
+            dtype: Of the state: by default float64 on the CPU, else float32.
+            observations: Names of what `step` shows.
+            spec: The rules; by default those of the paper's training.
+            reward: ``paper``; the other one needs the CPU.
+            end_on_success: Whether having followed long enough terminates the episode too.
+            depth_size: Width and height of pictures [pixels]; None is that of the robot's camera.
+            episodes: How many are drawn for the bank, or a bank.
+            episodes_seed: The run whose first episodes these are.
+            robot: Name of a built-in robot.
+            human: Name of a built-in body.
+            graph: Whether a step is captured as a CUDA graph; by default on a GPU.
+            compile: Whether its operations are fused (`sim_kinematic.torch.graph.fused`), which makes it ten times faster and
+                the first reset half a minute longer; by default on a GPU, if Triton is installed.
+
+        Raises:
+            InputError: an argument is none that a device knows, or there is no such device.
+        """
+        from sim_kinematic.tasks.social_nav_batch import TRAINING
+        from sim_kinematic.torch.episodes import EpisodeBank
+
+        unknown = sorted(set(observations) - set(get_args(TorchObservation)))
+        if unknown or not observations or isinstance(observations, str):
+            raise InputError(f"On a device there are {', '.join(get_args(TorchObservation))}, got {observations!r}.")
+        if reward != "paper":
+            raise InputError(f"On a device the reward is the paper's, not {reward!r}. Hint: leave out device.")
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise InputError(f"Expected at least 1 world, a whole number, got {num_envs!r}.")
+        self.num_envs, self.device = int(num_envs), _checked_device(device)
+        rules = spec or TRAINING
+        bodies = {"robot": robot, "human": human}
+        self._models = robot, human
+        if not isinstance(episodes, EpisodeBank):
+            episodes = EpisodeBank.draw(scenes, episodes, seed=episodes_seed, spec=rules, **bodies)
+        self.bank = episodes
+        self.sim = SocialNavTensors(
+            episodes, device=self.device, dtype=dtype, spec=rules, end_on_success=end_on_success, **bodies
+        )
+        self._names = tuple(dict.fromkeys(observations))
+        pictured = bool(set(PICTURED) & set(observations))
+        compiles = self.device.type == "cuda" and can_fuse() if compile is None else compile
+        self._cameras = self._make_cameras(depth_size, compile=compiles, **bodies) if pictured else None
+        self._action = torch.zeros((self.num_envs, self.sim.action_width), dtype=self.sim.dtype, device=self.device)
+        nothing = torch.full((self.num_envs,), -1, dtype=torch.int64, device=self.device)
+        self.play = Play.before_the_first(nothing, self.sim.dtype)
+        """Where all worlds are; these tensors are overwritten by every step."""
+        self._shown: Tensors = {}
+        self._begun = False
+        self._graph = self.device.type == "cuda" if graph is None else graph
+        self._advance = self._eager
+        self._move = fused(self._moved) if compiles else self._moved
+
+    # --- the interface ------------------------------------------------------------------------------------------------
+    def reset(self, *, seed: int | Sequence[int] | None = None, options: Any = None) -> tuple[Tensors, Tensors]:
+        """Begin the next episode in all worlds; with a seed, first go to the places in the bank that the runs seed,
+        seed + 1, ..., or those listed, begin at. There are no ``options``."""
+        if seed is None and not self._begun:
+            seed = int.from_bytes(os.urandom(7), "little")
+        with torch.no_grad():
+            if self._graph and self._advance == self._eager:
+                self._advance = captured(self._eager, list(self.play.tensors()))
+            if seed is not None:
+                self.play.episode.copy_(self._places(seed) - 1)
+            self.play.ended.fill_(True)
+            self._action.zero_()
+            self._advance()
+        self._begun = True
+        return self._result(self._shown), self.info()
+
+    def step(self, actions: Tensor) -> tuple[Tensors, Tensor, Tensor, Tensor, Tensors]:
+        """Move all worlds by ``actions`` [W, 2], forward and left turn in -1..1 of the limits (they are clipped), or begin
+        their next episode: observations, rewards [W], terminated [W], truncated [W], info.
+
+        A number that is not finite counts as 0: finding out would have to wait for the device.
+
+        Raises:
+            InputError: the actions have another shape, or no episode has begun.
+        """
+        if not self._begun:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        given = torch.as_tensor(actions)
+        if given.shape != self._action.shape:
+            raise InputError(f"Expected actions of shape {list(self._action.shape)}, got {list(given.shape)}.")
+        with torch.no_grad():
+            self._action.copy_(given, non_blocking=True)
+            self._advance()
+            play = self.play
+            ends = play.reward.to(torch.float32, copy=True), play.terminated.clone(), play.truncated.clone()
+        return self._result(self._shown), *ends, self.info()
+
+    def info(self) -> Tensors:
+        """What is known beyond the observations, [W] each; ``episode`` is a number in the bank."""
+        play = self.play
+        known = {
+            "geodesic_m": play.geodesic, "found": play.found, "followed": play.followed, "collides": play.collides,
+            "robot_contact": play.robot.contact, "episode": play.episode,
+        }  # fmt: skip
+        return {
+            **{name: tensor.clone() for name, tensor in known.items()},
+            "success": play.followed >= self.sim.paper.follow_steps,
+        }
+
+    def close(self) -> None:
+        """Nothing needs closing."""
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+    def _eager(self) -> None:
+        """One step of all worlds, in place."""
+        shown = self._move()
+        if self._cameras is not None:
+            shown |= self._pictures(self._cameras)
+        self._shown = {name: shown[name] for name in self._names}
+
+    def _moved(self) -> Tensors:
+        """A step but for its pictures."""
+        after = self.sim.step(self.play, self._action)
+        for tensor, value in zip(self.play.tensors(), after.tensors(), strict=True):
+            tensor.copy_(value)
+        return {name: self.sim.observation(name, self.play) for name in self._names if name not in PICTURED}
+
+    def _make_cameras(self, size: tuple[int, int] | None, *, compile: bool, robot: str, human: str) -> TensorCameras:
+        from sim_kinematic.torch.cameras import TensorCameras
+
+        if len(self.bank.scenes) != 1:
+            raise InputError(
+                f"Pictures on a device are of one scene, the episodes play in {len(self.bank.scenes)}. Hint: scenes='small:1'."
+            )
+        return TensorCameras(
+            self.bank.scenes[0], load_robot(robot), load_humanoid(human), self.sim.spec.human, worlds=self.num_envs,
+            floor_y=self.bank.floors[0].floor_y, size=size, device=self.device, compile=compile,
+        )  # fmt: skip
+
+    def _pictures(self, cameras: TensorCameras) -> Tensors:
+        detects = "humanoid_detector" in self._names
+        seen = cameras.observe(self.play.robot, self.play.human, ("depth", "semantic") if detects else ("depth",))
+        near, far = DEPTH_RANGE_M
+        shown = {"arm_depth": ((seen["depth"][0].clip(near, far) - near) / (far - near))[..., None]}
+        if detects:
+            pixels = (seen["semantic"][0] == HUMAN_ID).sum((-2, -1))
+            shown["humanoid_detector"] = (pixels > int(DETECTED_PIXELS * cameras.share)).float()[:, None]
+        return shown
+
+    def _result(self, tensors: Tensors) -> Tensors:
+        """In tensors of their own: a graph writes into the same ones again."""
+        return {name: tensor.clone() for name, tensor in tensors.items()}
+
+    def _places(self, seed: int | Sequence[int]) -> Tensor:
+        """Where in the bank each world begins, [W]."""
+        seeds = [int(seed) + w for w in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise InputError(f"Expected one seed, or one for each of {self.num_envs} worlds, got {len(seeds)}.")
+        drawn = random(keys(seeds, "bank", device="cpu"), torch.zeros(self.num_envs, dtype=torch.int64), 1)[:, 0]
+        return (drawn * len(self.bank)).long().to(self.device)
+
+    # --- spaces, where Gymnasium is installed -------------------------------------------------------------------------
+    @cached_property
+    def single_action_space(self) -> Box:
+        """Of one world."""
+        from sim_kinematic.envs.social_nav_observations import gymnasium
+
+        return gymnasium.spaces.Box(-1.0, 1.0, (self.sim.action_width,), np.float32)
+
+    @cached_property
+    def single_observation_space(self) -> Dict:
+        """Of one world."""
+        from sim_kinematic.envs.social_nav_observations import gymnasium, state_box
+
+        spaces: dict[str, Any] = {name: state_box(name) for name in self._names if name != "arm_depth"}
+        if self._cameras is not None and "arm_depth" in self._names:
+            shape = (self._cameras.renderer.height, self._cameras.renderer.width, 1)
+            spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
+        return gymnasium.spaces.Dict({name: spaces[name] for name in self._names})
+
+    @cached_property
+    def action_space(self) -> Space[Any]:
+        """Of all worlds."""
+        from sim_kinematic.envs.social_nav_observations import gymnasium
+
+        return gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:
+        """Of all worlds."""
+        from sim_kinematic.envs.social_nav_observations import gymnasium
+
+        return gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
+
+    def __repr__(self) -> str:
+        robot, human = self._models
+        what = in_words(
+            "social_nav", self.bank.scenes, len(self.bank.scenes), {"robot": robot}, beside={"human": human},
+            worlds=self.num_envs,
+        )  # fmt: skip
+        return f"SocialNavTorchEnv({what}, {len(self.bank)} episodes, {self.device}, {self.sim.dtype})"
+
+
+def _checked_device(device: torch.device | str) -> torch.device:
+    try:
+        chosen = torch.device(device)
+    except RuntimeError as fault:
+        raise InputError(f"Unknown device {device!r}. Expected cpu, cuda or cuda:N.") from fault
+    if chosen.type == "cuda" and not torch.cuda.is_available():
+        raise InputError("There is no GPU that this torch can use. Hint: device='cpu', or leave out device.")
+    return chosen

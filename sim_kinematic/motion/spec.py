@@ -1,0 +1,127 @@
+"""Every constant of the simulator, in SI units. Kernels receive these as arguments and hold no literals of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+STEP_S = 1 / 30
+"""Seconds per step. Habitat runs 30 steps/s and integrates 1/120 s of its velocity "units" in each, so its 10 is 2.5 m/s
+(spec/habitat.md 0)."""
+
+
+Slide = Literal["strict", "habitat"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HabitatSlideSpec:
+    """The settings of Habitat's base action; the defaults are those that reproduce the paper (spec/habitat.md 1.1, 1.3)."""
+
+    root_height_m: float = 0.48
+    """Height of Spot's root over the floor: from there its discs are put onto the navmesh."""
+    slides: bool = True
+    """``allow_dyn_slide``: a base that touches moves on along the wall; else it stays where it was."""
+    slides_while_turning: bool = True
+    """False is ``enable_rotation_check_for_dyn_slide``: then it slides only while it does not turn."""
+    navmesh_slides: bool = True
+    """``sim_cfg.allow_sliding``: a disc's own step on the navmesh slides too, else it ends at the first wall."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseSpec:
+    """How a robot's base moves: discs that must stay clear of obstacles, and speed limits."""
+
+    max_speed_mps: float = 2.5
+    max_turn_rad_s: float = 2.5
+    max_lateral_mps: float = 0.0
+    """Above 0, an action has a third number: sideways, positive to the left."""
+    allow_back: bool = True
+    """Whether it drives backwards."""
+    slide: Slide = "strict"
+    """What happens at a wall. ``strict``: no disc ever enters an obstacle. ``habitat``: as Habitat's base action, step for
+    step; it moves by the disc that is worst off, so others may get into walls (research: navigation-and-stepping 3.2)."""
+    habitat: HabitatSlideSpec = HabitatSlideSpec()
+    """For ``slide="habitat"`` only."""
+    disc_offsets_m: tuple[float, ...] = (0.0, 0.225)
+    """Along the robot's x axis: centre and front, the paper's two cylinders (appendix, social navigation). Nothing looks
+    behind them: when it turns in a narrow place, its rear may swing through furniture."""
+    disc_radius_m: float = 0.25
+    slide_iterations: int = 6
+    """Attempts to push the discs out of obstacles before the move is given up."""
+    clearance_tolerance_m: float = 7e-4
+    """By the distance grid, a disc may come this much nearer to an obstacle than its radius. The grid itself may be wrong
+    by cell^2 / (8 radius), 1.25 mm at corners, so the disc enters nothing by more than 2 mm."""
+    contact_tolerance_m: float = 1e-5
+    """A disc displaced by more than this has touched something."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmRoomSpec:
+    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond her half width with both arms in, which
+    is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
+
+    free_m: float = 0.08
+    """An arm swings freely where so much more room than that is at her side,"""
+    tight_m: float = 0.02
+    """and is wholly drawn in where there is only so much more."""
+    aside_m: float = 0.12
+    """Where the line runs along which this is measured, to the side of her middle."""
+    within_m: float = 0.3
+    """So far ahead and behind, what is near counts in full,"""
+    fade_m: float = 0.5
+    """and over so much more it counts less and less."""
+    step_m: float = 0.1
+    """The line is looked at in steps of this length."""
+    rate: float = 0.12
+    """So much of the way in or out an arm goes in one step at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkerSpec:
+    """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
+
+    speed_mps: float = 2.5
+    turn_rad_s: float = 2.5
+    turn_before_walk_rad: float = 0.0873
+    """Above this heading error (5 degrees, spec/habitat.md 3.4) it turns without walking."""
+    arrive_m: float = 1e-3
+    """A way point counts as reached within this distance. She lands on it exactly; more would cut the next corner."""
+    blend_s: float = 0.2
+    """Time to go over between standing and walking."""
+    clearance_m: float = 0.0
+    """Her way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
+    arms: ArmRoomSpec | None = None
+    """How she draws her arms in beside walls and furniture; None: they swing whatever is there."""
+
+
+HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
+"""A person of our own episodes: as the paper's, but she keeps clear of walls and furniture where there is room."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SocialNavSpec:
+    """Rules of social navigation: find the person, then follow at 1-2 m, facing her (paper section 4.1 and appendix)."""
+
+    max_steps: int = 1500
+    spawn_distance_m: float = 5.0
+    """Least distance between robot and human at the start: 3 m for training, 5 m for evaluation."""
+    near_m: float = 1.0
+    far_m: float = 2.0
+    facing_dot: float = 0.5
+    """Cosine between the robot's forward axis and the direction to the human, above which it faces her."""
+    end_on_collision: bool = True
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
+    robot: BaseSpec = BaseSpec()
+    human: WalkerSpec = HOME_WALKER
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmSpec:
+    """How a robot's arm moves and takes things (paper appendix, low-level skills; spec/habitat.md 2.8)."""
+
+    joint_step: float = 0.05
+    """Most that a joint moves per step [rad or m]."""
+    grasp_m: float = 0.15
+    """The hand takes the nearest object, if its origin is nearer to the hand than this."""

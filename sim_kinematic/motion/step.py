@@ -1,0 +1,236 @@
+"""One step of motion: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
+
+Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
+(spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
+grid. Sliding is strict: a move that cannot be made free of penetration is given up part by part
+(research: navigation-and-stepping 3.2); or, where the spec says so, Habitat's (`sim_kinematic.motion.habitat_slide`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import get_args
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.habitat.navmesh.pathfinder import PathFinder
+from h3data.kernels import kernel
+from h3data.scene import FreeSpace
+from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
+from sim_kinematic.motion.habitat_slide import slide_as_habitat
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide, WalkerSpec
+from sim_kinematic.motion.state import AgentState, HumanState, RobotState
+
+
+@kernel(error_model="numpy")
+def wrap_angle(angle):
+    """The angle in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@kernel(error_model="numpy", inline="always")  # called, it would count references: `drive_base` is 15 % faster
+def least_clearance(sdf, origin, cell, x, z, heading, offsets):
+    """Smallest signed distance [m] from the centres of the base's discs to an obstacle."""
+    least = math.inf
+    for offset in offsets:
+        cx, cz = x + math.cos(heading) * offset, z - math.sin(heading) * offset
+        least = min(least, sample_sdf(sdf, origin, cell, cx, cz))
+    return least
+
+
+@kernel(error_model="numpy", inline="always")
+def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
+    """Base position moved until its discs, if possible, keep their radius: ``(x, z)``."""
+    for _ in range(iterations):
+        free = True
+        for offset in offsets:
+            cx, cz = x + math.cos(heading) * offset, z - math.sin(heading) * offset
+            distance = sample_sdf(sdf, origin, cell, cx, cz)
+            if distance < radius:
+                gx, gz = sdf_gradient(sdf, origin, cell, cx, cz)
+                length = math.sqrt(gx * gx + gz * gz)
+                if length > 1e-9:
+                    x += gx / length * (radius - distance)
+                    z += gz / length * (radius - distance)
+                    free = False
+        if free:
+            break
+    return x, z
+
+
+@kernel(error_model="numpy")
+def integrate(x, z, heading, speed, lateral, turn, dt):
+    """Where a base gets in the open: ``(x, z, heading)``. It moves along its old axes, then turns (spec/habitat.md 0).
+
+    ``speed`` [m/s] is along its x axis, ``lateral`` [m/s] to its left, ``turn`` [rad/s] to the left.
+    """
+    c, s = math.cos(heading), math.sin(heading)
+    return x + (c * speed - s * lateral) * dt, z - (s * speed + c * lateral) * dt, heading + turn * dt
+
+
+@kernel(error_model="numpy")
+def drive_base(
+    sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch
+):
+    """One strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`."""
+    tx, tz, new_heading = integrate(x, z, heading, speed, lateral, turn, dt)
+    limit = radius - tolerance
+    if least_clearance(sdf, origin, cell, tx, tz, new_heading, offsets) >= radius:
+        return tx, tz, new_heading, False
+    sx, sz = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
+    touched = math.hypot(sx - tx, sz - tz) > touch
+    # a push-out may not carry the base farther than the command itself could have
+    reach = math.hypot(speed, lateral) * dt + 2.0 * radius * abs(turn) * dt + tolerance
+    fits = math.hypot(sx - x, sz - z) <= reach
+    if fits and least_clearance(sdf, origin, cell, sx, sz, new_heading, offsets) >= limit:
+        return sx, sz, new_heading, touched
+    sx, sz = push_out(sdf, origin, cell, tx, tz, heading, offsets, radius, iterations)
+    fits = math.hypot(sx - x, sz - z) <= reach
+    if fits and least_clearance(sdf, origin, cell, sx, sz, heading, offsets) >= limit:
+        return sx, sz, heading, True
+    if least_clearance(sdf, origin, cell, x, z, new_heading, offsets) >= limit:
+        return x, z, new_heading, True
+    return x, z, heading, True
+
+
+@kernel(error_model="numpy")
+def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
+    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
+    dx, dz = goal_x - x, goal_z - z
+    distance = math.hypot(dx, dz)
+    if distance <= arrive:
+        return x, z, heading, 0.0
+    error = wrap_angle(math.atan2(-dz, dx) - heading)
+    most = turn * dt
+    if abs(error) > turn_before_walk:
+        return x, z, heading + min(max(error, -most), most), 0.0
+    walked = min(speed * dt, distance)
+    return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
+
+
+@kernel(error_model="numpy")
+def first_not_finite(rows):
+    """The first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
+    for w in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            if not math.isfinite(rows[w, k]):
+                return w
+    return -1
+
+
+@kernel(error_model="numpy")
+def velocities(action, limits):
+    """``(speed, lateral, turn)`` of an action [2 or 3], each clipped to -1..1 of ``limits``: speed [m/s], lateral [m/s],
+    turn [rad/s], and the share of the speed that it may drive backwards."""
+    speed = min(max(action[0], -limits[3]), 1.0) * limits[0]
+    lateral = min(max(action[2], -1.0), 1.0) * limits[1] if len(action) > 2 else 0.0
+    return speed, lateral, min(max(action[1], -1.0), 1.0) * limits[2]
+
+
+@kernel(error_model="numpy")
+def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance,
+                  touch):  # fmt: skip
+    broken = first_not_finite(action)
+    if broken >= 0:
+        return broken
+    for w in range(len(heading)):
+        speed, lateral, turn = velocities(action[w], limits)
+        contact[w] = False
+        if speed != 0.0 or lateral != 0.0 or turn != 0.0:
+            xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
+                sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt, offsets, radius,
+                iterations, tolerance, touch,
+            )  # fmt: skip
+    return -1
+
+
+@kernel(error_model="numpy")
+def _drive_worlds_as_habitat(surface, root_y, xz, heading, contact, action, limits, dt, offsets, touch, rules):
+    broken = first_not_finite(action)
+    if broken >= 0:
+        return broken
+    for w in range(len(heading)):
+        speed, lateral, turn = velocities(action[w], limits)
+        contact[w] = False
+        if speed != 0.0 or lateral != 0.0 or turn != 0.0:
+            goal = integrate(xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt)
+            xz[w, 0], xz[w, 1], heading[w], contact[w] = slide_as_habitat(
+                surface, xz[w, 0], root_y, xz[w, 1], heading[w], goal, offsets, touch, rules
+            )
+    return -1
+
+
+@kernel(error_model="numpy")
+def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
+    for w in range(len(heading)):
+        xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(
+            xz[w, 0], xz[w, 1], heading[w], goal[w, 0], goal[w, 1], speed, turn, dt, turn_before_walk, arrive
+        )
+        if walked > 0.0:
+            if blend[w] == 0.0:
+                set_off[w] = distance[w]
+            distance[w] += walked
+            blend[w] = min(max(blend[w], 0.5) + blend_rate, 1.0)  # above 0.5 a foot stands (Humanoid.clip_pose)
+        else:
+            blend[w] = max(blend[w] - blend_rate, 0.0)
+
+
+def drive_robots(
+    state: RobotState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
+    finder: PathFinder | None = None,
+) -> None:  # fmt: skip
+    """Move a robot in all its worlds by ``action`` [W, 2], in place: forward and left turn, -1..1 of the limits. With
+    ``spec.max_lateral_mps`` it is [W, 3]: sideways comes last.
+
+    ``finder`` is the navmesh on which ``slide="habitat"`` moves; None makes one of ``free`` and keeps it.
+
+    Raises:
+        InputError: the actions have another shape, or one is not finite; then nothing has moved.
+    """
+    action = _per_world(action, state, width=3 if spec.max_lateral_mps else 2)
+    limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
+    moved = state.xz, state.heading, state.contact
+    offsets = np.array(spec.disc_offsets_m)
+    if spec.slide == "strict":
+        broken = _drive_worlds(
+            free.sdf, free.origin, free.cell_m, *moved, action, limits, dt, offsets, spec.disc_radius_m,
+            spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m,
+        )  # fmt: skip
+    elif spec.slide == "habitat":
+        rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides
+        broken = _drive_worlds_as_habitat(
+            (finder or _finder(free)).surface, free.floor_y + spec.habitat.root_height_m, *moved, action, limits, dt,
+            offsets, spec.contact_tolerance_m, rules,
+        )  # fmt: skip
+    else:
+        raise InputError(f"Unknown slide {spec.slide!r}. Expected one of: {', '.join(get_args(Slide))}.")
+    if broken >= 0:
+        raise InputError(f"Actions must be finite. That of world {broken} is {action[broken]}.")
+
+
+@lru_cache(maxsize=8)
+def _finder(free: FreeSpace) -> PathFinder:
+    return PathFinder(free)
+
+
+def walk_humans(state: HumanState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
+    """Move a person in all her worlds one step straight towards her way points ``goal_xz`` [W, 2], in place.
+
+    The way points come from `FreeSpace.path`, so the straight line to the next one is free.
+    """
+    _walk_worlds(
+        state.xz, state.heading, state.distance, state.set_off, state.blend,
+        _per_world(goal_xz, state, width=2),
+        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
+    )  # fmt: skip
+
+
+def _per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
+    """``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
+    rows = np.asarray(rows, np.float64)
+    worlds = len(state.heading)
+    if rows.shape != (worlds, width):
+        raise InputError(f"Expected shape {[worlds, width]}: {width} numbers per world, got {list(rows.shape)}.")
+    return rows

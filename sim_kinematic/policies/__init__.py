@@ -1,0 +1,1 @@
+"""What decides for an agent: scripts, planners, recorded tracks, networks."""

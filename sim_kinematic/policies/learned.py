@@ -1,0 +1,138 @@
+"""Learned policies from a file of weights: ``--policy weights:FILE``, in both tasks (docs/learned-policies.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.network import Network, load_network
+from sim_kinematic.policies.social_nav import Command, View
+from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
+
+PREFIX = "weights:"
+_STAMP = re.compile(r"^(?P<file>.+)@(?P<digest>[0-9a-f]{12})$")
+
+Floats = NDArray[np.floating]
+
+
+# --- names --------------------------------------------------------------------------------------------------------------
+def is_learned(policy: str) -> bool:
+    """Whether the name of a policy means a file of weights."""
+    return policy.startswith(PREFIX)
+
+
+def stamped(policy: str) -> str:
+    """The name of a policy as it is recorded: of a file of weights with 12 digits of its digest, ``weights:FILE@digest``.
+
+    Such a name means these very weights; other policies keep their names.
+
+    Raises:
+        InputError: there is no such file, it is none, or it is another than the name says.
+    """
+    if not is_learned(policy):
+        return policy
+    network = network_of(policy)
+    found = _STAMP.match(policy)
+    return policy if found else f"{policy}@{network.digest[:12]}"
+
+
+def network_of(policy: str) -> Network:
+    """The network that ``weights:FILE`` or ``weights:FILE@digest`` names.
+
+    Raises:
+        InputError: there is no such file, it is none, or it is another than the name says.
+    """
+    name = policy.removeprefix(PREFIX)
+    found = _STAMP.match(name)
+    if not name:
+        raise InputError("Expected the path of a file of weights, as weights:FILE.")
+    path = Path(found["file"] if found else name)
+    network = _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    if found and not network.digest.startswith(found["digest"]):
+        raise InputError(
+            f"The weights are no longer those that {policy} names: their digest is {network.digest[:12]}. "
+            f"Hint: weights:{path} takes them as they are."
+        )
+    return network
+
+
+@lru_cache(maxsize=8)
+def _loaded(path: Path, changed_ns: int) -> Network:
+    del changed_ns  # a file that has changed is read again
+    return load_network(path)
+
+
+# --- social navigation --------------------------------------------------------------------------------------------------
+def _egomotion(view: View, spec: BaseSpec) -> Floats:
+    del spec
+    if view.robot_before is None:
+        return np.zeros(3)
+    return egomotion(*view.robot_before, view.robot_xz, view.robot_heading)
+
+
+def _humanoid_velocity(view: View, spec: BaseSpec) -> Floats:
+    del spec
+    before = view.human_xz if view.human_before is None else view.human_before
+    return humanoid_velocity(view.robot_heading, before, view.human_xz)
+
+
+def _way(view: View, spec: BaseSpec) -> Floats:
+    return way(
+        view.free, view.robot_xz, view.robot_heading, view.human_xz, view.geodesic_m, beyond_m=spec.disc_radius_m / 2
+    )
+
+
+NAVIGATION_INPUTS: Mapping[str, Callable[[View, BaseSpec], Floats]] = {
+    "humanoid_gps": lambda view, spec: gps_compass(view.robot_xz, view.robot_heading, view.human_xz),
+    "egomotion": _egomotion,
+    "localization": lambda view, spec: localization(view.robot_xz, view.robot_heading, view.free.floor_y),
+    "humanoid_velocity": _humanoid_velocity,
+    "way": _way,
+    "range_scan": lambda view, spec: range_scan(view.free, view.robot_xz, view.robot_heading),
+}
+"""What a network for social navigation may be shown: the observations of the training environment that need no picture."""
+
+
+def navigation_input(view: View, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
+    """The named observations of a moment, one after the other, [in] float32."""
+    return np.concatenate([NAVIGATION_INPUTS[name](view, spec) for name in names]).astype(np.float32)
+
+
+class LearnedNavigation:
+    """A robot of social navigation whose base velocity is the output [2] of a network, clipped to -1..1."""
+
+    def __init__(self, network: Network) -> None:
+        require(network, "social_nav", NAVIGATION_INPUTS, outputs=2)
+        self.network = network
+
+    def __call__(self, view: View, spec: BaseSpec) -> Command:
+        """As `sim_kinematic.policies.social_nav.Policy`."""
+        out = self.network(navigation_input(view, spec, self.network.observations))
+        forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
+        return Command(forward, turn, "follow" if view.met else "find")
+
+
+def require(network: Network, task: str, known: Mapping[str, Any], *, outputs: int) -> None:
+    """Refuse a network that is for another task, is shown what we do not have, or answers with other numbers.
+
+    Raises:
+        FormatError: it does not fit.
+    """
+    if network.task != task:
+        raise FormatError(f"Expected weights for the task {task}, these are for {network.task!r}.")
+    strangers = [name for name in network.observations if name not in known]
+    if strangers:
+        raise FormatError(
+            f"The network wants observations that a policy from a file is not given: {', '.join(strangers)}. There are: "
+            f"{', '.join(known)}."
+        )
+    if network.outputs != outputs:
+        raise FormatError(f"Expected a network with {outputs} outputs for {task}, this one has {network.outputs}.")

@@ -1,0 +1,53 @@
+"""Learned policies of the upper layer of rearrangement: a network scores what can be chosen, the best is done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_kinematic.agents.skills import Action, choices
+from sim_kinematic.policies.learned import network_of, require
+from sim_kinematic.policies.network import Network
+from sim_kinematic.policies.rearrange import TaskView
+from sim_kinematic.policies.rearrange_observations import SENSES, observe
+
+TASK = "rearrange"
+
+
+class LearnedChooser:
+    """Chooses the action with the highest output. If it is shown ``interrupted``, it thinks again in every step while the other
+    agent is close, and goes on with what it was doing by choosing the same."""
+
+    def __init__(self, network: Network, objects: int = 2, *, robot: bool = True) -> None:
+        """
+        Raises:
+            FormatError: the network is for another task, another number of objects or the other agent.
+        """
+        self.choices = choices(objects, robot=robot)
+        require(network, TASK, SENSES, outputs=len(self.choices))
+        self.network = network
+
+    def choose(self, view: TaskView) -> Action:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.choose`."""
+        scores = self.network(chooser_input(view, self.network.observations))
+        return self.choices[int(np.argmax(scores))]
+
+    def interrupts(self, view: TaskView) -> str:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.interrupts`."""
+        return "agents_close" if view.close and "interrupted" in self.network.observations else ""
+
+
+def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser:
+    """What ``weights:FILE`` names.
+
+    Raises:
+        InputError: there is no such file, it is none, or does not fit.
+    """
+    return LearnedChooser(network_of(policy), objects, robot=robot)
+
+
+def chooser_input(view: TaskView, names: Sequence[str]) -> NDArray[np.float32]:
+    """The named observations of a moment, one after the other, [in] float32."""
+    return np.concatenate(list(observe(view, names).values()))

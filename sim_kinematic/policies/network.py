@@ -1,0 +1,224 @@
+"""A small neural network in a file: named observations in, numbers out. What ``--policy weights:FILE`` reads.
+
+The file is an npz of plain arrays (`save_network` lists them): nothing in it is executed when it is read, no pickle, no
+code. PyTorch is needed for none of it; `from_torch` takes over what was trained there.
+"""
+
+from __future__ import annotations
+
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.files import part_file
+
+FILE_FORMAT = "h3data.network/1"
+MAX_BYTES = 256 << 20
+"""Files whose arrays take more than this are refused."""
+Activation = Literal["tanh", "relu"]
+_DAMAGE = (
+    ValueError, OSError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError
+)  # fmt: skip
+"""What zipfile and numpy raise at files that are none, or damaged; numpy tokenizes headers."""
+_FUNCTIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Network:
+    """A multi-layer perceptron: ``W_n f(... f(W_1 (x - mean) / scale + b_1) ...) + b_n``, in float32."""
+
+    task: str
+    """For which task it acts: ``social_nav`` or ``rearrange``."""
+    observations: tuple[str, ...]
+    """What its input is made of, by name, one after the other."""
+    weights: tuple[NDArray[np.float32], ...]
+    """Of each layer, [out, in], as `torch.nn.Linear` has them."""
+    biases: tuple[NDArray[np.float32], ...]
+    """Of each layer, [out]."""
+    activation: Activation = "tanh"
+    """Between layers; the last one has none."""
+    mean: NDArray[np.float32] = field(default_factory=lambda: np.zeros(1, np.float32))
+    """Taken from the input, [in] or [1]."""
+    scale: NDArray[np.float32] = field(default_factory=lambda: np.ones(1, np.float32))
+    """By which it is divided then, [in] or [1]; positive."""
+
+    def __post_init__(self) -> None:
+        faults = _faults(self)
+        if faults:
+            raise InputError(f"These layers make no network: {'; '.join(faults)}.")
+
+    @property
+    def inputs(self) -> int:
+        """Length of the input."""
+        return self.weights[0].shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Length of the output."""
+        return len(self.biases[-1])
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that decides what it does."""
+        found = sha256(repr((self.task, self.observations, self.activation)).encode())
+        for array in (*self.weights, *self.biases, self.mean, self.scale):
+            found.update(repr(array.shape).encode() + array.tobytes())
+        return found.hexdigest()
+
+    def __call__(self, x: ArrayLike) -> NDArray[np.float32]:
+        """Outputs [..., out] for inputs [..., in].
+
+        Raises:
+            InputError: the input has another length.
+        """
+        y = np.asarray(x, np.float32)
+        if y.shape[-1:] != (self.inputs,):
+            raise InputError(f"The network takes {self.inputs} numbers, got an input of shape {list(y.shape)}.")
+        with np.errstate(over="ignore", invalid="ignore"):  # who is given such numbers is told by the answer
+            y = (y - self.mean) / self.scale
+            for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+                y = y @ weight.T + bias
+                if k + 1 < len(self.weights):
+                    y = _FUNCTIONS[self.activation](y)
+        return y
+
+    def __repr__(self) -> str:
+        sizes = " - ".join(str(n) for n in (self.inputs, *(len(b) for b in self.biases)))
+        return f"Network({self.task}, {', '.join(self.observations)}: {sizes}, {self.activation})"
+
+
+def _faults(net: Network) -> list[str]:
+    """What does not fit together, in words."""
+    faults: list[str] = []
+    if net.activation not in get_args(Activation):
+        faults.append(f"the activation is {net.activation!r}, expected one of {', '.join(get_args(Activation))}")
+    if not net.observations:
+        faults.append("it has no observations")
+    if not net.weights or len(net.weights) != len(net.biases):
+        return [*faults, f"{len(net.weights)} weights and {len(net.biases)} biases, expected as many, at least one"]
+    width = net.weights[0].shape[1] if net.weights[0].ndim == 2 else -1
+    for name in ("mean", "scale"):
+        shape = getattr(net, name).shape
+        if shape not in ((1,), (width,)):
+            faults.append(f"{name} has the shape {list(shape)}, expected [1] or [{width}]")
+    for k, (weight, bias) in enumerate(zip(net.weights, net.biases, strict=True)):
+        if weight.ndim != 2 or bias.ndim != 1 or weight.shape != (len(bias), width) or not weight.size:
+            faults.append(
+                f"layer {k} has weights {list(weight.shape)} and biases {list(bias.shape)} for {width} inputs"
+            )
+        width = bias.shape[0] if bias.ndim else -1
+    arrays = (*net.weights, *net.biases, net.mean, net.scale)
+    if any(a.dtype != np.float32 for a in arrays):
+        faults.append("all arrays must be float32")
+    elif not all(np.isfinite(a).all() for a in arrays) or not (net.scale > 0).all():
+        faults.append("all numbers must be finite, and the scale positive")
+    return faults
+
+
+# --- PyTorch ------------------------------------------------------------------------------------------------------------
+def from_torch(
+    layers: Iterable[Any], *, task: str, observations: Iterable[str], mean: ArrayLike = (0.0,),
+    scale: ArrayLike = (1.0,),
+) -> Network:  # fmt: skip
+    """The network that a `torch.nn.Sequential` of `Linear` with `Tanh` or `ReLU` between them is.
+
+    Raises:
+        InputError: it has other layers.
+    """
+    from torch import nn
+
+    listed = list(layers)
+    linear, between = listed[::2], listed[1::2]
+    kinds = {type(layer) for layer in between}
+    if not all(isinstance(a, nn.Linear) for a in linear) or len(linear) != len(between) + 1 or len(kinds) > 1 or not (
+        kinds <= {nn.Tanh, nn.ReLU}
+    ):  # fmt: skip
+        names = [type(layer).__name__ for layer in listed]
+        raise InputError(
+            f"Expected Linear layers with Tanh, or with ReLU, between them; got {', '.join(names) or 'none'}."
+        )
+
+    def plain(tensor: Any) -> NDArray[np.float32]:
+        return tensor.detach().cpu().numpy().astype(np.float32)
+
+    weights = tuple(plain(a.weight) for a in linear)
+    biases = tuple(
+        np.zeros(len(w), np.float32) if a.bias is None else plain(a.bias) for a, w in zip(linear, weights, strict=True)
+    )
+    return Network(
+        task=task, observations=tuple(observations), weights=weights, biases=biases,
+        activation="relu" if kinds == {nn.ReLU} else "tanh", mean=np.asarray(mean, np.float32),
+        scale=np.asarray(scale, np.float32),
+    )  # fmt: skip
+
+
+# --- files --------------------------------------------------------------------------------------------------------------
+def save_network(network: Network, path: str | Path) -> None:
+    """Write an npz: ``format``, ``task``, ``activation``, ``observations``, ``mean``, ``scale``, ``weight_0``, ``bias_0``,
+    ``weight_1``, ... The file appears whole or not at all."""
+    arrays: dict[str, NDArray[Any]] = {
+        "format": np.array(FILE_FORMAT), "task": np.array(network.task), "activation": np.array(network.activation),
+        "observations": np.array(network.observations), "mean": network.mean, "scale": network.scale,
+    }  # fmt: skip
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays |= {f"weight_{k}": weight, f"bias_{k}": bias}
+    with part_file(path) as part, part.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+
+
+def load_network(path: str | Path) -> Network:
+    """The network in a file of `save_network`.
+
+    Raises:
+        InputError: there is no such file.
+        FormatError: it is none, is damaged, or its layers do not fit together.
+    """
+    data = _arrays(Path(path))
+    count = sum(name.startswith("weight_") for name in data)
+    try:
+        return Network(
+            task=_word(data["task"]), activation=_word(data["activation"]),  # type: ignore[arg-type]
+            observations=tuple(_word(name) for name in np.atleast_1d(data["observations"])),
+            mean=data["mean"], scale=data["scale"], weights=tuple(data[f"weight_{k}"] for k in range(count)),
+            biases=tuple(data[f"bias_{k}"] for k in range(count)),
+        )  # fmt: skip
+    except KeyError as fault:
+        raise FormatError(f"The file of weights lacks the array {fault}. File: {path}") from None
+    except InputError as fault:
+        raise FormatError(f"{fault} File: {path}") from None
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    hint = "Hint: sim_kinematic.policies.network.save_network writes one."
+    try:
+        with zipfile.ZipFile(path) as packed:
+            size = sum(entry.file_size for entry in packed.infolist())
+        if size > MAX_BYTES:
+            raise FormatError(f"Expected at most {MAX_BYTES >> 20} MiB of weights, got {size >> 20} MiB. File: {path}")
+        with np.load(path, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+        if not all(isinstance(array, np.ndarray) for array in data.values()):
+            raise ValueError("it holds files that are no arrays")
+    except (FileNotFoundError, IsADirectoryError):
+        raise InputError(f"Expected a file of weights, found none. {hint} File: {path}") from None
+    except _DAMAGE as fault:
+        raise FormatError(
+            f"Expected a file of weights ({FILE_FORMAT}), this is none ({fault}). {hint} File: {path}"
+        ) from None
+    found = _word(data.get("format", np.array("another npz file")))
+    if found != FILE_FORMAT:
+        raise FormatError(f"Expected a file of weights ({FILE_FORMAT}), got {found}. {hint} File: {path}")
+    return data
+
+
+def _word(array: NDArray[Any]) -> str:
+    return str(array) if array.ndim == 0 and array.dtype.kind == "U" else f"an array {array.dtype} {list(array.shape)}"

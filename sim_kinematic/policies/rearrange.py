@@ -1,0 +1,269 @@
+"""High-level policies of social rearrangement: partners that follow a plan, populations of them, and heuristic robots
+(paper section 4.2; spec/habitat.md 2.6). A policy says what to do next; skills (`sim_kinematic.agents.skills`) do it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError, did_you_mean
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.skills import Action, Ending
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.state import NOBODY
+
+PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
+"""What a planner does: the objects it rearranges."""
+POPULATIONS: dict[str, tuple[str, ...]] = {
+    "plan_pop_1": ("object_1",),
+    "plan_pop_2": ("object_1", "object_2"),
+    "plan_pop_3": ("object_1", "object_2", "both"),
+    "plan_pop_4": ("still", "object_1", "object_2", "both"),
+}
+"""From which plans a partner is drawn, anew in each episode (paper section 4.2, Plan-Pop)."""
+ZSC = ("both", "object_1", "object_2", "still")
+"""The planners of the paper's zero-shot population (appendix); its six learned partners were not published."""
+REPLAN_STEPS = 15
+"""So often a robot on its way to an object thinks again; in every step while the person is close."""
+IN_REACH_M = 0.9
+"""Who stands this near to an object may be about to take it."""
+STRAIGHT_ON_STEPS = 10
+"""Over so many steps the person's motion tells where she is going."""
+
+
+class TaskView(NamedTuple):
+    """What a privileged policy may know: everything but the other's plan."""
+
+    step: int
+    free: FreeSpace
+    agent: int
+    """Which agent it is that decides."""
+    xz: NDArray[np.float64]
+    heading: float
+    other_xz: NDArray[np.float64]
+    """Of the other agent, the nearest where there are several; NaN when it is alone."""
+    other_track: NDArray[np.float64]
+    """Where the other was in the last steps, the newest last, shape [N, 2] [m]."""
+    close: bool
+    """The other is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
+    objects: NDArray[np.float64]
+    """Where the objects are, shape [K, 3] [m]."""
+    goals: NDArray[np.float64]
+    held_by: NDArray[np.int64]
+    at_goal: NDArray[np.bool_]
+    action: Action | None
+    """What it is doing or, between two actions, has done last."""
+    last: Ending | None
+    """How that ended; None while it goes on."""
+    starts: NDArray[np.float64]
+    """Where the objects were at the beginning, shape [K, 3] [m]."""
+    hand: Callable[[], NDArray[np.floating]]
+    """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
+    arm: NDArray[np.float64]
+    """Positions of the arm's joints of a robot [n]; of a person [0]."""
+    start: NDArray[np.float64]
+    """Where it began, ``(x, z, heading)`` [3],"""
+    before: NDArray[np.float64]
+    """and where it was a step ago."""
+    contact: bool
+    """Its base touched an obstacle in the last step."""
+    collision: bool
+    """Agents touch now."""
+
+    def left_to_do(self) -> list[int]:
+        """Objects that are not at their goals and that the other does not hold."""
+        return [k for k in range(len(self.objects)) if not self.at_goal[k] and self.held_by[k] in (NOBODY, self.agent)]
+
+
+class HighLevelPolicy(Protocol):
+    """The upper layer."""
+
+    def choose(self, view: TaskView) -> Action:
+        """What to do next; asked when the last action has ended or was interrupted."""
+        ...
+
+    def interrupts(self, view: TaskView) -> str:
+        """Asked in every step of an action: a reason to abort it, or nothing."""
+        ...
+
+
+def errand(view: TaskView, k: int) -> Action:
+    """The next of the four actions that bring object k to its goal."""
+    done = view.action if view.last is not None and view.last.outcome == "done" else None
+    came, handle = ("nav_to_goal", "place") if view.held_by[k] == view.agent else ("nav_to_object", "pick")
+    return Action(handle if done is not None and (done.skill, done.target) == (came, k) else came, k)
+
+
+@dataclass
+class Planner:
+    """A partner who brings its objects to their goals, one after the other, then stands still. It plans once and never
+    aborts, as Habitat's; what is done already or in the other's hands when its turn comes is passed over."""
+
+    objects: tuple[int, ...]
+    _passed: int = 0
+    """So many of its objects are behind it."""
+    _tries: int = 0
+
+    def choose(self, view: TaskView) -> Action:
+        while self._passed < len(self.objects):
+            k = self.objects[self._passed]
+            failed = view.last is not None and view.last.outcome == "failed"
+            self._tries += failed
+            if view.held_by[k] == view.agent or (k in view.left_to_do() and self._tries < 3):
+                return errand(view, k)
+            self._passed, self._tries = self._passed + 1, 0
+        return Action("wait")
+
+    def interrupts(self, view: TaskView) -> str:
+        return ""
+
+
+@dataclass
+class Chooser:
+    """A robot that brings objects to their goals, `prefer` says which next. It goes on to another when the person has taken
+    the one that it wanted."""
+
+    prefer: Callable[[TaskView, list[int]], int | None]
+    """Chooses among objects that are left; None waits."""
+    _object: int = -1
+    _avoid: dict[int, int] = field(default_factory=dict)
+    """Objects at which it failed, and until which step it leaves them."""
+
+    def choose(self, view: TaskView) -> Action:
+        if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
+            self._avoid[self._object] = view.step + 60
+        held = np.flatnonzero(view.held_by == view.agent)
+        chosen = int(held[0]) if len(held) else self.prefer(view, self._left(view))
+        self._object = -1 if chosen is None else chosen
+        return Action("wait", steps=5) if chosen is None else errand(view, chosen)
+
+    def interrupts(self, view: TaskView) -> str:
+        action = view.action
+        if action is None or action.skill not in ("nav_to_object", "pick"):
+            return ""
+        if view.held_by[action.target] not in (NOBODY, view.agent):
+            return "object_taken"
+        if action.skill == "nav_to_object" and (view.close or view.step % REPLAN_STEPS == 0):
+            better = self.prefer(view, self._left(view))
+            if better is not None and better != action.target:
+                return "agents_close" if view.close else "replanned"
+        return ""
+
+    def _left(self, view: TaskView) -> list[int]:
+        return [k for k in view.left_to_do() if self._avoid.get(k, 0) <= view.step]
+
+
+def _nearest(view: TaskView, left: list[int]) -> int | None:
+    """The object with the shortest way to it."""
+    if not left:
+        return None
+    return min(left, key=lambda k: _way(view, view.xz, k))
+
+
+def _way(view: TaskView, start: NDArray, k: int) -> float:
+    """Length of the way from ``start`` to an object [m]; objects lie on furniture, so its end is moved to the floor."""
+    return float(view.free.geodesic(start, view.objects[k, [0, 2]], max_snap_m=2.0))
+
+
+def persons_object(view: TaskView) -> int:
+    """The object that the person holds, goes for (by her motion in the last steps) or stands at; -1: nothing tells."""
+    held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
+    if len(held):
+        return int(held[0])
+    left = [k for k in range(len(view.objects)) if not view.at_goal[k] and view.held_by[k] == NOBODY]
+    before = view.other_track[max(len(view.other_track) - STRAIGHT_ON_STEPS, 0)]
+    moved = float(np.hypot(*(view.other_xz - before)))
+    if not left:
+        return -1
+    if moved < 0.1:  # she stands: perhaps she is about to take what is before her
+        gaps = [float(np.hypot(*(view.objects[k, [0, 2]] - view.other_xz))) for k in left]
+        return left[int(np.argmin(gaps))] if min(gaps) < IN_REACH_M else -1
+    gain = [_way(view, before, k) - _way(view, view.other_xz, k) for k in left]
+    best = int(np.argmax(gain))
+    return left[best] if gain[best] > 0.5 * moved else -1
+
+
+def _complement(view: TaskView, left: list[int]) -> int | None:
+    """What the person does not go for. As long as nobody knows, the one that is farther from her than from the robot."""
+    if np.isnan(view.other_xz).any():
+        return _nearest(view, left)
+    hers = persons_object(view)
+    others = [k for k in left if k != hers]
+    if not others:
+        return _nearest(view, left) if hers < 0 or (view.held_by[hers] == NOBODY and not _moves(view)) else None
+    if hers >= 0:
+        return _nearest(view, others)
+    return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))
+
+
+def _moves(view: TaskView) -> bool:
+    return float(np.ptp(view.other_track, axis=0).max()) > 0.05
+
+
+def _only(k: int) -> Callable[[TaskView, list[int]], int | None]:
+    return lambda view, left: k if k in left else None
+
+
+ROBOT_POLICIES: dict[str, Callable[[], HighLevelPolicy]] = {
+    "greedy_nearest": lambda: Chooser(_nearest),
+    "complement": lambda: Chooser(_complement),
+    "same_object": lambda: Chooser(_only(1)),
+    "still": lambda: Planner(()),
+}
+"""``same_object`` always rearranges the second object: what a robot learns whose only partner always takes the first
+(paper appendix on Plan-Pop 1)."""
+PARTNERS = (*POPULATIONS, *PLANS)
+
+
+def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
+    """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    from sim_kinematic.policies.learned import is_learned
+    from sim_kinematic.policies.learned_chooser import learned_chooser
+
+    if is_learned(name):
+        return learned_chooser(name, objects, robot=True)
+    if name not in ROBOT_POLICIES:
+        near = did_you_mean(name, ROBOT_POLICIES)
+        raise InputError(
+            f"Unknown policy {name!r}.{near} Expected one of: {', '.join(ROBOT_POLICIES)}, or weights:FILE."
+        )
+    return ROBOT_POLICIES[name]()
+
+
+def partner_plan(name: str, seed: int) -> str:
+    """The plan (a name in `PLANS`) that a partner has in the episode with this seed; a learned one (``weights:FILE``) plans
+    nothing: it is its name, as it is recorded."""
+    from sim_kinematic.policies.learned import is_learned, stamped
+
+    if is_learned(name):
+        return stamped(name)
+    if name in PLANS:
+        return name
+    if name not in POPULATIONS:
+        near = did_you_mean(name, PARTNERS)
+        raise InputError(f"Unknown partner {name!r}.{near} Expected one of: {', '.join(PARTNERS)}, or weights:FILE.")
+    plans = POPULATIONS[name]
+    return plans[int(generator(seed, f"partner/{name}").integers(len(plans)))]
+
+
+def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
+    """A fresh partner for the episode with this seed."""
+    from sim_kinematic.policies.learned import is_learned
+    from sim_kinematic.policies.learned_chooser import learned_chooser
+
+    if is_learned(name):
+        return learned_chooser(name, objects, robot=False)
+    return planner(partner_plan(name, seed), seed, objects)
+
+
+def planner(plan: str, seed: int, objects: int = 2) -> Planner:
+    """Who follows a plan; the order of ``both`` is drawn from the seed, as Habitat's search for a plan leaves it to chance."""
+    wanted = list(range(objects)) if plan == "both" else [k for k in PLANS[plan] if k < objects]
+    if len(wanted) > 1:
+        wanted = generator(seed, "plan_order").permutation(wanted).tolist()
+    return Planner(tuple(wanted))

@@ -1,0 +1,280 @@
+"""Robot policies for social navigation and, last, one that was learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.builtin import builtin_path
+from h3data.errors import InputError, did_you_mean
+from h3data.geometry import wrap_angle
+from h3data.scene import FreeSpace
+from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
+
+ROBOT_SKILLS = ("find", "follow", "back_up", "wait")
+
+
+class View(NamedTuple):
+    """What a privileged policy may know: where both are, and the map."""
+
+    free: FreeSpace
+    robot_xz: NDArray[np.float64]
+    robot_heading: float
+    human_xz: NDArray[np.float64]
+    geodesic_m: float
+    """Length of the shortest path from robot to human [m]; infinite when there is none."""
+    met: bool
+    """The robot has found the person before."""
+    seed: int = 0
+    """Of the episode: with ``step`` it decides everything that a policy draws."""
+    step: int = 0
+    robot_before: tuple[NDArray[np.float64], float] | None = None
+    """Where the robot was before the last step, place and heading; None at the start."""
+    human_before: NDArray[np.float64] | None = None
+    """Where the person was before the last step; None at the start."""
+    future: Callable[[], NDArray[np.float64]] | None = None
+    """Where she will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
+
+
+class Command(NamedTuple):
+    """What a policy wants: base velocity in -1..1 of the limits, and what it calls that."""
+
+    forward: float
+    turn: float
+    skill: str
+
+
+Policy = Callable[[View, BaseSpec], Command]
+
+KEEP_DISTANCE_M = 1.5
+"""The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
+STEER_STEPS = 8
+"""So far ahead the experts look for the best way to drive,"""
+ESCAPE_STEPS = 30
+"""and so far for room to let the person pass."""
+MARGIN_M = 0.15
+"""Free way that is kept between both, if it can be."""
+TURN_COST_M = 0.5
+"""Way [m] that a radian of wrong heading is worth,"""
+ROOM_COST = 8.0
+"""and a metre of lacking room."""
+REACH_M = 2.0
+"""So near to the person the robot may find her; farther away she is not heeded before she is found."""
+SAMPLES = 24
+"""Commands that the sampling expert draws at every step."""
+
+_LEVELS = (1.0, 0.5, 0.0, -0.5, -1.0)
+_STEERING = np.array(
+    [(f, t, n, f) for f in _LEVELS for t in _LEVELS for n in ((STEER_STEPS // 2, STEER_STEPS) if t else (STEER_STEPS,))]
+)
+"""Ways to drive for a moment, as `roll_out` takes them."""
+_BACKING = np.array([(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, ESCAPE_STEPS) if t else (ESCAPE_STEPS,))])
+"""Ways to back away: straight, or in a bend and then straight."""
+
+
+def _steer(view: View, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[float, float]:
+    """Heading error to ``target_xz`` [rad] and the turn command that removes it in one step, if the limit allows."""
+    dx, dz = target_xz - view.robot_xz
+    error = float(wrap_angle(np.arctan2(-dz, dx) - view.robot_heading))
+    return error, float(np.clip(error / (spec.max_turn_rad_s * STEP_S), -1, 1))
+
+
+def _steps_to_turn(error: float, spec: BaseSpec) -> float:
+    return float(np.ceil(abs(error) / (spec.max_turn_rad_s * STEP_S)))
+
+
+def next_waypoint(view: View, spec: BaseSpec) -> NDArray[np.float64]:
+    """The first way point on the path to the person that is not already underfoot."""
+    path = view.free.path(view.robot_xz, view.human_xz)
+    for waypoint in path[1:]:
+        if np.hypot(*(waypoint - view.robot_xz)) > spec.disc_radius_m / 2:
+            return waypoint
+    return view.human_xz
+
+
+def _expected_walk(view: View) -> NDArray[np.float64]:
+    """Where the person will be in the next `ESCAPE_STEPS` steps if she goes on as in the last one."""
+    velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
+    return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
+
+
+def heuristic_expert(view: View, spec: BaseSpec) -> Command:
+    """The paper's expert: shortest path to the person when farther than 1.5 m, back away from her inside.
+
+    Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
+    path most, and restores 1.5 m at the smallest speed that does. Where she would walk into it, it backs away in the bend
+    that leaves most room. Of her it knows where she is and was a step ago.
+    """
+    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
+
+
+def plain_expert(view: View, spec: BaseSpec) -> Command:
+    """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
+    her. It tries nothing out and foresees nothing, so she often pins it against a wall."""
+    if not np.isfinite(view.geodesic_m):
+        return Command(0.0, 0.0, "wait")
+    gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
+    if gap <= 0:
+        backward, turn, _ = _straight_back(view, spec, gap)
+        return Command(backward, turn, "back_up")
+    error, turn = _steer(view, next_waypoint(view, spec), spec)
+    return Command(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
+
+
+def _straight_back(view: View, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
+    """Forward and turn command of backing away while she is in front, else of turning to her; the heading error [rad]."""
+    error, turn = _steer(view, view.human_xz, spec)
+    return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
+
+
+def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Command:
+    """Towards ``goal`` [2], by at most ``gap`` steps of way."""
+    if not np.isfinite(view.geodesic_m):
+        return Command(0.0, 0.0, "wait")
+    error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
+    commands = np.vstack([[(1.0, turn, _steps_to_turn(error, spec), 1.0)], _STEERING])
+    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=STEER_STEPS)
+    left, off = _way_left(view.free, goal, ends.xz, ends.heading)
+    forward, turn = commands[np.argmin(left + TURN_COST_M * off), :2].tolist()
+    return Command(min(gap, forward), turn, "follow" if view.met else "find")
+
+
+def _back_up(view: View, spec: BaseSpec, gap: float) -> Command:
+    """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
+    backward, turn, error = _straight_back(view, spec, gap)
+    straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
+    walk = _expected_walk(view)
+    trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
+    if trial(straight, walk).gap_m[0] >= MARGIN_M:
+        return Command(backward, turn, "back_up")
+    commands = np.concatenate([straight, _BACKING])
+    ends = trial(commands, walk)
+    dx, dz = (walk[-1] - ends.xz).T
+    error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))
+    best = np.argmin(ROOM_COST * np.maximum(MARGIN_M - ends.gap_m, 0.0) + TURN_COST_M / 2 * error)
+    return Command(float(commands[best, 0]), float(commands[best, 1]), "back_up")
+
+
+def _way_left(
+    free: FreeSpace, goal: NDArray[np.float64], xz: NDArray[np.float64], heading: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Length of the shortest path to ``goal`` from places [N, 2] [m], and by how much headings [N] differ from its [rad]."""
+    left, direction = free.distance_field(goal).distance_and_direction(xz)
+    error = np.abs(wrap_angle(np.arctan2(-direction[:, 1], direction[:, 0]) - heading))
+    return left, np.nan_to_num(error, nan=np.pi)
+
+
+def sampling_expert(view: View, spec: BaseSpec) -> Command:
+    """Draws commands, tries each beside the person as she will walk on, and takes the best: the way to 1.5 m from her,
+    facing her, with room between both.
+
+    One that draws way points without foreseeing her walk collides more than plain backing (75 % of episodes, a draft of the
+    paper's appendix says): it drives to where she is going.
+    """
+    if not view.met and view.geodesic_m > REACH_M:
+        return _approach(view, spec, view.human_xz)
+    return _best_sample(view, spec, _expected_walk(view))
+
+
+def future_oracle(view: View, spec: BaseSpec) -> Command:
+    """The sampling expert that knows the person's whole future: goes to where she can first be met, and gives way in time.
+
+    Raises:
+        InputError: nobody knows her future: she does not follow the script of an episode.
+    """
+    if view.future is None:
+        raise InputError("future_oracle needs the person's future, known of scripted and recorded people alone.")
+    future = view.future()
+    walk = np.concatenate([future[:ESCAPE_STEPS], np.repeat(future[-1:], max(ESCAPE_STEPS - len(future), 0), axis=0)])
+    if not view.met and view.geodesic_m > REACH_M:
+        return _approach(view, spec, _meeting(view, spec, future))
+    return _best_sample(view, spec, walk)
+
+
+def _meeting(view: View, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The first place [2] on her way to which the robot comes near before she has left it; where she is, if there is none."""
+    soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
+    in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
+    return future[np.argmax(in_time)] if in_time.any() else view.human_xz
+
+
+def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Command:
+    """The best of drawn commands beside a person who walks along ``walk`` [H, 2]."""
+    if not np.isfinite(view.geodesic_m):
+        return Command(0.0, 0.0, "wait")
+    drawn = generator(view.seed, "policy/sampling", step=view.step).uniform(-1, 1, (SAMPLES, 3))
+    steps = np.exp2(3.5 + 1.5 * drawn[:, 2])  # 4 to 32
+    forward = np.where(np.arange(SAMPLES) % 2, np.sign(drawn[:, 0]), drawn[:, 0])
+    then = np.where(np.arange(SAMPLES) % 4 < 2, forward, 0.0)
+    commands = np.vstack([_STEERING, _BACKING, np.stack([forward, drawn[:, 1], steps, then], -1), np.zeros((1, 4))])
+    ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, walk, look_steps=STEER_STEPS)
+    left, error = _way_left(view.free, walk[STEER_STEPS - 1], ends.xz, ends.heading)
+    lacking = np.maximum(MARGIN_M - ends.gap_m, 0.0)
+    best = np.argmin(np.abs(left - KEEP_DISTANCE_M) + TURN_COST_M * error + ROOM_COST * lacking)
+    forward, turn = commands[best, :2].tolist()
+    skill = "back_up" if forward < 0 and view.geodesic_m < KEEP_DISTANCE_M else "follow" if view.met else "find"
+    return Command(forward, turn, skill)
+
+
+def stand_still(view: View, spec: BaseSpec) -> Command:
+    """Does nothing: the floor under every score."""
+    del view, spec
+    return Command(0.0, 0.0, "wait")
+
+
+def random(view: View, spec: BaseSpec) -> Command:
+    """A uniformly random base velocity at every step, the same for the same seed: what chance achieves."""
+    del spec
+    forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
+    return Command(float(forward), float(turn), "follow" if view.met else "find")
+
+
+def learned_follower(view: View, spec: BaseSpec) -> Command:
+    """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
+    return _follower()(view, spec)
+
+
+@cache
+def _follower() -> Policy:
+    from sim_kinematic.policies.learned import LearnedNavigation
+    from sim_kinematic.policies.network import load_network
+
+    return LearnedNavigation(load_network(builtin_path("policies/learned_follower.npz")))
+
+
+POLICIES: dict[str, Policy] = {
+    "heuristic_expert": heuristic_expert,
+    "plain_expert": plain_expert,
+    "sampling_expert": sampling_expert,
+    "future_oracle": future_oracle,
+    "learned_follower": learned_follower,
+    "random": random,
+    "stand_still": stand_still,
+}
+
+
+def policy_by_name(name: str) -> Policy:
+    """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
+    from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of
+
+    if is_learned(name):
+        return LearnedNavigation(network_of(name))
+    if name not in POLICIES:
+        raise InputError(
+            f"Unknown policy {name!r}.{did_you_mean(name, POLICIES)} Expected one of: {', '.join(POLICIES)}, or weights:FILE."
+        )
+    return POLICIES[name]
+
+
+def policy_name(policy: str | Policy) -> str:
+    """The name under which a policy is recorded; that of a file of weights says which weights (`stamped`)."""
+    from sim_kinematic.policies.learned import stamped
+
+    return stamped(policy) if isinstance(policy, str) else getattr(policy, "__name__", type(policy).__name__)

@@ -1,0 +1,137 @@
+"""The pictures among an agent's observations, by name, the same in all tasks: depth and colours of each of its cameras, and
+what the humanoid detector reads from the arm's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.sensing.sensor import DETECTED_PIXELS, Detection, detect_humanoids
+
+if TYPE_CHECKING:
+    from h3data.render import Output
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+DETECTORS = {"humanoid_detector": "found", "humanoid_mask": "mask", "humanoid_box": "box"}
+"""Observations that are parts of a `Detection`."""
+ARM = "arm"
+PREFIX = "robot_"
+
+
+class Lens(NamedTuple):
+    """Which camera takes a picture, and how large it is."""
+
+    camera: str
+    width: int
+    height: int
+
+
+class Limits(NamedTuple):
+    """The space of an observation, as `gymnasium.spaces.Box` takes it."""
+
+    low: NDArray[Any] | float
+    high: NDArray[Any] | float
+    shape: tuple[int, ...]
+    dtype: type[np.float32] | type[np.uint8]
+
+
+def picture_names(body: Body) -> tuple[str, ...]:
+    """``CAMERA_depth`` and ``CAMERA_rgb`` of each camera ``robot_CAMERA`` of a robot, and `DETECTORS` if its arm has one; of a
+    person ``head_depth`` and ``head_rgb``, her own view."""
+    if isinstance(body, Humanoid):
+        return ("head_depth", "head_rgb")
+    cameras = [c.name.removeprefix(PREFIX) for c in body.cameras if not c.name.endswith("_rgb")]
+    names = [f"{camera}_{output}" for camera in cameras for output in ("depth", "rgb")]
+    return (*names, *DETECTORS) if ARM in cameras else tuple(names)
+
+
+class AgentPictures:
+    """The pictures that one agent is shown."""
+
+    def __init__(
+        self, body: Body, names: Sequence[str], *, agent: int, depth_size: tuple[int, int] | None = None,
+        rgb_size: tuple[int, int] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            body: Of the agent.
+            names: Its observations; those in `picture_names` are pictures.
+            agent: Its number in the state.
+            depth_size: Width and height [pixels] of depth, masks and boxes; None is each camera's own. The field of view stays.
+            rgb_size: The same of colours.
+
+        Raises:
+            InputError: a size is not at least 1 x 1.
+        """
+        for size in filter(None, (depth_size, rgb_size)):
+            if len(size) != 2 or min(size) < 1:
+                raise InputError(f"Expected a picture of at least 1 x 1 pixels (width, height), got {size}.")
+        self.names = tuple(name for name in names if name in picture_names(body))
+        self._agent = agent
+        self._lenses = {n: _lens(body, n, rgb_size if n.endswith("_rgb") else depth_size) for n in self.names}
+        self._detects_from = 0
+        if set(DETECTORS) & set(self.names) and isinstance(body, Robot):
+            own = body.camera(PREFIX + ARM)
+            lens = next(self._lenses[name] for name in self.names if name in DETECTORS)
+            self._detects_from = int(DETECTED_PIXELS * lens.width * lens.height / (own.width * own.height))
+
+    def limits(self, name: str) -> Limits:
+        """The space of one world's picture: ``rgb`` uint8 [H, W, 3], the detector float32 [1], others float32 [H, W, 1]."""
+        lens = self._lenses[name]
+        if name.endswith("_rgb"):
+            return Limits(0, 255, (lens.height, lens.width, 3), np.uint8)
+        return Limits(0.0, 1.0, (1,) if name == "humanoid_detector" else (lens.height, lens.width, 1), np.float32)
+
+    def take(self, drawn: StateRenderer) -> dict[str, NDArray[Any]]:
+        """The pictures of all worlds as last posed, [W, ...]; depth in metres, 0 = nothing hit."""
+        from sim_kinematic.sensing.camera_sensor import CameraSensor
+
+        outputs: dict[Lens, list[Output]] = {}
+        for name, lens in self._lenses.items():
+            outputs.setdefault(lens, []).append(_output(name))
+        seen = {}
+        for lens, wanted in outputs.items():
+            sensor = CameraSensor(
+                camera=lens.camera,
+                agent=self._agent,
+                outputs=tuple(dict.fromkeys(wanted)),
+                size=(lens.width, lens.height),
+            )
+            seen[lens] = sensor.observe(drawn)
+        detected: dict[Lens, Detection] = {}
+        pictures = {}
+        for name, lens in self._lenses.items():
+            if name not in DETECTORS:
+                picture = seen[lens][_output(name)]
+                pictures[name] = picture if name.endswith("_rgb") else picture[..., None]
+                continue
+            if lens not in detected:
+                detected[lens] = detect_humanoids(seen[lens]["semantic"], more_than_pixels=self._detects_from)
+            pictures[name] = getattr(detected[lens], DETECTORS[name])[..., None]
+        return pictures
+
+
+def _output(name: str) -> Output:
+    if name in DETECTORS:
+        return "semantic"
+    return "rgb" if name.endswith("_rgb") else "depth"
+
+
+def _lens(body: Body, name: str, size: tuple[int, int] | None) -> Lens:
+    if isinstance(body, Humanoid):
+        from sim_kinematic.sensing.camera_sensor import HEAD_SIZE
+
+        return Lens("", *(size or HEAD_SIZE))
+    mounted = [camera.name for camera in body.cameras]
+    camera = PREFIX + (ARM if name in DETECTORS else name.removesuffix("_depth"))
+    if name.endswith("_rgb") and camera not in mounted:
+        camera = camera.removesuffix("_rgb")
+    own = body.camera(camera)
+    return Lens(camera, *(size or (own.width, own.height)))

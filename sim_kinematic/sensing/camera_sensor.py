@@ -1,0 +1,260 @@
+"""What cameras on robots and people see in a `WorldState`: the home, robots, people and objects drawn as the state has them.
+
+`StateRenderer` poses everything once per step; any number of `CameraSensor` then take pictures of all worlds:
+
+```python
+drawn = StateRenderer(scene, [robot, human], worlds=16)
+arm = CameraSensor(camera="robot_arm", outputs=("depth", "semantic"))
+drawn.pose(state)
+pictures = arm.observe(drawn)  # {"depth": [16, 171, 224], "semantic": ...}
+```
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array, pose_to_matrix
+from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene, pinhole
+from h3data.render.renderer import Backend
+from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE, HUMAN_HEAD
+from h3data.scene import Mesh, Scene, Shape
+from h3data.scene.records import Capsule, instance_matrix
+from sim_kinematic.contact.frames import Body, body_frames, body_shapes, require_bodies, shape_frames
+from sim_kinematic.motion.state import WorldState
+from sim_kinematic.sensing.sensor import HUMAN_ID
+
+ROBOT_ID = 200
+"""Semantic id of robots in our recordings."""
+HEAD_SIZE, HEAD_HFOV_DEG = (640, 480), 90.0
+"""Of the camera between a person's eyes."""
+CAPSULE_SIDES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """An agent in the pictures."""
+
+    body: Body
+    instances: list[int]
+    meshes: list[int]
+    """Of a person: her full and her light mesh, of which each world shows one; as bones, one per capsule."""
+
+
+class StateRenderer:
+    """A home with any robots, people and objects, in W worlds that differ in what moves. Holds a renderer: one per thread."""
+
+    def __init__(
+        self, scene: Scene, agents: Sequence[Body], *, worlds: int = 1, objects: Sequence[str] = (),
+        speed_mps: float | None = None, skinned: bool = True, backend: Backend = "cpu", threads: int = 1,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            scene: The home; all worlds share it.
+            agents: Bodies of those who are in it, robots first, as in the state.
+            worlds: W.
+            objects: Names of the instances of ``scene`` that the state moves, in the order of ``object_pose`` [O].
+            speed_mps: At which people walk, which chooses their clips (default: `WalkerSpec`'s).
+            skinned: People are skinned meshes; else the rigid capsules of their bones.
+            backend: Of `h3data.render.Renderer`.
+            threads: Threads that draw a batch.
+        """
+        self._meshes: list[Mesh] = []
+        self._instances: list[RenderInstance] = []
+        shared = {name: self._mesh(asset.mesh) for name, asset in scene.assets.items() if len(asset.mesh.faces)}
+        drawn_as: dict[str, int] = {}
+        for i in scene.instances:
+            if i.asset in shared:
+                drawn_as[i.name] = self._add(
+                    shared[i.asset], i.name, instance_matrix(i), semantic_id=i.semantic_id, layer=i.layer
+                )
+        unknown = sorted(set(objects) - set(drawn_as))
+        if unknown:
+            raise InputError(f"The scene draws no instances {', '.join(unknown)}, which the state is to move.")
+        scales = {i.name: i.scale for i in scene.instances}
+        self._objects = [drawn_as[name] for name in objects]
+        self._object_scale = np.array([scales[name] for name in objects], np.float64).reshape(-1, 1, 3)
+        self._skinned, self._speed_mps = skinned, speed_mps
+        self._agents = tuple(self._add_agent(body) for body in agents)
+        people = [drawn for drawn in self._agents if isinstance(drawn.body, Humanoid)]
+        deformable = tuple(mesh for drawn in people for mesh in drawn.meshes) if skinned else ()
+        self.scene = RenderScene(self._meshes, self._instances, deformable=deformable)
+        self.renderer = Renderer(self.scene, backend=backend, worlds=worlds, threads=threads)
+        self._frames: list[Array] = []
+        self._shown: set[tuple[int, int, bool]] = set()
+        """Agent, world and mesh of those who are skinned as last posed."""
+
+    @property
+    def worlds(self) -> int:
+        return self.renderer.world_count
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Those of the agents."""
+        return tuple(drawn.body for drawn in self._agents)
+
+    def instances(self, agent: int) -> tuple[int, ...]:
+        """Ids of an agent in ``instance`` pictures, of a person for `detect_humanoids` too."""
+        return tuple(self._agents[agent].instances)
+
+    def _mesh(self, mesh: Mesh) -> int:
+        self._meshes.append(mesh)
+        return len(self._meshes) - 1
+
+    def _add(
+        self, mesh: int, name: str, matrix: NDArray[np.floating] | None = None, *, semantic_id: int = 0, layer: str = ""
+    ) -> int:
+        place = np.eye(4) if matrix is None else np.asarray(matrix, np.float64)
+        self._instances.append(RenderInstance(mesh, place, semantic_id=semantic_id, layer=layer, name=name))
+        return len(self._instances) - 1
+
+    def _add_agent(self, body: Body) -> _Drawn:
+        if isinstance(body, Robot):
+            parts = [(link.mesh, f"robot/{link.name}") for link in body.links if link.mesh is not None]
+        else:
+            own = [body.mesh, body.lod_mesh] if self._skinned else capsule_meshes(body_shapes(body))
+            parts = [(mesh, "human") for mesh in own]
+        semantic_id = ROBOT_ID if isinstance(body, Robot) else HUMAN_ID
+        meshes = [self._mesh(mesh) for mesh, _ in parts]
+        named = zip(meshes, parts, strict=True)
+        return _Drawn(body, [self._add(k, name, semantic_id=semantic_id) for k, (_, name) in named], meshes)
+
+    # --- posing -----------------------------------------------------------------------------------------------------------
+    def pose(self, state: WorldState, *, floor_y: float = 0.0, frames: Sequence[Array] | None = None) -> None:
+        """Put everything where the state has it.
+
+        ``frames`` are the agents' `body_frames`, where somebody has them already or poses them otherwise.
+        """
+        if state.object_pose.shape[:2] != (self.worlds, len(self._objects)):
+            raise InputError(
+                f"Expected a state of {self.worlds} worlds and {len(self._objects)} objects, got "
+                f"{state.worlds} and {state.object_pose.shape[1]}."
+            )
+        require_bodies(state, self.bodies)
+        if frames is None:
+            pairs = zip(self.bodies, state.agents, strict=True)
+            frames = [body_frames(body, own, floor_y, speed_mps=self._speed_mps) for body, own in pairs]
+        objects = pose_to_matrix(state.object_pose)
+        objects[..., :3, :3] *= self._object_scale
+        for w in range(self.worlds):
+            self.renderer.set_transforms(self._objects, objects[w], world=w)
+        for drawn, own in zip(self._agents, frames, strict=True):
+            if isinstance(drawn.body, Robot):
+                rigid = own[:, [k for k, link in enumerate(drawn.body.links) if link.mesh is not None]]
+            elif self._skinned:
+                continue  # when her pictures are taken: how far the cameras are decides the mesh
+            else:
+                rigid = shape_frames(drawn.body, own)
+            for w in range(self.worlds):
+                self.renderer.set_transforms(drawn.instances, rigid[w], world=w)
+        self._frames = list(frames)
+        self._shown.clear()
+
+    def middle(self, agent: int) -> Array:
+        """The middle of the box around an agent's links or joints in all worlds, as last posed, [W, 3] [m]."""
+        places = self._posed(agent)[:, :, :3, 3]
+        return (places.min(1) + places.max(1)) / 2
+
+    def _posed(self, agent: int) -> Array:
+        """An agent's frames as last posed."""
+        if not self._frames:
+            raise InputError("Nothing has been posed yet. Hint: call pose(state) first.")
+        if not 0 <= agent < len(self._agents):
+            raise InputError(f"There are {len(self._agents)} agents, counted from 0; got {agent}.")
+        return self._frames[agent]
+
+    def cameras(self, name: str = "", *, agent: int = 0, size: tuple[int, int] | None = None) -> list[Camera]:
+        """A camera of an agent in all worlds, as last posed: a robot's by ``name``, a person's between her eyes.
+
+        ``size``: width and height [pixels] instead of the camera's own; its field of view stays.
+        """
+        frames, body = self._posed(agent), self._agents[agent].body
+        if isinstance(body, Robot):
+            mounted = body.camera(name)
+            camera = pinhole(mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name)
+            poses = body.camera_poses(name, frames)
+        else:
+            camera = pinhole(*HEAD_SIZE, hfov_deg=HEAD_HFOV_DEG, name=HUMAN_HEAD, near=HEAD_NEAR_M)
+            poses = frames[:, body.joint_names.index("head")] @ HEAD_POSE
+        if size is not None:
+            camera = pinhole(*size, hfov_deg=camera.hfov_deg, name=camera.name, near=camera.near)
+        return [camera.at(pose) for pose in poses]
+
+    def picture(self, cameras: Sequence[Camera], outputs: Sequence[Output]) -> dict[str, Any]:
+        """What N cameras per world see, by output, each [N * W, H, W', ...] (`h3data.render.Renderer.render`): the first
+        cameras of all worlds come first."""
+        if self._skinned:
+            for k, drawn in enumerate(self._agents):
+                if isinstance(drawn.body, Humanoid):
+                    self._show_person(k, drawn, drawn.body, cameras)
+        worlds = list(range(self.worlds)) * (len(cameras) // self.worlds)
+        return self.renderer.render_batch(cameras, worlds=worlds, outputs=outputs)
+
+    def _show_person(self, agent: int, drawn: _Drawn, body: Humanoid, cameras: Sequence[Camera]) -> None:
+        """The light mesh where it will do for every camera, as in replays; each is skinned at most once per pose."""
+        joints = self._frames[agent]
+        eyes = np.array([camera.pose[:3, 3] for camera in cameras]).reshape(-1, self.worlds, 3)
+        apart = np.linalg.norm(joints[:, :, :3, 3] - eyes[:, :, None], axis=-1).min((0, 2))
+        focal = max(camera.fx for camera in cameras)
+        light = np.array([body.light_enough(focal, float(distance)) for distance in apart])
+        for lod in (False, True):
+            for w in np.flatnonzero(light == lod).tolist():
+                self.renderer.set_visible(drawn.instances, [not lod, lod], world=w)
+            fresh = [w for w in np.flatnonzero(light == lod).tolist() if (agent, w, lod) not in self._shown]
+            if fresh:
+                for w, vertices in zip(fresh, body.skin(joints[fresh], lod=lod), strict=True):
+                    self.renderer.set_vertices(drawn.meshes[int(lod)], vertices, world=w)
+                self._shown |= {(agent, w, lod) for w in fresh}
+
+
+def capsule_meshes(shapes: Sequence[Shape]) -> list[Mesh]:
+    """A grey mesh for each capsule, in the frame in which `h3data.scene.records.Capsule` stands along y."""
+    import trimesh
+
+    y_to_z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    meshes = []
+    for shape in shapes:
+        assert isinstance(shape, Capsule)
+        length = float(np.linalg.norm(np.subtract(shape.end, shape.start)))
+        made: Any = trimesh.creation.capsule(length, shape.radius, count=[CAPSULE_SIDES, CAPSULE_SIDES])
+        made.apply_translation(-made.bounds.mean(0))
+        made.apply_transform(y_to_z)
+        vertices = np.asarray(made.vertices, np.float32)
+        colors = np.full((len(vertices), 3), 180, np.uint8)
+        meshes.append(Mesh(vertices=vertices, faces=np.asarray(made.faces, np.int32), colors=colors))
+    return meshes
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSensor:
+    """A named camera of an agent and what it gives: depth and colours of the arm, body cameras, ids for the detector."""
+
+    camera: str = "robot_arm"
+    """Of a robot; a person has one only."""
+    agent: int = 0
+    """Whose it is."""
+    outputs: tuple[Output, ...] = ("depth",)
+    depth_range_m: tuple[float, float] | None = None
+    """Depth is clipped to this range and scaled to 0..1, as Habitat's; None leaves metres."""
+    size: tuple[int, int] | None = None
+    """Width and height [pixels] instead of the camera's own; its field of view stays."""
+
+    def __post_init__(self) -> None:
+        if self.depth_range_m is not None and not 0 <= self.depth_range_m[0] < self.depth_range_m[1] < float("inf"):
+            raise InputError(f"Expected a depth range (near, far) with 0 <= near < far, got {self.depth_range_m}.")
+
+    def observe(self, drawn: StateRenderer) -> dict[str, Any]:
+        """Pictures of all worlds as last posed, by output, each [W, H, W', ...]."""
+        cameras = drawn.cameras(self.camera, agent=self.agent, size=self.size)
+        pictures = drawn.picture(cameras, self.outputs)
+        if self.depth_range_m is not None and "depth" in pictures:
+            near, far = self.depth_range_m
+            pictures["depth"] = (pictures["depth"].clip(near, far) - near) / (far - near)  # NumPy, or torch on a GPU
+        return pictures

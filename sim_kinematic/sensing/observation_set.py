@@ -1,0 +1,121 @@
+"""The observations that one agent of a training environment is shown: which there are, their spaces, noise. Needs the extra
+``env``."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError, MissingExtraError
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.sensing.agent_pictures import AgentPictures, Limits
+from sim_kinematic.sensing.sensor import DEPTH_RANGE_M, NoiseModel
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict
+
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise MissingExtraError(
+        "Training environments need Gymnasium and PettingZoo. Hint: pip install 'h3data[env]'"
+    ) from error
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class ObservationSet:
+    """Named observations: exact values become what the agent is shown, within `space`."""
+
+    def __init__(
+        self, names: Sequence[str], states: Mapping[str, Limits], body: Body, *, agent: int,
+        depth_size: tuple[int, int] | None = None, rgb_size: tuple[int, int] | None = None,
+        noise: Mapping[str, NoiseModel] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            names: As `checked_names` gives them: some of ``states`` and of `picture_names` of the body.
+            states: Spaces of observations that are no pictures.
+            body: Of the agent.
+            agent: Its number in the state.
+            depth_size: As of `AgentPictures`.
+            rgb_size: As of `AgentPictures`.
+            noise: Model by name of an observation; None and others are exact.
+
+        Raises:
+            InputError: a size is not at least 1 x 1.
+        """
+        self.names = tuple(names)
+        self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)
+        self.states = tuple(name for name in self.names if name not in self.pictures.names)
+        self.limits = {n: states[n] if n in self.states else self.pictures.limits(n) for n in self.names}
+        self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
+        self._agent = agent
+
+    def space(self) -> Dict:
+        """The space of one world's observations."""
+        return gymnasium.spaces.Dict({name: box(self.limits[name]) for name in self.names})
+
+    def take(self, drawn: StateRenderer) -> Arrays:
+        """Exact pictures of all worlds as last posed, [W, ...]; none where the names have none."""
+        return self.pictures.take(drawn) if self.pictures.names else {}
+
+    def shown(self, exact: Arrays, seeds: Sequence[int], steps: Sequence[int]) -> Arrays:
+        """What W worlds show, [W, ...], of exact values [W, ...]: with noise, depth scaled to 0..1, within the space.
+
+        Noise follows from the episodes' ``seeds`` [W] and ``steps`` [W] alone.
+        """
+        shown = {}
+        for name in self.names:
+            values, limits = exact[name], self.limits[name]
+            if name in self._noise:
+                values = self._with_noise(name, values, seeds, steps)
+            if name in self.pictures.names and name.endswith("_depth"):
+                near, far = DEPTH_RANGE_M
+                values = (values.clip(near, far) - near) / (far - near)
+            elif name in self._noise or name in self.states:
+                values = values.clip(limits.low, limits.high)
+                values = np.rint(values) if limits.dtype == np.uint8 else values
+            shown[name] = values.astype(limits.dtype, copy=False)
+        return shown
+
+    def _with_noise(self, name: str, values: NDArray[Any], seeds: Sequence[int], steps: Sequence[int]) -> NDArray[Any]:
+        noisy = np.empty(values.shape, np.float64)
+        for w, (seed, step) in enumerate(zip(seeds, steps, strict=True)):
+            rng = generator(int(seed), f"noise/{name}", world=self._agent, step=int(step))
+            drawn = np.asarray(self._noise[name](values[w], rng=rng), np.float64)
+            if drawn.shape != values[w].shape or not np.isfinite(drawn).all():
+                raise InputError(
+                    f"The noise of {name} must keep the shape {list(values[w].shape)} and be finite, got "
+                    f"{list(drawn.shape)}."
+                )
+            noisy[w] = drawn
+        return noisy
+
+
+def box(limits: Limits) -> gymnasium.spaces.Box:
+    """The space with these limits."""
+    return gymnasium.spaces.Box(limits.low, limits.high, limits.shape, limits.dtype)
+
+
+def checked_names(
+    names: Sequence[str], *known: Collection[str], noise: Collection[str] = ()
+) -> tuple[tuple[str, ...], ...]:
+    """For each of some agents the observations of ``names`` that are ``known`` of it, each once.
+
+    Raises:
+        InputError: no agent knows one of them, or there is ``noise`` of one that is not among them.
+    """
+    every = tuple(dict.fromkeys(name for each in known for name in each))
+    if not isinstance(names, list | tuple) or not names or not all(name in every for name in names):
+        raise InputError(f"Expected a list of observations, some of: {', '.join(every)}. Got {names!r}.")
+    strangers = sorted(set(noise) - set(names))
+    if strangers:
+        raise InputError(f"Noise is for observations that are shown ({', '.join(names)}), not {', '.join(strangers)}.")
+    return tuple(tuple(name for name in dict.fromkeys(names) if name in each) for each in known)

@@ -1,0 +1,61 @@
+"""The picture of a training environment for people who watch: an agent from obliquely above, without ceilings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array, heading_direction
+from h3data.render import Camera, look_at, pinhole
+
+if TYPE_CHECKING:
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+SIZE, HFOV_DEG = (640, 480), 60.0
+DISTANCE_M, ELEVATION_DEG = 4.2, 50.0
+SIDES = 12
+"""From so many sides it may look."""
+TRIAL = (64, 48)
+"""Size of the pictures that tell from which side the agent is seen best."""
+OTHERS = 0.5
+"""What another agent in the picture counts beside the agent itself,"""
+OPEN = 1.0
+"""and how much of the picture nothing stands in front of, so near to the camera:"""
+IN_FRONT_M = 3.2
+BETTER = 0.25
+"""Another side must be so much better, else the camera stays."""
+
+
+class Watcher:
+    """Follows one agent of one world. It keeps looking from the same side of the world until walls or furniture hide the
+    agent, then from the one that shows most of it."""
+
+    def __init__(self) -> None:
+        self._side = -1
+
+    def picture(self, drawn: StateRenderer, agent: int = 0) -> NDArray[np.uint8]:
+        """uint8 [480, 640, 3] of the only world of ``drawn``, as last posed."""
+        target = drawn.middle(agent)[0]
+        trials = [_camera(target, side, TRIAL) for side in range(SIDES)]
+        pictures = drawn.picture(trials, ("instance", "depth"))
+        seen, depth = (pictures[output].reshape(SIDES, -1) for output in ("instance", "depth"))
+        pixels = [np.isin(seen, drawn.instances(k)).sum(1) for k in range(len(drawn.bodies))]
+        most = max(int(pixels[agent].max()), 1)
+        others = sum((np.minimum(p / most, 1.0) for k, p in enumerate(pixels) if k != agent), np.zeros(SIDES))
+        is_open = 1 - ((depth > 0) & (depth < IN_FRONT_M)).mean(1)
+        score = pixels[agent] / most + OTHERS * others + OPEN * is_open
+        if self._side < 0 or score[self._side] < score.max() - BETTER:
+            self._side = int(score.argmax())
+        return drawn.picture([_camera(target, self._side, SIZE)], ("rgb",))["rgb"][0]
+
+    def __repr__(self) -> str:
+        return f"Watcher(side {self._side} of {SIDES})"
+
+
+def _camera(target: Array, side: int, size: tuple[int, int]) -> Camera:
+    elevation = np.radians(ELEVATION_DEG)
+    x, z = np.cos(elevation) * heading_direction(2 * np.pi * side / SIDES)
+    pose = look_at(target + DISTANCE_M * np.array([x, np.sin(elevation), z]), target)
+    return pinhole(*size, hfov_deg=HFOV_DEG, name="watching", pose=pose, hidden_layers=("ceiling",))

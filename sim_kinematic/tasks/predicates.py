@@ -1,0 +1,60 @@
+"""What can be true of a state, as pure functions on arrays with any leading axes: Habitat's PDDL predicates (spec/habitat.md
+2.2) and those of social navigation. Golden values: tests/test_predicates.py."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.state import NOBODY, ROBOT
+from sim_kinematic.sensing.sensor import facing
+
+Flags = NDArray[np.bool_]
+
+OBJECT_AT_M = 0.3
+"""An object nearer to its goal than this is there."""
+ROBOT_AT_M = 2.0
+"""A robot at most this far from a thing is at it: the domain's value; 3.0 in Habitat's task file is never read."""
+
+
+def is_object_at(position: ArrayLike, goal: ArrayLike, *, distance_m: float = OBJECT_AT_M) -> Flags:
+    """``object_at``: whether objects [..., 3] are nearer to goals [..., 3] than this, in space."""
+    gap = np.asarray(position, np.float64) - np.asarray(goal, np.float64)
+    return np.linalg.norm(gap, axis=-1) < distance_m
+
+
+def is_robot_at_position(
+    robot_xz: ArrayLike, heading: ArrayLike, position: ArrayLike, *, distance_m: float = ROBOT_AT_M,
+    angle_rad: float | None = None,
+) -> Flags:  # fmt: skip
+    """``robot_at``: whether bases [..., 2] are within a distance of positions [..., 3] on the floor; with ``angle_rad``,
+    whether they also face them to within that angle."""
+    xz = np.asarray(robot_xz, np.float64)
+    target = np.asarray(position, np.float64)[..., [0, 2]]
+    near = np.hypot(*np.moveaxis(target - xz, -1, 0)) <= distance_m
+    if angle_rad is None:
+        return near
+    return near & (np.arccos(np.clip(facing(xz, heading, target), -1, 1)) <= angle_rad)
+
+
+def is_holding(held_by: ArrayLike, agent: int = ROBOT, item: int | None = None) -> Flags:
+    """``holding``: whether an agent holds object ``item``, or anything if that is None; of holders [..., O]."""
+    held = np.asarray(held_by) == agent
+    return held.any(axis=-1) if item is None else held[..., item]
+
+
+def not_holding(held_by: ArrayLike, agent: int = ROBOT) -> Flags:
+    """``not_holding``: whether an agent holds nothing; of holders [..., O]."""
+    return ~is_holding(held_by, agent)
+
+
+def is_free(held_by: ArrayLike) -> Flags:
+    """Which objects nobody holds, [..., O]."""
+    return np.asarray(held_by) == NOBODY
+
+
+def is_found(geodesic_m: ArrayLike, facing_dot: ArrayLike, spec: SocialNavSpec) -> Flags:
+    """Whether the robot has the person at the right distance and faces her, [...] (paper section 4.1)."""
+    distance = np.asarray(geodesic_m)
+    return (distance >= spec.near_m) & (distance <= spec.far_m) & (np.asarray(facing_dot) > spec.facing_dot)

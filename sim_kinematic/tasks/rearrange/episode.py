@@ -1,0 +1,358 @@
+"""Episodes of social rearrangement: which objects lie where, where they are to go, where both agents start
+(paper section 4.2; spec/habitat.md 2.1, 2.2).
+
+Everything follows from the seed. An episode is drawn again until both a robot and a person can get at every object and
+every goal, and a person alone could do the work in time: so whoever plays it, it is the same episode and can be done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.errors import InputError, SceneError
+from h3data.geometry import Array, quat_from_heading, wrap_angle
+from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from sim_kinematic.agents.person_clearance import reach_room
+from sim_kinematic.agents.robot_arm_clearance import arm_way
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, Member, cast_of, draw_places, kinds_of
+from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_stands
+from sim_kinematic.agents.waypoint_walker import sharp_corners
+from sim_kinematic.contact.clearance import clear_of_furniture
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.social_nav import Starts, draw_starts
+
+PAIR = ("robot", "human")
+"""The paper's agents."""
+ATTEMPTS = 200
+REDRAW = 10
+"""After so many attempts the starts are drawn anew as well."""
+LIFT_M = 0.001
+"""Things float this much over their surface, so that a collision check does not call them stuck in it."""
+HANDLING_S = 4.5
+"""What a person is taken to need for one object, beside walking and turning."""
+STANDS_WITHIN_M = 1.0
+"""A person stands nearer than this to what she takes or puts down."""
+SNAP_M = 2.0
+"""The floor is at most this far from the middle of a surface."""
+SPARE = 0.98
+"""Share of the longest duration in which that estimate must fit, whichever object comes first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RearrangeSpec:
+    """Rules of social rearrangement."""
+
+    max_steps: int = 750
+    objects: int = 2
+    at_goal_m: float = 0.3
+    """An object this near to its goal in space is at it (``object_at``)."""
+    grip_m: float = 0.15
+    """A robot's hand takes hold of what is at most this far from it."""
+    spawn_distance_m: float = 5.0
+    carry_m: float = 2.0
+    """Least distance on the floor from an object to its goal."""
+    open_m: float = 0.35
+    """Free height that makes a receptacle an open one."""
+    object_radius_m: float = 0.12
+    """Things with a larger circumscribed circle on the floor plane stay where they are."""
+    near_m: tuple[float, float] = (2.0, 1.5)
+    """Half axes, ahead and aside, of the ellipse in which the other agent may interrupt a skill."""
+    arm_rad_s: float = 8.0
+    """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
+    end_on_collision: bool = True
+    reward: str = "paper"
+    """Which of `sim_kinematic.tasks.rewards.REARRANGE_REWARDS`."""
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    robot: BaseSpec = field(default_factory=BaseSpec)
+    human: WalkerSpec = HOME_WALKER
+
+    def __post_init__(self) -> None:
+        if self.reward not in REARRANGE_REWARDS:
+            raise InputError(f"Unknown reward {self.reward!r}. Expected one of: {', '.join(REARRANGE_REWARDS)}.")
+        if self.max_steps < 1 or self.objects < 1:
+            raise InputError(
+                f"Expected at least 1 step and 1 object, got {self.max_steps} steps, {self.objects} objects."
+            )
+
+
+class Target(NamedTuple):
+    """One object and where it is to go."""
+
+    name: str
+    """Of the instance in the scene."""
+    start: Array
+    """pose7 in the world at the beginning."""
+    goal: Array
+    """Where its origin should come to be, shape [3] [m]."""
+    source: str
+    """The receptacle it lies on, ``instance|receptacle``."""
+    destination: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RearrangeWorld:
+    """The unchanging half of an episode: home, map, bodies, objects and goals, rules, seed."""
+
+    scene: Scene
+    free: FreeSpace
+    seed: int
+    spec: RearrangeSpec
+    robot: Robot
+    human: Humanoid
+    starts: Starts
+    targets: tuple[Target, ...]
+    human_name: str
+    robot_name: str
+    cast: tuple[Member, ...]
+    """Who plays it: robots, then people."""
+    places: Array
+    """Where each of them begins, ``(x, z, heading)``, shape [A, 3]."""
+
+    @classmethod
+    def create(
+        cls, scene: Scene, *, seed: int, spec: RearrangeSpec | None = None, free: FreeSpace | None = None,
+        human: str = HUMAN_BODY, robot: str = ROBOT_BODY, agents: str | Sequence[str] = PAIR,
+    ) -> RearrangeWorld:  # fmt: skip
+        """The episode that ``seed`` draws in ``scene``; ``free`` saves building the map again.
+
+        ``agents`` play it (`sim_kinematic.agents.roster.cast_of`), whatever their number and kinds. It is drawn for one robot and one
+        person, so objects, goals and the starts of the first of each kind are the same for all casts.
+
+        Raises:
+            InputError: there are no such agents.
+            SceneError: the scene has too few movable things, receptacles in reach, or places to start.
+        """
+        spec = spec or RearrangeSpec()
+        cast = cast_of(agents, robot=robot, human=human)
+        free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
+        bodies = load_robot(robot), load_humanoid(human)
+        starts, targets = draw_episode(scene, free, seed, spec, *bodies)
+        return cls(
+            scene=scene, free=free, seed=seed, spec=spec, robot=bodies[0], human=bodies[1], starts=starts,
+            targets=targets, human_name=human, robot_name=robot, cast=cast,
+            places=_places(scene, free, seed, spec, starts, cast),
+        )  # fmt: skip
+
+    def played_by(self, agents: str | Sequence[str]) -> RearrangeWorld:
+        """The same episode with other agents, as `create` takes them.
+
+        Raises:
+            InputError: there are no such agents. SceneError: there is no room for them.
+        """
+        cast = cast_of(agents, robot=self.robot_name, human=self.human_name)
+        places = _places(self.scene, self.free, self.seed, self.spec, self.starts, cast)
+        return replace(self, cast=cast, places=places)
+
+    def only(self, *numbers: int) -> RearrangeWorld:
+        """The same episode with some of its agents."""
+        return replace(self, cast=tuple(self.cast[k] for k in numbers), places=self.places[list(numbers)])
+
+
+def _places(
+    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[Member]
+) -> Array:
+    """The drawn starts of the first robot and the first person, and places for the others."""
+    kinds = kinds_of(cast)
+    taken: dict[int, Array] = {}
+    if "robot" in kinds:
+        taken[kinds.index("robot")] = np.append(starts.robot_xz, starts.robot_heading)
+    if "human" in kinds:
+        taken[kinds.index("human")] = np.append(starts.human_xz, starts.human_heading)
+    return draw_places(
+        free, cast, generator(seed, "more_agents"), apart_m=spec.spawn_distance_m, base=spec.robot, taken=taken,
+        stands_free=lambda member, pose: clear_of_furniture(scene, load_robot(member.model))(pose),
+    )  # fmt: skip
+
+
+def draw_episode(
+    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, robot: Robot, human: Humanoid
+) -> tuple[Starts, tuple[Target, ...]]:
+    """Starts, objects and goals of the episode with this seed."""
+    rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
+    clear = clear_of_furniture(scene, robot)
+    movable = _movable(scene, spec)
+    surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m]
+    if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
+        raise SceneError(
+            f"Rearranging {spec.objects} objects needs as many movable things and open receptacles on two pieces of "
+            f"furniture; scene {scene.name!r} has {len(movable)} things and {len(surfaces)} receptacles."
+        )
+    draw = _Draw(scene, free, spec, robot, human, surfaces)
+    budget = SPARE * spec.max_steps * STEP_S
+    longest = (budget - HANDLING_S * spec.objects) * spec.human.speed_mps
+    leg = longest / (2 * spec.objects)
+    why = f"a person alone would take more than {budget:.0f} s"
+    starts = None
+    for attempt in range(ATTEMPTS):
+        rng = generator(seed, "rearrange", step=attempt)
+        if starts is None or attempt % REDRAW == 0:
+            starts = draw_starts(free, int(rng.integers(2**63)), rules, stands_free=clear)
+        chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
+        # in large homes most errands are too long: later attempts look nearby
+        within = np.inf if attempt < REDRAW else leg
+        targets = draw.targets(rng, chosen, starts.human_xz, within, longest)
+        if targets is None:
+            continue
+        seconds = draw.seconds_alone(starts, targets)
+        if seconds <= budget:
+            seconds = draw.seconds_alone(starts, targets[::-1])
+        if seconds <= budget:
+            return starts, targets
+        why = f"a person alone would take about {seconds:.0f} s"
+    raise SceneError(
+        f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in {ATTEMPTS} attempts "
+        f"({why}). Hint: a larger --max-steps, or another home."
+    )
+
+
+def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
+    return [
+        i
+        for i in scene.instances
+        if i.motion == "kinematic"
+        and len(scene.assets[i.asset].mesh.vertices)
+        and _extent(scene, i)[0] <= spec.object_radius_m
+    ]
+
+
+def _extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
+    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
+    return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Draw:
+    scene: Scene
+    free: FreeSpace
+    spec: RearrangeSpec
+    robot: Robot
+    human: Humanoid
+    surfaces: list[tuple[Instance, Receptacle]]
+    _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
+    """A person's, by point,"""
+    _clear: dict[tuple[tuple[float, ...], tuple[float, ...]], bool] = field(default_factory=dict)
+    """and whether she has room there, by point and stand."""
+
+    def targets(
+        self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
+    ) -> tuple[Target, ...] | None:
+        """A start and a goal for each of the chosen things, each within ``within_m`` on the floor of the place before; None
+        if there are no such places, or if the way past all of them is certainly longer than ``longest_m``."""
+        names = {i.name for i in chosen}
+        taken = [
+            (i.pose[:3], _extent(self.scene, i)[0])
+            for i in self.scene.instances
+            if i.motion == "kinematic" and i.name not in names
+        ]
+        found = []
+        least = 0.0
+        for thing in chosen:
+            start = self._place(rng, thing, taken, here, within_m)
+            if start is None:
+                return None
+            least += max(float(np.hypot(*(start[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            if least > longest_m:
+                return None
+            here = start[0][[0, 2]]
+            goal = self._place(rng, thing, taken, here, within_m, start)
+            if goal is None:
+                return None
+            least += max(float(np.hypot(*(goal[0][[0, 2]] - here))) - 2 * STANDS_WITHIN_M, 0.0)
+            here = goal[0][[0, 2]]
+            turned = np.concatenate([start[0], quat_from_heading(rng.uniform(-np.pi, np.pi))])
+            found.append(Target(thing.name, turned, goal[0], start[1], goal[1]))
+        return tuple(found)
+
+    def _place(
+        self, rng: np.random.Generator, thing: Instance, taken: list[tuple[NDArray, float]], here: Array,
+        within_m: float, away_from: tuple[Array, str] | None = None,
+    ) -> tuple[Array, str] | None:  # fmt: skip
+        """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
+        radius, low, high = _extent(self.scene, thing)
+        order = rng.permutation(len(self.surfaces))
+        near = order if np.isinf(within_m) else order[self._ways(here)[order] <= within_m]
+        for k in near[:12].tolist():
+            instance, receptacle = self.surfaces[k]
+            size = receptacle.half_size * np.abs(instance.scale[[0, 2]]) - radius
+            local = rng.uniform(-1, 1, 2)
+            if size.min() < 0 or high - low + 0.05 > receptacle.clearance_m:
+                continue
+            x, z = local * (receptacle.half_size - radius / np.abs(instance.scale[[0, 2]]))
+            spot = instance_matrix(instance) @ np.append(receptacle.center + np.array([x, 0, z]), 1.0)
+            point = spot[:3] + np.array([0, LIFT_M - low, 0])
+            if away_from is not None:
+                if instance.name == away_from[1].partition("|")[0]:
+                    continue
+                if np.hypot(*(point - away_from[0])[[0, 2]]) < self.spec.carry_m:
+                    continue
+            if any(
+                np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
+            ):
+                continue
+            way = arm_way(self.scene, self.robot, self.free.floor_y)
+            stands = robot_stands(self.free, self.robot, self.spec.robot, point)
+            if not any(way.is_clear(stand, point) for stand in stands):
+                continue
+            if self._person_stand(point)[0] is None:
+                continue
+            taken.append((point, radius))
+            return point, f"{instance.name}|{receptacle.name}"
+        return None
+
+    @cached_property
+    def _centers(self) -> Array:
+        """Middle of each surface on the floor plane [S, 2]."""
+        middles = [instance_matrix(i) @ np.append(r.center, 1.0) for i, r in self.surfaces]
+        return np.array(middles)[:, [0, 2]]
+
+    def _ways(self, here: Array) -> Array:
+        """Length of the way from ``here`` [2] to each surface [S] [m], about."""
+        return self.free.geodesic(np.broadcast_to(here, self._centers.shape), self._centers, max_snap_m=SNAP_M)
+
+    def _person_stand(self, point: Array, here: Array | None = None) -> tuple[Array | None, float]:
+        """A stand [3] from which the person's hand gets to a point [3] while her body keeps out of the home, the nearest to
+        ``here`` [2], and the way to it [m]; None and infinity where there is none."""
+        at = tuple(point.tolist())
+        stands = self._stands.get(at)
+        if stands is None:
+            stands = self._stands[at] = person_stands(self.free, self.human, point)
+        if not len(stands):
+            return None, np.inf
+        room = reach_room(self.scene, self.human, self.free.floor_y)
+        start = stands[0, :2] if here is None else here
+
+        def is_clear(stand: Array) -> bool:
+            asked = at, tuple(stand.tolist())
+            if asked not in self._clear:
+                self._clear[asked] = room.is_clear(stand, point)
+            return self._clear[asked]
+
+        k, length = nearest_stand(self.free, stands, start, is_clear=is_clear)
+        return (stands[k], length) if k >= 0 else (None, length)
+
+    def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
+        """About how long a person alone takes for all objects, one after the other [s]; infinite when there is no way."""
+        here, heading = starts.human_xz, starts.human_heading
+        way, turned = 0.0, 0.0
+        for target in targets:
+            for point in (target.start[:3], target.goal):
+                stand, length = self._person_stand(point, here)
+                if stand is None:
+                    return np.inf
+                legs = np.diff(sharp_corners(self.free, self.free.path(here, stand[:2])), axis=0)
+                headings = [heading, *np.arctan2(-legs[:, 1], legs[:, 0]), stand[2]]
+                turned += float(np.abs(wrap_angle(np.diff(headings))).sum())
+                here, heading, way = stand[:2], float(stand[2]), way + length
+        walker = self.spec.human
+        return way / walker.speed_mps + turned / walker.turn_rad_s + HANDLING_S * len(targets)

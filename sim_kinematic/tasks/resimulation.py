@@ -1,0 +1,162 @@
+"""What all tasks need to simulate a recording again: the first difference between two runs, the scene and map it was made
+in, the header of a recording that was made from another."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.recording import SCHEMA_VERSION, Recording, RecordingHeader, state_hash
+from h3data.scene import FreeSpace, Scene, load_scene
+
+MAX_STEPS = 1_000_000
+"""Longer episodes are not simulated again: nine hours."""
+_OF_THE_RUN = ("job", "recovered", "resumed_from", "counterfactual", "human_reactive", "deciding_since")
+"""What ``info`` says about how a recording came to be; it does not hold for one made from it."""
+
+Columns = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """The first place where a recording and its simulation part."""
+
+    step: int
+    column: str
+    recorded: str
+    simulated: str
+
+    def __str__(self) -> str:
+        return f"step {self.step}, {self.column}: recorded {self.recorded}, simulated {self.simulated}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """What `sim_kinematic.tasks.resume.verify` found."""
+
+    steps: int
+    """Steps that agree: all, or those before the first difference."""
+    difference: Difference | None
+
+    @property
+    def equal(self) -> bool:
+        """Whether every stored value came out again, bit for bit."""
+        return self.difference is None
+
+
+def compared(recording: Recording, simulated: Columns, ended: str) -> Verification:
+    """What a simulation of the whole recording says about it; ``ended`` is what ended the simulation."""
+    steps = len(recording)
+    found = first_difference(recording.columns, simulated)
+    done = len(simulated["time_ns"])
+    if found is None and done < steps:
+        found = Difference(step=done, column="time_ns", recorded="goes on", simulated=f"ended by {ended}")
+    return Verification(steps=steps if found is None else found.step, difference=found)
+
+
+def require_kept(
+    recording: Recording, step: int, simulated: Columns, ended: str, names: list[str] | None = None
+) -> None:
+    """Make sure that the first ``step`` steps came out again; ``names`` are by default all simulated columns.
+
+    Raises:
+        InputError: they did not, so nothing can follow them.
+    """
+    done = len(simulated["time_ns"])
+    if done < step:
+        raise InputError(f"The steps before {step} do not come out again: simulated, it ended at {done} ({ended}).")
+    kept = {name: array[:step] for name, array in recording.columns.items()}
+    found = first_difference(kept, simulated, names)
+    if found is not None:
+        raise InputError(f"The recorded steps do not come out again, so nothing can follow them: {found}.")
+
+
+def require_step(recording: Recording, step: int) -> None:
+    """Raises:
+    InputError: the recording has fewer steps, or ``step`` is negative.
+    """
+    if not 0 <= step <= len(recording):
+        raise InputError(f"Expected a step from 0 to {len(recording)}, the number of recorded steps, got {step}.")
+
+
+def require(recording: Recording, *, info: Iterable[str] = (), columns: Iterable[str] = ()) -> None:
+    """Raises:
+    InputError: the recording lacks entries of its info, columns or its scene; the message names them.
+    """
+    lacks = [name for name in info if name not in recording.episode.info]
+    lacks += ["scene.glb"] if "scene.glb" not in recording.attachments else []
+    lacks += [name for name in columns if name not in recording.columns]
+    if lacks:
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+
+
+def first_difference(recorded: Columns, simulated: Columns, names: Iterable[str] | None = None) -> Difference | None:
+    """The first step at which columns differ in any bit, in the rows that both have; None if there is none.
+
+    ``names`` are by default all simulated columns; one that the recording lacks differs from step 0 on. Columns that the
+    simulator does not make are checked by the hash alone.
+    """
+    rows = min(len(recorded["time_ns"]), len(simulated["time_ns"]))
+    first: Difference | None = None
+    for name in simulated if names is None else names:
+        ours = simulated[name][:rows]
+        if name not in recorded:
+            return Difference(step=0, column=name, recorded="no such column", simulated=_text(ours[:1]))
+        theirs = np.asarray(recorded[name])[:rows]
+        if name == "state_hash":
+            ours = state_hash({n: np.asarray(a)[:rows] for n, a in recorded.items()})
+        if theirs.dtype != ours.dtype or theirs.shape != ours.shape:
+            kinds = (f"{a.dtype} {list(a.shape[1:])}" for a in (theirs, ours))
+            return Difference(step=0, column=name, recorded=next(kinds), simulated=next(kinds))
+        differ = np.flatnonzero(_bits(theirs) != _bits(ours)) if theirs.size else np.zeros(0, int)
+        step = int(differ[0]) // (theirs.size // rows) if len(differ) else rows
+        if step < (rows if first is None else first.step):
+            first = Difference(step=step, column=name, recorded=_text(theirs[step]), simulated=_text(ours[step]))
+    return first
+
+
+def _bits(array: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(array).view(f"u{array.dtype.itemsize}").ravel()
+
+
+def _text(values: NDArray[Any]) -> str:
+    return np.array2string(np.asarray(values), max_line_width=10_000, threshold=12, floatmode="unique")
+
+
+@lru_cache(maxsize=4)
+def scene_and_map(file: bytes, radius_m: float, height_m: float) -> tuple[Scene, FreeSpace]:
+    """Of a scene file; the same for all recordings in one home."""
+    scene = load_scene(file)
+    return scene, FreeSpace.from_scene(scene, radius_m=radius_m, height_m=height_m)
+
+
+def is_counterfactual(recording: Recording) -> bool:
+    """Whether its person does not react."""
+    return recording.episode.info.get("human_reactive") is False
+
+
+def origin(recording: Recording, step: int) -> dict[str, Any]:
+    """What a recording made from this one says about it."""
+    return {"uid": recording.episode.uid, "step": step, "policy": recording.episode.info.get("policy")}
+
+
+def header_from(recording: Recording, what: str) -> RecordingHeader:
+    """The same bodies, agents and files under an episode of its own; ``what`` makes its uid."""
+    old = recording.episode
+    episode = replace(
+        old, uid=str(uuid.uuid5(uuid.NAMESPACE_URL, f"{old.uid}:{what}")), schema_version=SCHEMA_VERSION,
+        created_by=f"h3data {importlib.metadata.version('h3data')}",
+        info={k: v for k, v in old.info.items() if k not in _OF_THE_RUN},
+    )  # fmt: skip
+    return RecordingHeader(
+        episode=episode, assets=recording.assets, bodies=recording.bodies, agents=recording.agents,
+        attachments=recording.attachments,
+    )  # fmt: skip

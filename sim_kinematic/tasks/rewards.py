@@ -1,0 +1,264 @@
+"""Rewards of both tasks, step by step for W worlds at once, in two profiles: ``paper`` as published (appendix, social
+navigation and social rearrangement), ``habitat`` as habitat-lab's main branch computes them (spec/habitat.md 1.7, 2.1).
+
+Over whole recordings the same comes from `h3data.metrics` (profile ``habitat``), whose configuration is used here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.kernels import kernel
+from h3data.metrics.habitat.config import HabitatConfig
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.sensing.sensor import facing
+from sim_kinematic.tasks.predicates import is_found
+
+RewardProfile = Literal["paper", "habitat"]
+
+
+class Encounter(NamedTuple):
+    """What the reward of social navigation reads in one step."""
+
+    robot_xz: ArrayLike
+    """Shape [W, 2] [m]."""
+    robot_heading: ArrayLike
+    """Shape [W] [rad]."""
+    human_xz: ArrayLike
+    """Shape [W, 2] [m]."""
+    geodesic: ArrayLike
+    """Shortest way between the two [m], shape [W]; inf where there is none: then the straight distance counts."""
+    collides: ArrayLike = False
+    """They touch, shape [W]."""
+    collisions: ArrayLike = 0
+    """Collisions of the robot with anything since the start, shape [W] (``habitat`` only)."""
+    faces: ArrayLike | None = None
+    """`facing` of the robot towards the person, shape [W], where it is known; None: it is computed."""
+    goal_xz: ArrayLike | None = None
+    """The task's navigation goal, shape [W, 2] [m]; only where ``habitat`` is configured to measure to it."""
+
+    def of(self, where: NDArray[np.bool_]) -> Encounter:
+        """Some worlds of it; numbers that hold for all worlds stay as they are."""
+        rows: dict[str, Any] = {
+            n: v if v is None or np.ndim(v) == 0 else np.asarray(v)[where] for n, v in self._asdict().items()
+        }
+        return Encounter(**rows)
+
+
+class RewardStep(NamedTuple):
+    """What a step is worth, each [W]."""
+
+    reward: NDArray[np.float64]
+    success: NDArray[np.bool_]
+    """She has been followed long enough. It stays true."""
+    ends: NDArray[np.bool_]
+    """The rules end the episode: a collision."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperReward:
+    """The published numbers: ``10 success + r_distance + 3 r_orientation - 0.1``."""
+
+    success: float = 10.0
+    kept: float = 2.0
+    facing: float = 3.0
+    facing_within_m: float = 3.0
+    slack: float = -0.1
+    follow_steps: int = 400
+
+
+class SocialNavReward:
+    """The reward of social navigation in W worlds. It remembers the last distances and how long each robot has followed."""
+
+    def __init__(
+        self, worlds: int, *, profile: RewardProfile = "paper", rules: SocialNavSpec | None = None,
+        paper: PaperReward | None = None, habitat: HabitatConfig | None = None,
+    ) -> None:  # fmt: skip
+        if profile not in get_args(RewardProfile):
+            raise InputError(f"Unknown reward profile {profile!r}. There are: {', '.join(get_args(RewardProfile))}.")
+        self.profile: RewardProfile = profile
+        self.rules, self.paper, self.habitat = (
+            rules or SocialNavSpec(),
+            paper or PaperReward(),
+            habitat or HabitatConfig(),
+        )
+        self.followed = np.zeros(worlds, np.int64)
+        """Steps in which the person was followed, not necessarily in a row, shape [W]."""
+        self._distance = np.full(worlds, np.nan)
+        self._collisions = np.zeros(worlds, np.int64)
+        self._found = np.zeros(worlds, np.bool_)
+        self._cells: list[set[tuple[int, int]]] = [set() for _ in range(worlds)]
+
+    def reset(self, seen: Encounter, *, where: ArrayLike = True) -> RewardStep:
+        """Begin new episodes in the worlds ``where`` [W], which look like ``seen``.
+
+        The result is of use in ``habitat`` only: there the reset is evaluated as a step, and may count as followed.
+        """
+        fresh = np.broadcast_to(np.asarray(where, np.bool_), self.followed.shape)
+        new = SocialNavReward(
+            int(fresh.sum()), profile=self.profile, rules=self.rules, paper=self.paper, habitat=self.habitat
+        )
+        first = new.step(seen.of(fresh))
+        if self.profile == "paper":  # what is paid, and counts, begins with the first step
+            new.followed[:] = 0
+        self.followed[fresh], self._distance[fresh] = new.followed, new._distance
+        self._collisions[fresh], self._found[fresh] = new._collisions, new._found
+        for w, cells in zip(np.flatnonzero(fresh), new._cells, strict=True):
+            self._cells[w] = cells
+        result = RewardStep(np.zeros(len(fresh)), np.zeros(len(fresh), np.bool_), np.zeros(len(fresh), np.bool_))
+        if self.profile == "habitat":
+            for all_worlds, some in zip(result, first, strict=True):
+                all_worlds[fresh] = some
+        return result
+
+    def step(self, seen: Encounter) -> RewardStep:
+        """What has just been done is worth, by the state after it."""
+        xz, human = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.human_xz, np.float64)
+        if xz.shape != (len(self.followed), 2) or human.shape != xz.shape:
+            raise InputError(
+                f"Expected places [{len(self.followed)}, 2] of robots and humans, got {list(xz.shape)} and {list(human.shape)}."
+            )
+        faces = facing(xz, seen.robot_heading, human) if seen.faces is None else np.asarray(seen.faces, np.float64)
+        gap = human - xz
+        straight = np.hypot(gap[:, 0], gap[:, 1])
+        geodesic = _each(np.asarray(seen.geodesic, np.float64), straight.shape)
+        collides = _each(np.asarray(seen.collides, np.bool_), straight.shape)
+        return (self._step_paper if self.profile == "paper" else self._step_habitat)(
+            seen, faces, straight, geodesic, collides
+        )
+
+    def _step_paper(
+        self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
+    ) -> RewardStep:
+        del seen
+        rules, worth = self.rules, self.paper
+        distance = np.where(np.isfinite(geodesic), geodesic, straight)
+        reward, success = np.empty(len(distance)), np.empty(len(distance), np.bool_)
+        _pay_paper(
+            distance, self._distance, faces, self.followed, (rules.near_m, rules.far_m, rules.facing_dot),
+            (worth.success, worth.kept, worth.facing, worth.facing_within_m, worth.slack, worth.follow_steps), reward, success,
+        )  # fmt: skip
+        return RewardStep(reward, success, collides & rules.end_on_collision)
+
+    def _step_habitat(
+        self, seen: Encounter, faces: NDArray, straight: NDArray, geodesic: NDArray, collides: NDArray
+    ) -> RewardStep:
+        worth = self.habitat.reward
+        distance = np.where(np.isfinite(geodesic), geodesic, straight) if worth.use_geo_distance else straight
+        first = np.isnan(self._distance)
+        before = np.where(first, -1.0, self._distance)
+        kept = (distance >= worth.safe_dis_min) & (distance < worth.safe_dis_max)
+        closer = np.where(distance < worth.safe_dis_min, distance - before, before - distance)
+        reward = np.where(kept, worth.safe_dis_reward, closer) * worth.toward_human_reward
+        near = (distance < worth.facing_human_dis) & (worth.facing_human_reward != -1)
+        reward += near * worth.facing_human_reward * faces
+        if worth.near_human_bonus != -1:
+            reward += near * worth.near_human_bonus
+        if worth.explore_reward != -1:
+            reward += self._explores(np.asarray(seen.robot_xz), first) * worth.explore_reward
+        reward = np.where(first, 0.0, reward) - worth.collide_penalty * collides
+        collisions = np.broadcast_to(np.asarray(seen.collisions, np.int64), straight.shape)
+        ends = collides.copy()
+        if worth.count_coll_pen != -1:
+            reward -= worth.count_coll_pen * (collisions > self._collisions)
+        if worth.max_count_colls != -1:
+            ends |= collisions > worth.max_count_colls
+            reward -= worth.count_coll_end_pen * (collisions > worth.max_count_colls)
+        success = self._follows_habitat(seen, faces, geodesic)
+        self._distance[:], self._collisions[:] = distance, collisions
+        self._found |= is_found(geodesic, faces, self.rules)
+        reward += self.habitat.slack_reward + self.habitat.success_reward * success
+        return RewardStep(reward, success, ends)
+
+    def _follows_habitat(self, seen: Encounter, faces: NDArray, geodesic: NDArray) -> NDArray[np.bool_]:
+        rules, distance, angle = self.habitat.success, geodesic, np.zeros_like(faces)
+        if rules.must_look_at_targ or not rules.use_geo_distance:
+            if seen.goal_xz is None:
+                raise InputError(
+                    "The success is configured to be measured to the task's goal, and goal_xz is not given."
+                )
+            xz, goal = np.asarray(seen.robot_xz, np.float64), np.asarray(seen.goal_xz, np.float64)
+            angle = np.arccos(np.clip(facing(xz, seen.robot_heading, goal), -1, 1))
+            distance = geodesic if rules.use_geo_distance else np.hypot(*(goal - xz).T)
+        near = (distance >= rules.safe_dis_min) & (distance < rules.safe_dis_max)
+        self.followed += near & ((faces > rules.facing_threshold) | (not rules.need_to_face_human))
+        success = self.followed >= rules.following_step_succ_threshold
+        return success & (angle < rules.success_angle_dist) if rules.must_look_at_targ else success
+
+    def _explores(self, xz: NDArray, first: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Worlds whose robot, which has not found the human, enters a cell of 0.5 m for the first time."""
+        new = np.zeros(len(first), np.bool_)
+        for w in np.flatnonzero(~first & ~self._found):
+            cell = int(np.round(xz[w, 0] * 2)), int(np.round(xz[w, 1] * 2))
+            new[w] = cell not in self._cells[w]
+            self._cells[w].add(cell)
+        return new
+
+
+@kernel(error_model="numpy")
+def _pay_paper(distance, last, faces, followed, rules, worth, reward, success):
+    """What a step is worth in each world, by the published formula; takes the ``last`` distances and counts on."""
+    near, far, facing_dot = rules
+    success_worth, kept_worth, facing_worth, facing_within, slack, follow_steps = worth
+    for w in range(len(distance)):
+        now = distance[w]
+        before = now if math.isnan(last[w]) else last[w]
+        kept = near < now <= far
+        moved = now - before if now <= near else before - now
+        had = followed[w] >= follow_steps
+        followed[w] += kept and faces[w] > facing_dot
+        success[w] = followed[w] >= follow_steps
+        paid = (kept_worth if kept else moved) + slack
+        paid += facing_worth * (faces[w] if now <= facing_within else 0.0)
+        reward[w] = paid + success_worth * (success[w] and not had)
+        last[w] = now
+
+
+def _each(values: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Values of this shape; one that holds for all is repeated."""
+    return values if values.shape == shape else np.broadcast_to(values, shape)
+
+
+# --- rearrangement ------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, kw_only=True)
+class RearrangeReward:
+    """What social rearrangement pays; the defaults are the paper's."""
+
+    success: float = 10.0
+    stage: float = 5.0
+    """For each sub-goal (an object picked, an object at its goal), once."""
+    collision: float = 5.0
+    """Taken away when the agents touch, which ends the episode."""
+    slack: float = -0.005
+
+    def step(
+        self, stages: ArrayLike, paid: NDArray[np.bool_], *, collides: ArrayLike = False, success: ArrayLike = False
+    ) -> NDArray[np.float64]:
+        """The reward of a step in W worlds [W], marking in ``paid`` [W, S] the sub-goals that have now been paid.
+
+        ``stages`` [W, S]: which sub-goals hold now; ``collides`` and ``success`` [W].
+        """
+        now = np.asarray(stages, np.bool_)
+        if now.shape != paid.shape:
+            raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.")
+        reached = (now & ~paid).sum(axis=-1)
+        paid |= now
+        return (
+            self.stage * reached
+            - self.collision * np.asarray(collides, np.bool_)
+            + self.success * np.asarray(success, np.bool_)
+            + self.slack
+        )
+
+
+REARRANGE_REWARDS: dict[str, RearrangeReward] = {
+    "paper": RearrangeReward(),
+    "habitat": RearrangeReward(collision=0.5, slack=-0.0005),
+}
+"""By profile."""

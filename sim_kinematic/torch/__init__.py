@@ -1,0 +1,1 @@
+"""Social navigation by tensors, on a CPU or a GPU."""

@@ -1,0 +1,136 @@
+"""What W robots and people see, without leaving the GPU: state -> frames of links and joints -> skin -> pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import IDENTITY_POSE
+from h3data.render import Output, RenderInstance, RenderScene, pinhole
+from h3data.render.gpu import GpuRenderer, GpuScene
+from h3data.render.sheets.scene_map import render_scene
+from h3data.replay.cameras import HEAD_NEAR_M, HEAD_POSE
+from h3data.scene import Scene
+from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.sensing.camera_sensor import HEAD_HFOV_DEG, ROBOT_ID
+from sim_kinematic.sensing.sensor import HUMAN_ID
+from sim_kinematic.torch.cycle import WalkingCycle
+from sim_kinematic.torch.graph import fused
+from sim_kinematic.torch.state import HumanTensors, RobotTensors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+View = Literal["robot", "human"]
+"""Whose eyes: a named camera of the robot, or between those of the person."""
+
+
+class TensorCameras:
+    """One home with a resting robot and a walking person, in W worlds that differ in where the two are."""
+
+    def __init__(
+        self, scene: Scene, robot: Robot, human: Humanoid, walker: WalkerSpec, *, worlds: int, floor_y: float = 0.0,
+        views: Sequence[View] = ("robot",), camera: str = "robot_arm", size: tuple[int, int] | None = None,
+        hfov_deg: float | None = None, device: torch.device | str = "cuda", compile: bool = False,
+        renderer: Callable[..., GpuRenderer] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            scene: The home; all worlds share it.
+            robot: Keeps its resting posture.
+            human: Is drawn with her full mesh.
+            walker: Which clip she plays.
+            worlds: W.
+            floor_y: Height of the floor [m].
+            views: Whose pictures are taken in every world.
+            camera: Which of the robot's.
+            size: Width and height [pixels] of all pictures; None is that of the robot's camera.
+            hfov_deg: Field of view of the robot's camera instead of its own.
+            device: The GPU.
+            compile: Whether the frames of links and joints come from one kernel (`sim_kinematic.torch.graph.fused`).
+            renderer: What makes the renderer, if not `GpuRenderer`.
+
+        Raises:
+            InputError: there is no GPU, or no such camera.
+        """
+        if not views:
+            raise InputError("Expected at least one view.")
+        self.worlds, self.views, self._floor_y = worlds, tuple(views), floor_y
+        mounted = robot.camera(camera)
+        width, height = size or (mounted.width, mounted.height)
+        self.share = width * height / (mounted.width * mounted.height)
+        """Pixels of a picture over those of the robot's own camera."""
+        home = render_scene(scene)
+        links = [(k, link.mesh) for k, link in enumerate(robot.links) if link.mesh is not None]
+        meshes = [*home.meshes, *(mesh for _, mesh in links), human.mesh]
+        first, person = len(home.instances), len(meshes) - 1
+        ids = {i.name: i.semantic_id for i in scene.instances}
+        instances = [replace(i, semantic_id=ids[i.name]) for i in home.instances]
+        instances += [
+            RenderInstance(len(home.meshes) + k, np.eye(4), semantic_id=ROBOT_ID, name=robot.links[n].name)
+            for k, (n, _) in enumerate(links)
+        ]
+        instances.append(RenderInstance(person, np.eye(4), semantic_id=HUMAN_ID, name="human"))
+        stage = GpuScene(
+            RenderScene(meshes, instances, deformable=[person]),
+            moving=range(first, first + len(links)),
+            skins={person: (human.full, human.inverse_bind)},
+        )
+        self.renderer = (renderer or GpuRenderer)(stage, width=width, height=height, worlds=worlds, device=device)
+        lenses = {
+            "robot": pinhole(width, height, hfov_deg=hfov_deg or mounted.hfov_deg, name=camera),
+            "human": pinhole(width, height, hfov_deg=HEAD_HFOV_DEG, name="human_head", near=HEAD_NEAR_M),
+        }
+        self._cameras = [lenses[view] for view in self.views for _ in range(worlds)]
+        self._world_of_view = list(range(worlds)) * len(self.views)
+
+        def on_device(matrices: Any) -> Tensor:
+            rows = np.asarray(matrices, np.float64)[..., :3, :]
+            return torch.as_tensor(rows, dtype=torch.float32, device=self.renderer.device)
+
+        rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
+        self._robot = on_device([*(rest[n] for n, _ in links), rest[mounted.link] @ mounted.pose])
+        self._cycle = WalkingCycle.of(human, walker)
+        joints = self._cycle.joint_matrices()
+        eyes = joints[:, human.joint_names.index("head")] @ HEAD_POSE
+        self._person = on_device(np.concatenate([joints, eyes[:, None]], 1))
+        self._frames = fused(self._frames_of) if compile else self._frames_of
+
+    def observe(
+        self, robot: RobotTensors, human: HumanTensors, outputs: Sequence[Output] = ("depth",)
+    ) -> dict[str, Tensor]:
+        """Pictures of all views of all worlds, by output, each [views, W, H, W', ...] on the device; depth in metres."""
+        parts, joints = self._frames(robot, human)
+        self.renderer.update_poses(parts[:, :-1])
+        self.renderer.update_joints(joints[:, :-1])
+        eyes = {"robot": parts[:, -1], "human": joints[:, -1]}
+        pictures = self.renderer.render(
+            self._cameras, worlds=self._world_of_view, outputs=outputs,
+            poses=torch.cat([eyes[view] for view in self.views]),
+        )  # fmt: skip
+        return {name: t.unflatten(0, (len(self.views), self.worlds)) for name, t in pictures.items()}
+
+    def _frames_of(self, robot: RobotTensors, human: HumanTensors) -> tuple[Tensor, Tensor]:
+        """World matrices of the robot's links and its camera [W, N + 1, 3, 4], of her joints and her eyes [W, 56, 3, 4]."""
+        parts = _placed(self._robot, robot.xz.float(), robot.heading.float(), self._floor_y)
+        posture = self._cycle.look_up(self._person, HumanTensors(*(t.float() for t in human)))
+        return parts, _placed(posture, human.xz.float(), human.heading.float(), self._floor_y)
+
+
+def _placed(frames: Tensor, xz: Tensor, heading: Tensor, floor_y: float) -> Tensor:
+    """World matrices [W, N, 3, 4] of frames [N, 3, 4] or [W, N, 3, 4] in the frames of agents at [W, 2] with headings [W].
+
+    Without a matrix product, which a GPU might do with 10 bits.
+    """
+    c, s = heading.cos()[:, None, None], heading.sin()[:, None, None]
+    x, y, z = frames.unbind(-2)
+    rows = torch.stack([c * x + s * z, y.expand(len(heading), -1, -1), c * z - s * x], -2)
+    place = torch.stack([xz[:, 0], torch.full_like(heading, floor_y), xz[:, 1]], -1)
+    return rows + torch.nn.functional.pad(place[:, None, :, None], (3, 0))

@@ -1,0 +1,81 @@
+"""A bank of drawn episodes of social navigation: what needs searching (starts clear of furniture, shortest paths between
+random goals) is done once on the host, so that steps on a device only look it up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.waypoint_walker import WaypointHuman
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.tasks.social_nav import SocialNavWorld
+from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EpisodeBank:
+    """N episodes: starts, and all way points that the person can get to in the time there is."""
+
+    floors: tuple[FreeSpace, ...]
+    """Of the scenes that are played in."""
+    scenes: tuple[Scene, ...]
+    place: NDArray[np.int64]
+    """Number of the scene, [N]."""
+    robot_xz: NDArray[np.float64]
+    """[N, 2] [m]."""
+    robot_heading: NDArray[np.float64]
+    """[N] [rad]."""
+    human_xz: NDArray[np.float64]
+    human_heading: NDArray[np.float64]
+    way_points: NDArray[np.float64]
+    """[N, P, 2] [m]; the last one fills the rows of those who have fewer."""
+    seeds: NDArray[np.int64]
+    """Of the episodes, as in recordings, [N]."""
+
+    @classmethod
+    def draw(
+        cls, scenes: str | Scene | Sequence[str | Scene], count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
+        robot: str = "quad_arm", human: str = "female_0",
+    ) -> EpisodeBank:  # fmt: skip
+        """The first ``count`` episodes of the run ``seed``: those that a `SocialNavBatch` begins.
+
+        Raises:
+            InputError: as `SocialNavBatch`.
+            SceneError: a scene has no two starts as far apart as the rules say.
+        """
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+            raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
+        batch = SocialNavBatch(scenes, worlds=count, spec=spec, robot=robot, human=human)
+        batch.begin(seed, np.arange(count))
+        used, place = np.unique(batch.place, return_inverse=True)
+        (robots,), (people,) = batch.state.robots, batch.state.people
+        tracks = [_way_points(episode) for episode in batch.episodes]
+        longest = max(map(len, tracks))
+        return cls(
+            floors=tuple(batch.places[k].free for k in used),
+            scenes=tuple(batch.places[k].scene for k in used),
+            place=place.astype(np.int64),
+            robot_xz=robots.xz, robot_heading=robots.heading, human_xz=people.xz, human_heading=people.heading,
+            way_points=np.stack([np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tracks]),
+            seeds=np.array([episode.seed for episode in batch.episodes], np.int64),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+
+def _way_points(episode: SocialNavWorld) -> NDArray[np.float64]:
+    """Where she walks [P, 2], at least as far as she can get in an episode. She lands on each way point exactly."""
+    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, episode.goals)
+    stride = episode.spec.human.speed_mps * STEP_S
+    points = [episode.starts.human_xz]
+    steps = 0
+    while steps <= episode.spec.max_steps:
+        points.append(walker.target(points[-1]))
+        steps += int(np.ceil(np.hypot(*(points[-1] - points[-2])) / stride - 1e-6))
+    return np.array(points[1:])

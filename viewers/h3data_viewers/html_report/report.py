@@ -1,0 +1,234 @@
+"""One HTML file about many episodes: the paper's tables beside ours, charts, trajectories, best and worst episodes.
+
+The file needs nothing else: no network, no other file, no script to be read (scripts only sort tables). Everything that
+comes from a recording is escaped, and a content security policy lets no script run but the page's own.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from h3data.files import part_file
+from h3data_viewers.html_report.report_charts import (
+    distribution_charts,
+    estimate_charts,
+    learning_charts,
+    legend,
+    time_charts,
+)
+from h3data_viewers.html_report.report_data import CURVES_FILE, ReportData, Run, gather
+from h3data_viewers.html_report.report_paper import (
+    paired_tables,
+    partner_tables,
+    rearrangement_table,
+    social_nav_table,
+)
+from h3data_viewers.html_report.report_pictures import (
+    Highlight,
+    Plans,
+    highlight_card,
+    highlights,
+    ranked_by,
+    trajectory_figures,
+)
+from h3data_viewers.html_report.report_study import study_runs, study_tables
+from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
+from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings
+
+_BESIDE = 4
+"""With more partners than this, heat maps stand below each other."""
+_PARTNER_METRICS = {"social_nav": ("S", "F", "CR"), "rearrange": ("SR", "RE", "CR")}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Report:
+    """A finished report."""
+
+    title: str
+    data: ReportData
+    tables: tuple[Table, ...]
+    """The paper's tables that there are episodes for, and the paired differences."""
+    missing: tuple[str, ...]
+    """What is not in the report, and why."""
+    html: str
+
+    def to_markdown(self) -> str:
+        """All tables as GitHub Markdown."""
+        return "\n\n".join(map(to_markdown, self.tables)) + "\n"
+
+    def to_latex(self) -> str:
+        """All tables as LaTeX; needs the package booktabs."""
+        return "% \\usepackage{booktabs}\n" + "\n\n".join(map(to_latex, self.tables)) + "\n"
+
+
+def make_report(
+    paths: Iterable[str | os.PathLike[str]],
+    *,
+    title: str = "",
+    pictures: int = 6,
+    assets: Sequence[str | os.PathLike[str]] = (),
+) -> Report:
+    """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
+
+    ``assets`` are folders of the files that foreign recordings name, for the key frames.
+
+    Raises:
+        InputError: there is no recording, or episodes that cannot share a table; see `gather`.
+        FormatError: a file is damaged.
+    """
+    data = gather(paths)
+    title = title or _title(data)
+    missing: list[str] = []
+    tables = _paper_tables(data, missing)
+    pairs = paired_tables(data)
+    if len(data.runs) > 1 and not pairs:
+        missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
+    body, plans = [], Plans()
+    several = sum(bool(data.of_task(task)) for task in TASKS) > 1
+    for task, name in TASKS.items():
+        runs, tail = data.of_task(task), f" in {name}" if several else ""
+        if runs:
+            body += _task_sections(task, runs, tables, plans, missing, tail)
+            if chosen := highlights(runs, pictures):
+                body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], tail))
+    if pairs:
+        text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
+        body.append(_section("paired", "Paired differences", text))
+    if data.curves:
+        panels = learning_charts(data.curves)
+        body.append(_section("learning", "Learning curves", legend(list(data.curves)) + _panels(panels)))
+    else:
+        missing.append(f"Learning curves: no dataset holds a file {CURVES_FILE}.")
+    body.append(_section("episodes", "All episodes", episode_list(data)))
+    body.append(_section("methods", "What the numbers mean", meanings(data)))
+    head = beginning(title, data, missing, [(key, name) for key, name, _ in body])
+    return Report(
+        title=title,
+        data=data,
+        tables=(*tables, *pairs),
+        missing=tuple(missing),
+        html=_page(title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot()),
+    )
+
+
+def write_report(
+    paths: Iterable[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    *,
+    title: str = "",
+    pictures: int = 6,
+    assets: Sequence[str | os.PathLike[str]] = (),
+) -> Report:
+    """`make_report`, written to ``out``."""
+    report = make_report(paths, title=title, pictures=pictures, assets=assets)
+    with part_file(out) as part:
+        part.write_text(report.html, encoding="utf-8")
+    return report
+
+
+# --- sections ---------------------------------------------------------------------------------------------------------
+Part = tuple[str, str, str]
+"""Key, title and HTML of a section."""
+
+
+def _section(key: str, title: str, html: str) -> Part:
+    return key, title, f'<section id="{escape(key)}"><h2>{escape(title)}</h2>{html}</section>'
+
+
+def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
+    tables = []
+    if runs := data.of_task("social_nav"):
+        tables.append(social_nav_table(runs))
+    else:
+        missing.append("Social navigation: there are no episodes of it.")
+    people = study_runs(data)
+    if runs := [run for run in data.of_task("rearrange") if run not in people]:
+        tables.append(rearrangement_table(runs))
+    else:
+        missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
+    if people:
+        study, why = study_tables([e for run in people for e in run.episodes])
+        tables += study
+        if why:
+            missing.append(f"Human-in-the-loop study: {why}.")
+    else:
+        missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
+    return tables
+
+
+def _task_sections(
+    task: str, runs: Sequence[Run], tables: Sequence[Table], plans: Plans, missing: list[str], tail: str
+) -> list[Part]:
+    """Everything about the runs of one task, key frames excepted; titles end in ``tail``."""
+    names = legend([run.name for run in runs])
+    parts = []
+    if table := next((t for t in tables if t.key == task), None):
+        beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
+        parts.append(_section(task, table.title, to_html(table) + beside))
+    if task == "rearrange":
+        parts += [_section(t.key, t.title, to_html(t)) for t in tables if t.key in ("hitl", "contrasts")]
+    partners = partner_tables(runs, _PARTNER_METRICS[task])
+    if partners:
+        heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
+        css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"
+        parts.append(_section(f"{task}-partners", "Policies and partners" + tail, f'<div class="{css}">{heats}</div>'))
+    else:
+        missing.append(f"Policies by partner in {TASKS[task]}: all episodes have the same partner.")
+    lead = "<p class=quiet>Each bar counts episodes; the upright line is the mean.</p>"
+    parts.append(_section(f"{task}-spread", "Distributions" + tail, lead + names + _panels(distribution_charts(runs))))
+    if charts := time_charts(runs):
+        parts.append(_section(f"{task}-time", "Over time" + tail, names + _panels(charts)))
+    figures, which = trajectory_figures(runs, plans)
+    if figures:
+        lead = (
+            f"<p class=quiet>{which} Ways of the robots in the colour of their run, with a dot where each ended; ways of the "
+            "people in grey.</p>"
+        )
+        parts.append(_section(f"{task}-plans", "Trajectories" + tail, lead + names + _panels(figures)))
+    return parts
+
+
+def _highlighted(task: str, chosen: Sequence[Highlight], plans: Plans, assets: Sequence[Path], tail: str) -> Part:
+    cards = "".join(highlight_card(highlight, plans, assets) for highlight in chosen)
+    first, *others = ranked_by(task)
+    lead = (
+        f"<p class=quiet>Ranked by {first}, then {', '.join(others)}. Plans: robot orange, person blue; a ring is the "
+        "start, a dot the end.</p>"
+    )
+    return _section(f"{task}-episodes", "Worst and best episodes" + tail, lead + cards)
+
+
+def _panels(figures: Sequence[str]) -> str:
+    return f'<div class="panels">{"".join(figures)}</div>'
+
+
+def _foot() -> str:
+    return (
+        f"<footer>Made by h3data {escape(version('h3data'))}. Published numbers: Puig et al. 2023, Habitat 3.0: A Co-Habitat "
+        "for Humans, Avatars and Robots, arXiv:2310.13724.</footer>"
+    )
+
+
+def _title(data: ReportData) -> str:
+    tasks = [name for task, name in TASKS.items() if data.of_task(task)]
+    return (" and ".join(tasks).capitalize() or "Recordings") + (
+        f": {len(data.runs)} runs" if len(data.runs) > 1 else ""
+    )
+
+
+def _page(title: str, body: str) -> str:
+    folder = files("h3data_viewers") / "report_page"
+    style, script, page = (
+        (folder / name).read_text(encoding="utf-8").strip() for name in ("page.css", "page.js", "page.html")
+    )
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return Template(page).substitute(title=escape(title), style=style, script=script, script_hash=digest, body=body)

@@ -1,0 +1,309 @@
+"""The paper's tables beside ours: social navigation, rearrangement with both populations; paired differences of runs over
+the same episodes; metrics by policy and partner.
+
+The paper's numbers and where they are printed: ``paper_results.toml`` in this folder.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+
+import msgspec
+import numpy as np
+
+from h3data.metrics import (
+    Metric,
+    compare_tables,
+    metrics_of,
+    tabulate,
+)
+from h3data_viewers.html_report.report_data import ReportData, Run, same_episodes
+from h3data_viewers.html_report.report_tables import (
+    NAN,
+    Cell,
+    Column,
+    Row,
+    Section,
+    Table,
+    counted,
+    mean_cell,
+    number,
+    p_text,
+    spread_cell,
+)
+
+Values = Mapping[str, tuple[float, ...]]
+_ARROWS = {"higher": "↑", "lower": "↓", "neither": ""}
+_POPULATIONS = {"train": "Train-pop-eval", "zsc": "ZSC-pop-eval", "": "All partners"}
+_MOST_PAIRS = 6
+
+
+class PaperRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One row of a table in the paper."""
+
+    name: str
+    policies: tuple[str, ...] = ()
+    """Names of the same policy in recordings."""
+    values: Values = {}
+    train: Values = {}
+    zsc: Values = {}
+    difference: float = NAN
+    p: str = ""
+
+
+class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table in the paper, and where it is."""
+
+    source: str
+    rows: tuple[PaperRow, ...]
+
+    def row_of(self, policy: str) -> PaperRow | None:
+        """The row about a policy."""
+        return next((row for row in self.rows if policy.lower() in row.policies), None)
+
+
+class PaperResults(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """All tables that reports repeat."""
+
+    social_nav: PaperTable
+    rearrange: PaperTable
+    hitl: PaperTable
+    contrasts: PaperTable
+
+
+@cache
+def paper_results() -> PaperResults:
+    """The published numbers."""
+    text = (files("h3data_viewers") / "paper_results.toml").read_bytes()
+    return msgspec.toml.decode(text, type=PaperResults)
+
+
+# --- social navigation ------------------------------------------------------------------------------------------------
+def social_nav_table(runs: Sequence[Run]) -> Table:
+    """Means with intervals of each run, the paper's rows below."""
+    paper = paper_results().social_nav
+    metrics = metrics_of("paper", "social_nav")
+    summaries = [run.table.summary() for run in runs]
+    best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
+    ours = []
+    for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
+        published = paper.row_of(run.policy)
+        cells = []
+        for metric in metrics:
+            s = summary[metric.name]
+            beside = spread_cell(published.values.get(metric.name, ())).text if published else ""
+            cell = mean_cell(s.mean, s.low, s.high, small=f"paper {beside}" if beside else "")
+            cells.append(_strong(cell, k in best[metric.name]))
+        ours.append(Row(name=run.name, cells=tuple(cells), small=counted(len(run.episodes), "episode")))
+    published = [
+        Row(name=row.name, cells=tuple(spread_cell(row.values.get(m.name, ())) for m in metrics)) for row in paper.rows
+    ]
+    fewer = [
+        f"{run.name}: {m.name} is over the {s[m.name].count} of {len(run.episodes)} episodes that define it."
+        for run, s in zip(runs, summaries, strict=True)
+        for m in metrics
+        if s[m.name].count < len(run.episodes)
+    ]
+    return Table(
+        key="social_nav",
+        title="Social navigation",
+        caption="Social navigation. Mean over episodes with 95 % interval (Wilson for S and CR, else bootstrap).",
+        name_head="Policy",
+        columns=tuple(metric_column(m) for m in metrics),
+        sections=(
+            Section(title="These recordings", rows=tuple(ours)),
+            Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
+        ),
+        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs), *fewer),
+    )
+
+
+def _set_ups(runs: Sequence[Run]) -> list[str]:
+    """Of each run whose rules differ from the paper's, in what."""
+    found = {run.name: Counter(e.metrics.set_up for e in run.episodes if e.metrics.set_up) for run in runs}
+    return [
+        f"{name}: not the set-up of the paper, {text} ({counted(times, 'episode')})."
+        for name, texts in found.items()
+        for text, times in texts.most_common()
+    ]
+
+
+# --- rearrangement ----------------------------------------------------------------------------------------------------
+def rearrangement_table(runs: Sequence[Run]) -> Table:
+    """SR, RE, CR, RC per policy with its training population and with unseen partners; the paper's rows below."""
+    paper = paper_results().rearrange
+    metrics = {m.name: m for m in metrics_of("paper", "rearrange")}
+    shown = ("SR", "RE", "CR", "RC")
+    there = {episode.population for run in runs for episode in run.episodes}
+    populations = ["train", "zsc"] + ([""] if "" in there else [])
+    ours = []
+    for run in runs:
+        cells = []
+        for population in populations:
+            chosen = [e for e in run.episodes if e.population == population]
+            summary = tabulate((e.metrics for e in chosen), profile="paper").summary() if chosen else {}
+            for name in shown:
+                s, factor = summary.get(name), 100.0 if name == "SR" else 1.0
+                digits = 1 if name in ("SR", "RE") else 2
+                cells.append(
+                    mean_cell(factor * s.mean, factor * s.low, factor * s.high, digits=digits) if s else Cell(text="")
+                )
+        partners = len({e.partner for e in run.episodes})
+        small = f"{counted(len(run.episodes), 'episode')}, {counted(partners, 'partner')}"
+        ours.append(Row(name=run.name, cells=tuple(cells), small=small))
+    published = [
+        Row(
+            name=row.name,
+            cells=tuple(
+                spread_cell(of.get(name, ()), digits=2)
+                for population, of in (("train", row.train), ("zsc", row.zsc), ("", {}))
+                if population in populations
+                for name in shown
+            ),
+        )
+        for row in paper.rows
+    ]
+    return Table(
+        key="rearrange",
+        title="Social rearrangement",
+        caption="Social rearrangement, with the training population and with unseen partners. SR and RE in %. "
+        "Mean over episodes with 95 % interval.",
+        name_head="Method",
+        columns=tuple(
+            metric_column(metrics[name], group=_POPULATIONS[population]) for population in populations for name in shown
+        ),
+        sections=(
+            Section(title="These recordings", rows=tuple(ours)),
+            Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
+        ),
+        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs)),
+    )
+
+
+# --- paired differences -----------------------------------------------------------------------------------------------
+def paired_tables(data: ReportData) -> list[Table]:
+    """One table for each pair of runs over the same episodes, up to 6; with more runs, each against the first."""
+    pairs = [(a, b) for a, b in itertools.combinations(data.runs, 2) if same_episodes(a, b)]
+    if len(pairs) > _MOST_PAIRS:
+        pairs = [(a, b) for a, b in pairs if a is pairs[0][0]][:_MOST_PAIRS]
+    return [_paired_table(k, a, b) for k, (a, b) in enumerate(pairs)]
+
+
+def _paired_table(place: int, first: Run, second: Run) -> Table:
+    found = compare_tables(first.table, second.table, names=(first.name, second.name))
+    rows = []
+    for metric in first.table.metrics:
+        test = found.tests[metric.name]
+        digits = _digits(metric)
+        effect = (
+            Cell(text=number(test.effect), value=test.effect, small=test.effect_name) if test.pairs else Cell(text="–")
+        )
+        rows.append(
+            Row(
+                name=metric.name,
+                small=metric.title,
+                cells=(
+                    mean_cell(test.first_mean, digits=digits),
+                    mean_cell(test.second_mean, digits=digits),
+                    _strong(mean_cell(test.difference, test.low, test.high, digits=digits), test.p_adjusted < 0.05),
+                    Cell(text=p_text(test.p_adjusted), value=test.p_adjusted, small=test.method),
+                    effect,
+                    Cell(text=f"{len(found.changed(metric.name))} of {len(found.episode_ids)}"),
+                ),
+            )
+        )
+    return Table(
+        key=f"paired_{place + 1}",
+        title=f"{first.name} against {second.name}",
+        caption=f"{first.name} minus {second.name} on the same {len(found.episode_ids)} episodes; 95 % bootstrap interval "
+        "of the mean difference, p adjusted for all metrics (Holm); bold: below 0.05.",
+        name_head="Metric",
+        columns=(
+            Column(head=first.name),
+            Column(head=second.name),
+            Column(head="Difference"),
+            Column(head="p"),
+            Column(head="Effect"),
+            Column(head="Episodes that differ"),
+        ),
+        sections=(Section(title="", rows=tuple(rows)),),
+    )
+
+
+# --- partners ---------------------------------------------------------------------------------------------------------
+def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
+    """Run x partner: the mean of each metric in ``names``, coloured; none if there is one partner only."""
+    partners = sorted({e.partner for run in runs for e in run.episodes if e.partner})
+    if len(partners) < 2:
+        return []
+    metrics = {m.name: m for m in runs[0].table.metrics}
+    tables = []
+    for name in names:
+        cells = {
+            (run.name, partner): _known(e.metrics.values[name] for e in run.episodes if e.partner == partner)
+            for run in runs
+            for partner in partners
+        }
+        means = [float(np.mean(v)) for v in cells.values() if v]
+        if not means:
+            continue
+        low, high = (0.0, max(1.0, *means)) if metrics[name].unit == "1" else (min(means), max(means))
+        digits = _digits(metrics[name])
+        rows = [
+            Row(name=run.name, cells=tuple(_heat_cell(cells[run.name, p], low, high, digits) for p in partners))
+            for run in runs
+        ]
+        tables.append(
+            Table(
+                key=f"partners_{runs[0].task}_{name}",
+                title=f"{name} by partner",
+                caption=f"{name}, {metrics[name].title.lower()}: mean by policy and partner.",
+                name_head="Policy",
+                columns=tuple(Column(head=partner) for partner in partners),
+                sections=(Section(title="", rows=tuple(rows)),),
+            )
+        )
+    return tables
+
+
+# --- small things -----------------------------------------------------------------------------------------------------
+def metric_column(metric: Metric, *, group: str = "") -> Column:
+    unit = f" [{metric.unit}]" if metric.unit in ("m", "steps") else ""
+    return Column(head=f"{metric.name}{_ARROWS[metric.direction]}{unit}", hint=metric.title, group=group)
+
+
+def _digits(metric: Metric) -> int:
+    return {"%": 1, "steps": 1}.get(metric.unit, 2)
+
+
+def _best(means: Sequence[Mapping[str, float]], metrics: Sequence[Metric]) -> dict[str, set[int]]:
+    """Which rows hold the best mean of each metric that has a direction; none of a single row."""
+    best: dict[str, set[int]] = {}
+    for metric in metrics:
+        values = np.array([mean[metric.name] for mean in means])
+        sign = {"higher": 1.0, "lower": -1.0, "neither": NAN}[metric.direction]
+        ranked = np.round(sign * values, _digits(metric))
+        several = len(values) > 1 and not np.isnan(ranked).all()
+        best[metric.name] = set(np.flatnonzero(ranked == np.nanmax(ranked)).tolist()) if several else set()
+    return best
+
+
+def _strong(cell: Cell, strong: bool) -> Cell:
+    return Cell(text=cell.text, value=cell.value, small=cell.small, strong=bool(strong))
+
+
+def _heat_cell(values: Sequence[float], low: float, high: float, digits: int) -> Cell:
+    if not values:
+        return Cell(text="–")
+    mean = float(np.mean(values))
+    return Cell(
+        text=number(mean, digits), value=mean, small=f"n = {len(values)}", heat=(mean - low) / ((high - low) or 1.0)
+    )
+
+
+def _known(values: Iterable[float]) -> list[float]:
+    return [v for v in values if not np.isnan(v)]

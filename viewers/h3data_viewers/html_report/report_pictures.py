@@ -1,0 +1,344 @@
+"""Pictures of a report: floor plans with trajectories, and the best and worst episodes with key frames."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import H3DataError
+from h3data_viewers.html_report.report_charts import series_class
+from h3data_viewers.html_report.report_data import GRID_S, ReportEpisode, Run, Track, read_whole
+from h3data_viewers.html_report.report_svg import Svg, linear
+from h3data_viewers.html_report.report_tables import counted, number
+
+if TYPE_CHECKING:
+    from h3data.scene import Scene
+
+_PLAN_WIDTH, _PLAN_HEIGHT = 360.0, 400.0
+_PIXELS = 2.0
+"""Of the plan's picture per unit of the drawing."""
+_SCENES = 3
+_TRACKS = 40
+"""At most so many trajectories per run are drawn over a plan."""
+_SMOOTH_M = 0.04
+_FRAME = (400, 300)
+_QUALITY = 78
+_BARS_M = (1, 2, 5, 10, 20, 50)
+"""Lengths of scale bars [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A floor plan that drawings share, and where the world lies on it."""
+
+    key: str
+    scene: str
+    width: float
+    height: float
+    scale: float
+    """Units of the drawing per metre."""
+    origin: tuple[float, float]
+    """World ``(x, z)`` of the upper left corner."""
+    image: str = ""
+    """JPEG as a data URI; empty: nobody recorded the scene."""
+
+    def points(self, xz: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Coordinates on the plan of floor points [K, 2] [m]."""
+        return (np.asarray(xz, np.float64) - self.origin) * self.scale
+
+    def symbol(self) -> str:
+        """The picture, to be defined once in the page; it is drawn pale, so that lines stand out."""
+        if not self.image:
+            return f'<rect id="{self.key}" width="{self.width:.1f}" height="{self.height:.1f}" class="floor"/>'
+        return f'<image id="{self.key}" width="{self.width:.1f}" height="{self.height:.1f}" href="{self.image}"/>'
+
+    def picture(self, alt: str) -> Svg:
+        """A drawing that begins with the plan."""
+        svg = Svg(self.width, self.height, alt, css="plan")
+        svg.use(self.key)
+        return svg
+
+
+@dataclass
+class Plans:
+    """Floor plans by scene, made at first use."""
+
+    made: dict[str, Plan] = field(default_factory=dict)
+
+    def of(self, episode: ReportEpisode, scene: Scene | None = None) -> Plan:
+        """The plan of the scene of an episode; ``scene`` saves reading it."""
+        name = episode.metrics.scene
+        if name not in self.made:
+            scene = scene if scene is not None else _recorded_scene(episode)
+            key = f"plan-{len(self.made) + 1}"
+            if scene is not None and scene.instances:
+                self.made[name] = _drawn(key, scene)
+            else:
+                self.made[name] = _blank(key, episode)
+        return self.made[name]
+
+    def definitions(self) -> str:
+        """All pictures, for the beginning of the page."""
+        symbols = "".join(plan.symbol() for plan in self.made.values())
+        return f'<svg class="definitions" width="0" height="0" aria-hidden="true"><defs>{symbols}</defs></svg>'
+
+
+def _recorded_scene(episode: ReportEpisode) -> Scene | None:
+    from h3data.scene import load_scene
+
+    file = read_whole(episode).attachments.get("scene.glb")
+    return None if file is None else load_scene(file)
+
+
+def _drawn(key: str, scene: Scene) -> Plan:
+    from h3data.render.sheets.scene_map import plan_picture
+
+    low, high = scene.bounds
+    span = np.maximum(high - low, 1.0)[[0, 2]]
+    floor_y = scene.rooms[0].floor_y if scene.rooms else float(low[1])
+    wanted = min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1]) * _PIXELS
+    image, camera = plan_picture(scene, pixels_per_m=wanted, floor_y=floor_y)
+    (x0, y0), (x1, _) = camera.project(np.array([[0.0, floor_y, 0.0], [1.0, floor_y, 0.0]]))[0]
+    scale = float(x1 - x0)
+    fit = min(_PLAN_WIDTH / image.shape[1], _PLAN_HEIGHT / image.shape[0])
+    return Plan(
+        key=key, scene=scene.name, width=image.shape[1] * fit, height=image.shape[0] * fit, scale=scale * fit,
+        origin=(-float(x0) / scale, -float(y0) / scale), image=_jpeg(_pale(image)),
+    )  # fmt: skip
+
+
+def _blank(key: str, episode: ReportEpisode) -> Plan:
+    """Empty floor around the tracks of an episode whose scene was not recorded."""
+    points = np.concatenate([t.xz for t in episode.tracks] or [np.zeros((1, 2), np.float32)])
+    points = points[np.isfinite(points).all(1)]
+    low, high = (points.min(0) - 2.0, points.max(0) + 2.0) if len(points) else (np.full(2, -2.0), np.full(2, 2.0))
+    span = np.asarray(high - low, np.float64)
+    scale = float(min(_PLAN_WIDTH / span[0], _PLAN_HEIGHT / span[1]))
+    return Plan(
+        key=key, scene=episode.metrics.scene, width=span[0] * scale, height=span[1] * scale, scale=scale,
+        origin=(float(low[0]), float(low[1])),
+    )  # fmt: skip
+
+
+# --- trajectories -----------------------------------------------------------------------------------------------------
+def trajectory_figures(runs: Sequence[Run], plans: Plans) -> tuple[list[str], str]:
+    """The scenes with most episodes: where robots (in the run's colour) and people (grey) went; and which scenes these are of
+    how many, if they are not all."""
+    counts = Counter(e.metrics.scene for run in runs for e in run.episodes if e.tracks)
+    figures = []
+    for scene, count in counts.most_common(_SCENES):
+        here = [[e for e in run.episodes if e.metrics.scene == scene and e.tracks] for run in runs]
+        plan = plans.of(next(e for episodes in here for e in episodes))
+        svg = plan.picture(f"Floor plan of {scene} with the trajectories of {count} episodes")
+        chosen = [_spread(episodes) for episodes in here]
+        for episodes in chosen:
+            for episode in episodes:
+                for track in episode.tracks:
+                    if track.kind == "human":
+                        _draw_track(svg, plan, track, "track person-track")
+        for k, episodes in enumerate(chosen):
+            for episode in episodes:
+                for track in episode.tracks:
+                    if track.kind != "human":
+                        _draw_track(svg, plan, track, f"track {series_class(k)}")
+                        known = track.xz[np.isfinite(track.xz).all(1)]
+                        for x, y in plan.points(known[-1:]):
+                            svg.circle(x, y, 3, f"end {series_class(k)}")
+        _scale_bar(svg, plan)
+        drawn = sum(map(len, chosen))
+        what = counted(count, "episode") if drawn == count else f"{drawn} of {counted(count, 'episode')}"
+        figures.append(f"<figure><figcaption>{escape(scene)}: {what}</figcaption>{svg.to_html()}</figure>")
+    return figures, f"The {len(figures)} scenes with most episodes, of {len(counts)}." if len(figures) < len(
+        counts
+    ) else ""
+
+
+def _spread(episodes: Sequence[ReportEpisode]) -> list[ReportEpisode]:
+    if len(episodes) <= _TRACKS:
+        return list(episodes)
+    return [episodes[int(k)] for k in np.linspace(0, len(episodes) - 1, _TRACKS)]
+
+
+def _draw_track(svg: Svg, plan: Plan, track: Track, css: str) -> None:
+    import shapely
+
+    known = track.xz[np.isfinite(track.xz).all(1)]
+    if len(known) < 2:
+        return
+    line = shapely.simplify(shapely.linestrings(known.astype(np.float64)), _SMOOTH_M)
+    svg.path(plan.points(shapely.get_coordinates(line)), css)
+
+
+def _scale_bar(svg: Svg, plan: Plan) -> None:
+    metres = next((m for m in _BARS_M if m * plan.scale >= 40), _BARS_M[-1])
+    y, length = plan.height - 10, metres * plan.scale
+    svg.line(10, y, 10 + length, y, "scale-bar")
+    svg.text(14 + length, y + 4, f"{metres:g} m", "on-plan")
+
+
+# --- best and worst ---------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, kw_only=True)
+class Highlight:
+    """An episode worth a look."""
+
+    place: int
+    """Number of its run."""
+    run: Run
+    kind: Literal["worst", "best"]
+    episode: ReportEpisode
+
+
+def ranked_by(task: str) -> tuple[str, ...]:
+    """Metrics that say which episode of a task is better, the first one first."""
+    return ("SR", "RE", "TS") if task == "rearrange" else ("F", "SPS", "S")
+
+
+def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
+    """Up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
+    ranked = [sorted(run.episodes, key=lambda e: _score(e, run.task)) for run in runs]
+    chosen: list[Highlight] = []
+    for depth in range(max(map(len, ranked), default=0)):
+        for kind in ("worst", "best"):
+            for k, (run, episodes) in enumerate(zip(runs, ranked, strict=True)):
+                place = depth if kind == "worst" else len(episodes) - 1 - depth
+                fresh = depth < (len(episodes) + (kind == "worst")) // 2
+                if fresh and len(chosen) < most:
+                    chosen.append(Highlight(place=k, run=run, kind=kind, episode=episodes[place]))
+    return sorted(chosen, key=lambda h: (h.place, h.kind == "best"))
+
+
+def _score(episode: ReportEpisode, task: str) -> tuple[float, ...]:
+    values = [episode.metrics.values.get(name, np.nan) for name in ranked_by(task)]
+    signs = [-1.0 if name == "TS" else 1.0 for name in ranked_by(task)]
+    return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
+
+
+def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Path] = ()) -> str:
+    """Plan with both tracks, key frames, distance over time and the metrics of one episode.
+
+    ``assets`` are folders of the files that a foreign recording names.
+    """
+    from h3data.replay import Replay
+
+    episode = highlight.episode
+    tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
+    rows = key_rows(episode)
+    scene, frames, missing = None, [], ""
+    try:
+        replay = Replay(read_whole(episode), assets=assets)
+        scene = replay.scene
+        if replay.drawables:
+            frames = _frames(replay, [row for row, _ in rows])
+        else:
+            missing = "<p class=missing>No key frames: the recording names nothing that could be drawn.</p>"
+    except H3DataError as fault:
+        missing = f"<p class=missing>No key frames: {escape(str(fault))}</p>"
+    plan = plans.of(episode, scene)
+    svg = plan.picture(f"Floor plan of {episode.metrics.scene}: ways of robot and person")
+    for track in sorted(episode.tracks, key=lambda t: t.kind):  # the robot's above the person's
+        _draw_track(svg, plan, track, f"way {track.kind}-way")
+        known = track.xz[np.isfinite(track.xz).all(1)]
+        if len(known):
+            (ax, ay), (bx, by) = plan.points(known[[0, -1]])
+            svg.circle(ax, ay, 4, f"start {track.kind}-way", title=f"{track.kind}: start")
+            svg.circle(bx, by, 5, f"end {track.kind}-way", title=f"{track.kind}: end")
+    _scale_bar(svg, plan)
+    pictures = "".join(
+        f'<figure><img src="{image}" width="{_FRAME[0]}" height="{_FRAME[1]}" loading="lazy" alt="{escape(label)} at '
+        f'{episode.seconds(row):.1f} s, from behind the robot"><figcaption>{episode.seconds(row):.1f} s: {escape(label)}'
+        f"</figcaption></figure>"
+        for (row, label), image in zip(rows, frames, strict=False)
+    )
+    values = "".join(
+        f"<li><b>{escape(name)}</b> {number(value)}</li>" for name, value in episode.metrics.values.items()
+    )
+    return (
+        f'<article class="card"><h3><span class="tag {highlight.kind}">{tag}</span> '
+        f'<span class="chip {series_class(highlight.place)}"></span>{escape(highlight.run.name)}: episode '
+        f"{escape(episode.metrics.episode_id)}</h3><p class=quiet>{escape(episode.metrics.scene)}, "
+        f"{episode.metrics.rows} steps, {episode.seconds(episode.metrics.rows - 1):.1f} s</p>"
+        f'<ul class="values">{values}</ul><div class="card-body"><div class="card-plan">{svg.to_html()}'
+        f"{_sparkline(episode)}</div>"
+        f'<div class="frames">{pictures}{missing}</div></div>'
+        f"<p class=quiet>Look: <code>h3data view {escape(_quoted(episode.name))}</code></p></article>"
+    )
+
+
+def key_rows(episode: ReportEpisode) -> list[tuple[int, str]]:
+    """Up to four rows that tell the story, with what happens there."""
+    metrics = episode.metrics
+    last = metrics.rows - 1
+    if last < 0:
+        return []
+    rows = {0: "start", last: "contact" if metrics.contact_row == last else "end"}
+    found, contact = metrics.encounter_row, metrics.contact_row
+    if found >= 0:
+        rows.setdefault(found, "finds the person")
+        rows.setdefault((found + last) // 2, "after the encounter")
+    else:
+        rows.setdefault(last // 3, "a third of the episode")
+        rows.setdefault(2 * last // 3, "two thirds of the episode")
+    if 0 <= contact < last:
+        rows[contact] = "first contact"
+    return sorted(rows.items())[:5]
+
+
+def _frames(replay, rows: Sequence[int]) -> list[str]:
+    """From behind the robot, as data URIs."""
+    import cv2
+
+    from h3data.replay import camera_track
+
+    track = camera_track(replay, "third_person")
+    return [
+        _jpeg(cv2.resize(views[0]["rgb"], _FRAME, interpolation=cv2.INTER_AREA))
+        for _, views in replay.frames([track], rows, outputs=("rgb",), threads=2)
+    ]
+
+
+def _sparkline(episode: ReportEpisode) -> str:
+    distances = episode.distance_m
+    if len(distances) < 2:
+        return ""
+    width, height, high = 360.0, 70.0, max(float(np.nanmax(distances, initial=0.0)), 2.5)
+    svg = Svg(width, height + 16, f"Distance over time, from {distances[0]:.1f} m to {distances[-1]:.1f} m")
+    x, y = linear(0, (len(distances) - 1) * GRID_S, 28, width - 4), linear(0, high, height - 2, 4)
+    svg.rect(28, y(2), width - 32, y(1) - y(2), "zone")
+    for value in (0.0, 2.0, *([np.floor(high)] if high > 4 else [])):
+        svg.text(22, y(value) + 4, f"{value:g} m", "tick", anchor="end")
+    svg.path([(x(k * GRID_S), y(d)) for k, d in enumerate(distances)], "line robot-way")
+    found = episode.metrics.encounter_row
+    if found >= 0:
+        svg.line(x(episode.seconds(found)), 4, x(episode.seconds(found)), height - 2, "mean")
+        svg.text(x(episode.seconds(found)) + 4, 14, "found", "tick")
+    svg.line(28, height - 2, width - 4, height - 2, "axis")
+    svg.text(width - 4, height + 12, f"{episode.seconds(episode.metrics.rows - 1):.0f} s", "tick", anchor="end")
+    return svg.to_html()
+
+
+# --- small things -----------------------------------------------------------------------------------------------------
+def _pale(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    grey = image.mean(-1, keepdims=True)
+    return (0.30 * image + 0.20 * grey + 0.50 * 255).astype(np.uint8)
+
+
+def _jpeg(image: NDArray[np.uint8]) -> str:
+    """RGB [H, W, 3] as a data URI."""
+    import cv2
+
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+
+
+def _quoted(path: str) -> str:
+    import shlex
+
+    return shlex.quote(path)

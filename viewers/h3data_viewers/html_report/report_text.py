@@ -1,0 +1,156 @@
+"""What a report says in words: its beginning, the list of episodes, what the numbers mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date
+from html import escape
+
+from h3data.metrics import Metric, metrics_of
+from h3data_viewers.html_report.report_data import ReportData
+from h3data_viewers.html_report.report_paper import paper_results
+from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
+
+TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
+"""What reports call the tasks, in their order."""
+_LISTED = 5_000
+"""At most so many episodes are listed one by one."""
+_PHRASES = {
+    "social_nav": {
+        "S": "finds the person in",
+        "F": "follows at a rate F of",
+        "CR": "touches the person in",
+    },
+    "rearrange": {
+        "SR": "completes the task in",
+        "RE": "has a relative efficiency of",
+        "CR": "touches the person in",
+    },
+}
+
+
+def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Sequence[tuple[str, str]]) -> str:
+    """Title, numbers, findings, what is missing, and links to ``sections`` (key and title)."""
+    episodes = list(data.episodes)
+    steps = sum(e.metrics.rows for e in episodes)
+    hours = sum(e.metrics.rows * e.metrics.dt_ns for e in episodes) * 1e-9 / 3600
+    facts = [
+        *(
+            (number_of, noun)
+            for count, name in (
+                (len(episodes), "episode"),
+                (len(data.runs), "run"),
+                (len({e.metrics.scene for e in episodes}), "scene"),
+                (steps, "step"),
+            )
+            for number_of, _, noun in [counted(count, name).partition(" ")]
+        ),
+        (f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min", "of behaviour"),
+    ]
+    tiles = "".join(f"<li><b>{value}</b><span>{name}</span></li>" for value, name in facts)
+    links = "".join(f'<li><a href="#{escape(key)}">{escape(name)}</a></li>' for key, name in sections)
+    said = "".join(f"<li>{escape(line)}</li>" for line in _findings(data))
+    absent = "".join(f"<li>{escape(line)}</li>" for line in missing)
+    failed = "".join(
+        f"<li>{len(names)} not measured ({escape(reason)}): {escape(', '.join(names[:5]))}"
+        f"{', …' if len(names) > 5 else ''}</li>"
+        for reason, names in data.unmeasured.items()
+    )
+    where = ", ".join(f"<code>{escape(str(path))}</code>" for path in data.paths)
+    return (
+        f"<header><h1>{escape(title)}</h1><p class=quiet>{where} · {date.today():%d %B %Y}</p>"
+        f'<ul class="facts">{tiles}</ul><ul class="findings">{said}</ul>'
+        + (
+            f'<div class="missing"><p>Not in this report:</p><ul>{failed}{absent}</ul></div>'
+            if failed or absent
+            else ""
+        )
+        + f'<nav aria-label="Sections"><ul>{links}</ul></nav></header>'
+    )
+
+
+def _findings(data: ReportData) -> list[str]:
+    """The main numbers in words, the paper's beside them; what is not known is left out."""
+    lines = []
+    for run in data.runs:
+        summary, metrics = run.table.summary(), {m.name: m for m in run.table.metrics}
+        paper = paper_results().social_nav.row_of(run.policy) if run.task == "social_nav" else None
+        said = []
+        for name, phrase in _PHRASES[run.task].items():
+            if summary[name].count:
+                beside = f" (paper: {_in_words(metrics[name], paper.values[name][0])})" if paper else ""
+                said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{beside}")
+        lines.append(f"{run.name} ({counted(len(run.episodes), 'episode')}) {', '.join(said)}.")
+    return lines
+
+
+def _in_words(metric: Metric, mean: float) -> str:
+    if metric.binary:
+        return f"{100 * mean:.0f}\u00a0%"
+    return number(mean, 1) + "\u00a0%" if metric.unit == "%" else number(mean)
+
+
+def episode_list(data: ReportData) -> str:
+    """A table per task, folded; it can be sorted."""
+    parts = []
+    for task, name in TASKS.items():
+        runs = data.of_task(task)
+        rows = [
+            Row(
+                name=e.metrics.episode_id,
+                cells=(
+                    Cell(text=run.name),
+                    Cell(text=e.partner),
+                    Cell(text=e.metrics.scene),
+                    Cell(text=str(e.metrics.rows), value=e.metrics.rows),
+                    *(Cell(text=number(v), value=v) for v in e.metrics.values.values()),
+                ),
+            )
+            for run in runs
+            for e in run.episodes
+        ]
+        if not rows:
+            continue
+        shown = rows[:_LISTED]
+        table = Table(
+            key=f"episodes_{task}",
+            title=f"Episodes of {name}",
+            caption="Click a head to sort."
+            + (f" The first {_LISTED} of {len(rows)}." if len(shown) < len(rows) else ""),
+            name_head="Episode",
+            columns=(
+                *(Column(head=head) for head in ("Run", "Partner", "Scene", "Steps")),
+                *(Column(head=m.name, hint=m.title) for m in metrics_of("paper", task)),
+            ),
+            sections=(Section(title="", rows=tuple(shown)),),
+        )
+        parts.append(f"<details><summary>{counted(len(rows), 'episode')} of {name}</summary>{to_html(table)}</details>")
+    return "".join(parts)
+
+
+def meanings(data: ReportData) -> str:
+    """Definitions of the metrics that are shown, and what had to be assumed."""
+    terms = [m for task in TASKS if data.of_task(task) for m in metrics_of("paper", task)]
+    notes = [
+        f"{run.name}, {name}: {text} ({times} of {len(run.episodes)} episodes)"
+        for run in data.runs
+        for name, texts in run.table.notes().items()
+        for text, times in texts.items()
+    ]
+    said = "".join(f"<li>{escape(line)}</li>" for line in notes)
+    return (
+        "<p>Computed from the recordings alone by the profile <code>paper</code> of h3data. Intervals hold 95 %: Wilson's "
+        "for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. An episode that does not "
+        "define a metric is left out of its mean.</p>"
+        f'<dl class="definitions-list">{"".join(map(_definition, terms))}</dl>'
+        + (f'<h3>Notes of the measurement</h3><ul class="notes">{said}</ul>' if said else "")
+    )
+
+
+def _definition(metric: Metric) -> str:
+    better = {"higher": "higher is better", "lower": "lower is better", "neither": ""}[metric.direction]
+    facts = ", ".join(filter(None, (f"unit {metric.unit}" if metric.unit != "1" else "", better, metric.source)))
+    return (
+        f"<dt>{escape(metric.name)}: {escape(metric.title)}</dt><dd>{escape(metric.formula)}</dd>"
+        f'<dd class="quiet">{escape(facts)}. <code>{escape(metric.id)}</code></dd>'
+    )

@@ -1,0 +1,148 @@
+"""Meshes light enough for a viewer file: fewer vertices by clustering, small textures, facets where normals are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.mesh.gltf_primitives import nearest_texels
+from h3data.mesh.images import reduced, reduced_size
+from h3data.mesh.meshes import face_texture_indices
+from h3data.mesh.records import Mesh, Texture
+from h3data.srgb import bytes_to_linear, linear_to_bytes
+
+BAKED_SIDE_PX = 64
+"""Textures whose colours go to the vertices are reduced to this first: a texel then stands for its surroundings."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThinMesh:
+    """A subset of a mesh's vertices, and triangles between them."""
+
+    keep: NDArray[np.int64]
+    """Indices of the kept vertices in the full mesh, shape [K]: also thins any later positions of the same vertices."""
+    faces: NDArray[np.int32]
+    """Indices into ``keep``, shape [F, 3]."""
+
+
+def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
+    """At most ``max_vertices`` vertices that represent the mesh: one per cell of a grid, by bisection of the cell size.
+
+    A mesh that is small enough stays as it is. Kept vertices are original ones, so a skinned mesh thinned in its rest
+    pose stays valid in every pose.
+    """
+    count = len(mesh.vertices)
+    if count <= max_vertices or count == 0:
+        return ThinMesh(keep=np.arange(count), faces=mesh.faces)
+    lo, hi = mesh.bounds
+    fine, coarse = 0.0, float((hi - lo).max()) + 1e-6
+    best = _cluster(mesh, lo, coarse)
+    for _ in range(14):
+        size = (fine + coarse) / 2
+        cells = _cluster(mesh, lo, size)
+        if cells.max() < max_vertices:
+            best, coarse = cells, size
+        else:
+            fine = size
+    _, keep = np.unique(best, return_index=True)
+    faces = best[mesh.faces].astype(np.int32)
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return ThinMesh(keep=keep, faces=faces[whole])
+
+
+def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np.int64]:
+    """Number of the occupied grid cell of each vertex, 0..cells-1, shape [V]."""
+    cell = np.floor((mesh.vertices - origin) / size).astype(np.int64)
+    cell = np.minimum(cell, (1 << 20) - 1)
+    key = (cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]
+    return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewMesh:
+    """Arrays as the viewer wants them: triangles with one texture at most."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32] | None
+    """None: every three vertices are a triangle of their own, which the viewer shades flat."""
+    colors: NDArray[np.uint8]
+    normals: NDArray[np.float32] | None
+    uv: NDArray[np.float32] | None = None
+    texture: Texture | None = None
+    """What a surface shows is texel times vertex colour. The viewer takes every texel as opaque."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays without the texture, colours with alpha."""
+        arrays = (self.vertices, self.faces, self.normals, self.uv)
+        return 4 * len(self.colors) + sum(a.nbytes for a in arrays if a is not None)
+
+
+def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
+    """A mesh for the viewer, one part per texture and one for what has none; flat facets where it has no normals.
+
+    Above ``max_vertices`` it is thinned. Its textures become vertex colours then, since the borders between pieces of a
+    texture do not outlive that.
+    """
+    if max_vertices is not None and len(mesh.vertices) > max_vertices:
+        thin = thin_mesh(mesh, max_vertices)
+        normals = None if mesh.normals is None else mesh.normals[thin.keep]
+        colors = baked_colors(mesh)[thin.keep]
+        return [ViewMesh(vertices=mesh.vertices[thin.keep], faces=thin.faces, colors=colors, normals=normals)]
+    if not mesh.textures:
+        return [_part(mesh, mesh.faces, None, None)] if mesh.normals is None else [_whole(mesh)]
+    index = face_texture_indices(mesh)
+    return [
+        _part(mesh, mesh.faces[index == k], None if k < 0 else mesh.uv, None if k < 0 else mesh.textures[k])
+        for k in np.unique(index)
+    ]
+
+
+def _whole(mesh: Mesh) -> ViewMesh:
+    return ViewMesh(vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, normals=mesh.normals)
+
+
+def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, texture: Texture | None) -> ViewMesh:
+    """Some triangles of a mesh with the vertices that they use."""
+    if mesh.normals is None:
+        used, corners = faces.reshape(-1), None
+    else:
+        used, inverse = np.unique(faces, return_inverse=True)
+        corners = inverse.reshape(-1, 3).astype(np.int32)
+    return ViewMesh(
+        vertices=mesh.vertices[used],
+        faces=corners,
+        colors=mesh.colors[used],
+        normals=None if mesh.normals is None else mesh.normals[used],
+        uv=None if uv is None else uv[used],
+        texture=texture,
+    )
+
+
+def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
+    """sRGB vertex colours [V, 3] with the colour that the texture has there; of several, the last triangle's."""
+    if mesh.uv is None or not mesh.textures:
+        return mesh.colors
+    index, texture_of = face_texture_indices(mesh), np.full(len(mesh.vertices), -1)
+    texture_of[mesh.faces.reshape(-1)] = np.repeat(index, 3)
+    colors = mesh.colors.copy()
+    for k, texture in enumerate(mesh.textures):
+        here = texture_of == k
+        small = Texture(pixels=reduced(texture.pixels, BAKED_SIDE_PX))
+        texels = nearest_texels(small, mesh.uv[here])[:, :3]
+        colors[here] = linear_to_bytes(bytes_to_linear(texels) * bytes_to_linear(colors[here]))
+    return colors
+
+
+def view_texture(texture: Texture, side: int) -> NDArray[np.uint8]:
+    """sRGB texels [H, W, 3], at most ``side`` x ``side``."""
+    return np.ascontiguousarray(reduced(texture.pixels, side)[..., :3])
+
+
+def texture_bytes(texture: Texture, side: int) -> int:
+    """Bytes of `view_texture`."""
+    height, width = texture.pixels.shape[:2]
+    columns, rows = reduced_size(width, height, side)
+    return 3 * columns * rows

@@ -1,0 +1,112 @@
+"""Drawn on the floor of a Rerun view: where agents can be, and where things and people are to go."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording.records import Recording
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.freespace.build import choose_method
+from h3data_viewers.rerun.rerun_sink import Sink
+
+_LOG = logging.getLogger(__name__)
+
+FREE_COLOR = (102, 187, 106, 160)
+GOAL_COLOR = (236, 64, 122)
+ABOVE_FLOOR_M = 0.015
+
+
+# --- free space -------------------------------------------------------------------------------------------------------
+def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> bool:
+    """Log the border of where an agent's centre can be as ``world/free_space``; returns whether there is one.
+
+    Only for scenes with rooms and shapes: among bare triangles, finding the floor takes longer than the rest of the file.
+    """
+    import rerun as rr
+
+    if scene is None or choose_method(scene, "auto") != "shapes":
+        return False
+    spec = recording.episode.info.get("spec")
+    radius = spec.get("agent_radius_m") if isinstance(spec, Mapping) else None
+    if isinstance(radius, int | float) and 0 < radius < 2:
+        space = FreeSpace.from_scene(scene, radius_m=float(radius))
+    else:
+        space = FreeSpace.from_scene(scene)
+    rings = [np.asarray(r.coords) for p in space.polygon.geoms for r in (p.exterior, *p.interiors)]
+    if not rings:
+        return False
+    level = space.floor_y + ABOVE_FLOOR_M
+    strips = [np.column_stack([r[:, 0], np.full(len(r), level), r[:, 1]]).astype(np.float32) for r in rings]
+    sink.static("world/free_space", rr.LineStrips3D(strips, colors=[FREE_COLOR], radii=[0.01]))
+    return True
+
+
+# --- goals ------------------------------------------------------------------------------------------------------------
+def log_goals(sink: Sink, recording: Recording) -> None:
+    """Log where objects are to go, for ever, and the point to which the person walks now, below ``world/goals``.
+
+    Reads what recordings of `social_nav`, `rearrange` and HITL sessions hold in ``episode.info``; what has another form
+    is left out with a warning.
+    """
+    import rerun as rr
+
+    places, labels = _object_goals(recording)
+    if len(places):
+        points = rr.Points3D(places, radii=[0.07], colors=[GOAL_COLOR], labels=labels, show_labels=True)
+        sink.static("world/goals/objects", points)
+    for agent, rows, points in _walking_goals(recording):
+        static = rr.Points3D.from_fields(colors=[GOAL_COLOR], radii=[0.09])
+        sink.static(f"world/goals/{agent}", static)
+        sink.columns(f"world/goals/{agent}", rows, rr.Points3D.columns(positions=points))
+
+
+def _object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
+    """Points [N, 3] [m] and a label for each."""
+    info = recording.episode.info
+    goals = info.get("goals")
+    if isinstance(goals, Sequence) and not isinstance(goals, str) and goals:
+        known = [g for g in goals if isinstance(g, Mapping) and "position" in g]
+        labels = [" to ".join(str(g[key]) for key in ("object", "to") if g.get(key)) for g in known]
+        places = _points([g["position"] for g in known], 3, "goals")
+        return places, labels[: len(places)]
+    places = _points(info.get("goal_positions"), 3, "goal_positions")
+    return places, [f"goal {k + 1}" for k in range(len(places))]
+
+
+def _walking_goals(recording: Recording) -> list[tuple[str, NDArray[np.int64], NDArray[np.float64]]]:
+    """Name of the person, rows where her goal changes, and that goal [m]."""
+    import rerun as rr
+
+    goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
+    column = recording.columns.get("sim.human_goal")
+    people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]
+    if not len(goals) or column is None or column.ndim != 1 or not len(column) or not people:
+        return []
+    number = np.clip(column.astype(np.int64), 0, len(goals) - 1)
+    rows = np.flatnonzero(np.concatenate([[True], np.diff(number) != 0]))
+    height = np.nan_to_num(recording.agent_column(people[0], "base_pose")[rows, 1].astype(np.float64))
+    at = goals[number[rows]]
+    name = rr.escape_entity_path_part(recording.agents[people[0]].name or "unnamed")
+    return [(name, rows, np.column_stack([at[:, 0], height + ABOVE_FLOOR_M, at[:, 1]]))]
+
+
+def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:
+    """Finite points [N, width] out of what a recording holds under ``key``; none if it is something else."""
+    none = np.zeros((0, width))
+    if value is None:
+        return none
+    try:
+        points = np.asarray(value, np.float64)
+        if points.size == 0:
+            return none
+        if points.ndim == 2 and points.shape[1] == width and np.isfinite(points).all():
+            return points
+    except (TypeError, ValueError):
+        pass
+    _LOG.warning("Goals are not shown: expected episode.info[%r] as points of %d finite numbers.", key, width)
+    return none

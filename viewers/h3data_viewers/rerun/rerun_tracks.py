@@ -1,0 +1,171 @@
+"""Per-step numbers, coloured action lanes and the event log of a recording, as Rerun columns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.metrics import find_agents
+from h3data.metrics.paper.social_nav import following_rows, l2_distance
+from h3data.recording.log_lines import LogLine, log_lines
+from h3data.recording.records import Recording
+from h3data_viewers.rerun.rerun_sink import Sink
+
+NOTHING = "-"
+"""Lane state while nothing runs."""
+ENDED = "ended"
+"""Lane state after the last step, where another recording goes on."""
+KNOWN_COLORS = {
+    NOTHING: 0x3A3A3AFF,
+    "apart": 0x616161FF,
+    "near": 0xFFB300FF,
+    "following": 0x43A047FF,
+    "too close": 0xFB8C00FF,
+    "contact": 0xE53935FF,
+    ENDED: 0x1A1A1AFF,
+}
+CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
+"""Of the first and the second recording in one plot."""
+PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
+
+
+def agent_pair(recording: Recording) -> tuple[int, int] | None:
+    """The robot and the human that metrics are about, or None."""
+    try:
+        return find_agents(recording)
+    except InputError:
+        return None
+
+
+# --- plots ------------------------------------------------------------------------------------------------------------
+def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, bounds: bool = True) -> tuple[str, ...]:
+    """Log every per-step scalar below ``metrics/``; returns the paths of the distances, which belong in one plot.
+
+    ``shade`` 0, 1, ... colours and names the curves by the recording, for plots that several share. ``bounds``: log
+    the distances between which following counts, too.
+    """
+    import rerun as rr
+
+    curves: dict[str, NDArray[Any]] = {
+        name.removeprefix("metrics."): column
+        for name, column in recording.columns.items()
+        if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
+    }
+    plotted = [name for name in curves if name.startswith(("dist", "geodesic"))]  # metres; other units stay apart
+    pair = agent_pair(recording)
+    if pair is not None and "dist_agents" not in curves:
+        curves["distance_l2"] = l2_distance(recording, *pair)
+        plotted.append("distance_l2")
+    for name, column in curves.items():
+        values = column.astype(np.float64)
+        values[np.isinf(values)] = np.nan  # no path: a gap in the curve, not a cliff
+        if shade is not None and name in plotted:
+            color = CURVE_COLORS[shade][plotted.index(name) % 3]
+            style = rr.SeriesLines(names=[f"{sink.label} {name}"], colors=np.array([color], np.uint32), widths=[2.0])
+            sink.static(f"metrics/{name}", style)
+        sink.columns(f"metrics/{name}", None, rr.Scalars.columns(scalars=values))
+    if pair is not None and len(recording) and bounds:
+        ends = np.unique([0, len(recording) - 1])
+        for name, bound in (("follow_from_1m", 1.0), ("follow_to_2m", 2.0)):
+            style = rr.SeriesLines(names=[name], colors=np.array([0x43A047A0], np.uint32), widths=[1.0])
+            sink.static(f"metrics/{name}", style)
+            sink.columns(f"metrics/{name}", ends, rr.Scalars.columns(scalars=np.full(len(ends), bound)))
+            plotted.append(name)
+    return tuple(sink.path(f"metrics/{name}") for name in plotted)
+
+
+# --- lanes ------------------------------------------------------------------------------------------------------------
+def lanes_of(recording: Recording) -> dict[str, list[str]]:
+    """State per row of every lane, by lane name: skills and motions of each agent, and the encounter of the pair."""
+    lanes: dict[str, list[str]] = {}
+    for i, agent in enumerate(recording.agents):
+        skill = _skill_states(recording, i)
+        if skill is not None:
+            lanes[f"{agent.name}_skill"] = skill
+        motion = recording.columns.get(f"agent_{i}.motion_id")
+        if motion is not None and agent.motion_names:
+            lanes[f"{agent.name}_motion"] = [_coded(agent.motion_names, code) for code in motion.tolist()]
+    pair = agent_pair(recording)
+    if pair is not None:
+        lanes["encounter"] = _encounter_states(recording, *pair)
+    return lanes
+
+
+def log_lanes(sink: Sink, recording: Recording, *, ends: bool = False) -> tuple[str, ...]:
+    """Log the lanes below ``actions/``; returns their paths. ``ends``: they show where the recording ends."""
+    import rerun as rr
+
+    lanes = {name: states for name, states in lanes_of(recording).items() if states}
+    for name, lane in lanes.items():
+        states = [*lane, ENDED] if ends else lane
+        values = list(dict.fromkeys(states))
+        unknown = [v for v in values if v not in KNOWN_COLORS]
+        colors = {v: PALETTE[k % len(PALETTE)] for k, v in enumerate(unknown)} | KNOWN_COLORS
+        rgba = np.array([colors[v] for v in values], np.uint32)
+        config = rr.StateConfiguration(values=values, labels=values, colors=rgba)
+        sink.static(f"actions/{name}", config)
+        rows = [0, *(k for k in range(1, len(states)) if states[k] != states[k - 1])]
+        columns = rr.StateChange.columns(state=[states[k] for k in rows])
+        sink.columns(f"actions/{name}", rows, columns)
+    return tuple(sink.path(f"actions/{name}") for name in lanes)
+
+
+def _skill_states(recording: Recording, agent: int) -> list[str] | None:
+    names, column = recording.agents[agent].skill_names, recording.columns.get(f"agent_{agent}.skill")
+    if column is not None and names:
+        return [_coded(names, code) for code in column.tolist()]
+    spans = [s for s in recording.skills if s.agent == agent]
+    if not spans:
+        return None
+    states = [NOTHING] * len(recording)
+    for span in spans:
+        for k in range(max(span.start_step, 0), min(span.end_step + 1, len(states))):
+            states[k] = span.name
+    return states
+
+
+def _coded(names: tuple[str, ...], code: int) -> str:
+    return names[code] if 0 <= code < len(names) else NOTHING
+
+
+def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
+    """How the robot stands to the human in each row: apart, near, following (1-2 m and facing), too close, contact."""
+    distance = l2_distance(recording, robot, human)
+    following = following_rows(recording, robot, human)
+    contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
+    choice = np.select(
+        [contact, following, distance < 1.0, distance <= 2.0], ["contact", "following", "too close", "near"], "apart"
+    )
+    return choice.tolist()
+
+
+# --- log --------------------------------------------------------------------------------------------------------------
+def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
+    """Log events and skills as text below ``log/``; returns whether there are any. ``ends``: the end is one, too."""
+    import rerun as rr
+
+    lines = log_lines(recording)
+    if ends:
+        why = str(recording.episode.info.get("ended", ""))
+        lines.append(LogLine("events", len(recording), "the recording ends" + (f" ({why})" if why else "")))
+    last = len(recording) if ends else max(len(recording) - 1, 0)
+    for source in dict.fromkeys(line.source for line in lines):
+        group = [line for line in lines if line.source == source]
+        levels = ["WARN" if line.warning else "INFO" for line in group]
+        columns = rr.TextLog.columns(text=[line.text for line in group], level=levels)
+        sink.columns(f"log/{source}", np.clip([line.step for line in group], 0, last), columns)
+    return bool(lines)
+
+
+def log_inputs(sink: Sink, recording: Recording) -> bool:
+    """Log raw input of people as text below ``input/``, at its own times; returns whether there is any."""
+    import rerun as rr
+
+    for user in sorted({given.user for given in recording.inputs}):
+        own = [given for given in recording.inputs if given.user == user]
+        columns = rr.TextLog.columns(text=[f"{g.kind} {g.payload}".rstrip() for g in own], level=["INFO"] * len(own))
+        sink.moments(f"input/user_{user}", np.array([given.time_ns for given in own], np.int64), columns)
+    return bool(recording.inputs)
