@@ -226,7 +226,7 @@ def _title(data: ReportData) -> str:
 
 
 def _page(title: str, body: str) -> str:
-    folder = files("h3data_viewers") / "report_page"
+    folder = files("h3data_viewers.html_report") / "page"
     style, script, page = (
         (folder / name).read_text(encoding="utf-8").strip() for name in ("page.css", "page.js", "page.html")
     )

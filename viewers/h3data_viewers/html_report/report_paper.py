@@ -78,7 +78,7 @@ class PaperResults(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 @cache
 def paper_results() -> PaperResults:
     """The published numbers."""
-    text = (files("h3data_viewers") / "paper_results.toml").read_bytes()
+    text = (files("h3data_viewers.html_report") / "paper_results.toml").read_bytes()
     return msgspec.toml.decode(text, type=PaperResults)
 
 
