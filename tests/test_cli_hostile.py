@@ -30,7 +30,7 @@ from h3data.recording import (
 from h3data.recording.mcap import mcap_part
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
-from h3data_pipelines.commands.table import generate
+from h3data_pipelines.commands import generate
 from h3data_pipelines.jobs import episode_jobs
 
 STANDING = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (3, 1))

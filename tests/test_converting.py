@@ -27,7 +27,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data_pipelines.cli import main
-from h3data_pipelines.commands.table import converting
+from h3data_pipelines.commands import converting
 
 
 def episode(name: str, steps: int = 5, *, joints: int = 3, extra: str = "", dt_ns: int = 33_333_333) -> Recording:

@@ -412,8 +412,8 @@ def test_make_finds_tasks_without_knowing_them() -> None:
 
 
 def test_without_gymnasium_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("observation_set", "observations", "env", "vector_env", "parallel_env"):
-        monkeypatch.delitem(sys.modules, f"sim_kinematic.{module}", raising=False)
+    for module in [name for name in sys.modules if name.startswith(("sim_kinematic.envs.", "sim_kinematic.sensing."))]:
+        monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(MissingExtraError, match=r"h3data\[env\]"):
         h3data.make("social_nav", scenes=HOME)

@@ -115,9 +115,9 @@ def test_scene_uris_come_from_the_scene(tmp_path: Path) -> None:
     assert library.with_scene(scene).mesh(AssetRef(name="x", uri="scene:bed")) is None
 
 
-def test_importing_interop_stays_light() -> None:
+def test_importing_the_asset_library_stays_light() -> None:
     code = (
-        "import sys, h3data.interop; "
+        "import sys, h3data.habitat.assets; "
         "heavy = {'trimesh', 'torch', 'numba', 'scipy', 'cv2', 'rerun', 'av', 'fcl', 'shapely'} & set(sys.modules); "
         "assert not heavy, heavy"
     )

@@ -12,7 +12,7 @@ import h3data
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
-from sim_kinematic.policies.social_nav import rearrange as planners
+from sim_kinematic.policies import rearrange as planners
 
 GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
 EVALUATE = (
