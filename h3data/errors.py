@@ -29,6 +29,10 @@ class MissingExtraError(H3DataError):
     """An optional dependency is not installed; the message names the command that installs it."""
 
 
+class PluginError(H3DataError):
+    """An installed plug-in cannot be used; the message names its package and entry point."""
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """`` Did you mean 'x'?`` of the known name that is nearest to an unknown one; empty if none is near."""
     from difflib import get_close_matches

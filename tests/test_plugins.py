@@ -1,0 +1,112 @@
+"""Registries: built-in entries, installed entry points, ``module:name``, and what happens when plug-ins are broken."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from h3data.errors import InputError, MissingExtraError, PluginError
+from h3data.plugins import PluginWarning, Registry
+
+GROUP = "h3data.test_plugins"
+
+
+def registry(**options) -> Registry:
+    return Registry(GROUP, {"join": "os.path:join", "loads": "json:loads"}, what="gadget", **options)
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Installs a package with entry points and a module of the same name, as pip would leave it on sys.path."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def installed(package: str, entries: dict[str, str], source: str = "") -> None:
+        folder = tmp_path / f"{package}-1.2.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n")
+        lines = [f"{name} = {value}" for name, value in entries.items()]
+        (folder / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines]))
+        (tmp_path / f"{package}.py").write_text(source)
+
+    before = set(sys.modules)
+    yield installed
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def test_built_in_entries_keep_their_order_and_are_imported_at_first_use() -> None:
+    assert registry().names() == ("join", "loads")
+    assert registry().get("join")("a", "b") == "a/b"
+    lazy = Registry(GROUP, {"heavy": "a_module_that_does_not_exist:x"}, what="gadget")
+    assert lazy.names() == ("heavy",)
+
+
+def test_entry_points_of_installed_packages_are_found(install) -> None:
+    install("acme", {"zeta": "acme:ZETA", "alpha": "acme:ALPHA"}, "ZETA, ALPHA = 1, 2")
+    assert registry().names() == ("join", "loads", "alpha", "zeta")
+    assert registry().get("zeta") == 1
+    assert [entry.distribution for entry in registry().entries()] == ["", "", "acme 1.2", "acme 1.2"]
+
+
+def test_module_and_name_need_no_entry_point(install) -> None:
+    install("loose", {}, "class Box:\n    THING = 5")
+    assert registry().get("loose:Box.THING") == 5
+    with pytest.raises(PluginError, match=r"'nowhere:THING' cannot be imported: ModuleNotFoundError.*PYTHONPATH"):
+        registry().get("nowhere:THING")
+    with pytest.raises(PluginError, match=r"'loose:OTHER' cannot be imported: AttributeError"):
+        registry().get("loose:OTHER")
+
+
+def test_unknown_names_list_what_exists(install) -> None:
+    install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
+    with pytest.raises(
+        InputError, match=r"Unknown gadget 'zetta'. Did you mean 'zeta'\? Expected one of: join, loads, zeta"
+    ):
+        registry().get("zetta")
+
+
+def test_a_broken_plug_in_is_named_and_the_others_go_on_working(install) -> None:
+    install("broken", {"bad": "broken:THING"}, "1 / 0")
+    install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
+    named = r"gadget 'bad' \(entry point broken:THING of the group h3data.test_plugins, installed by broken 1.2\)"
+    with pytest.raises(PluginError, match=named + " cannot be imported: ZeroDivisionError"):
+        registry().get("bad")
+    with pytest.warns(PluginWarning, match=named):
+        loaded = registry().load_all()
+    assert list(loaded) == ["join", "loads", "zeta"]
+
+
+def test_what_a_plug_in_says_of_its_own_errors_is_kept(install) -> None:
+    source = "from h3data.errors import MissingExtraError\nraise MissingExtraError('Hint: pip install acme[all]')"
+    install("acme", {"zeta": "acme:ZETA"}, source)
+    with pytest.raises(MissingExtraError, match=r"^Hint: pip install"):
+        registry().get("zeta")
+
+
+def test_a_plug_in_without_a_required_field_is_named(install) -> None:
+    def check(thing) -> None:
+        if not hasattr(thing, "sample"):
+            raise InputError("the field 'sample' is missing.")
+
+    install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
+    with pytest.raises(PluginError, match=r"installed by acme 1.2\) is not usable: the field 'sample' is missing."):
+        registry(check=check).get("zeta")
+
+
+def test_a_name_that_two_packages_claim_goes_to_neither(install) -> None:
+    install("acme", {"zeta": "acme:ZETA"}, "ZETA = 1")
+    install("rival", {"zeta": "rival:ZETA"}, "ZETA = 2")
+    with pytest.raises(PluginError, match=r"'zeta' is claimed by \w+:ZETA of \w+ 1.2 and \w+:ZETA of \w+ 1.2"):
+        registry().get("zeta")
+    with pytest.warns(PluginWarning, match="claimed by"):
+        assert registry().names() == ("join", "loads")
+    assert registry().get("join")
+    assert registry().get("rival:ZETA") == 2
+
+
+def test_a_built_in_name_cannot_be_taken_over(install) -> None:
+    install("acme", {"join": "acme:ZETA", "loads": "json:loads"}, "ZETA = 1")
+    assert registry().get("join")("a", "b") == "a/b"
+    with pytest.warns(PluginWarning, match=r"'join' is built in; acme:ZETA of acme 1.2 cannot replace it") as caught:
+        assert registry().names() == ("join", "loads")
+    assert len(caught) == 1, "an entry point that names the same object as the table is no conflict"
