@@ -41,11 +41,12 @@ check-gltf: setup  ## exported animations and scenes pass the Khronos validator 
 	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
 	NODE_PATH=$(GLTF)/node_modules node tests/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
 
-check: setup  ## format, lint, types, layers
+check: setup  ## format, lint, types, layers, circles
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest tests/test_structure.py
 
 format: setup
 	$(BIN)/ruff format .

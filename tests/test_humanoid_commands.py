@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bake.humanoid import write_npz
-from bake.smplx import read_smplx
+from bake.people.humanoid import write_npz
+from bake.people.smplx import read_smplx
 from h3data.bodies import JOINT_INDEX, JOINT_NAMES, humanoid_names, load_humanoid
 from h3data.bodies.people.skeleton import PARENTS
 from h3data.errors import FormatError, InputError

@@ -233,7 +233,7 @@ def test_palms_face_each_other_side() -> None:
 
 @pytest.mark.slow
 def test_the_table_is_what_the_bake_solves() -> None:
-    from bake.reach import SOLVED_FOR, solve_table
+    from bake.people.reach import SOLVED_FOR, solve_table
     from h3data.bodies.people.reach import reach_body
 
     solved = solve_table(tuple(reach_body(load_humanoid(name), "right") for name in SOLVED_FOR))

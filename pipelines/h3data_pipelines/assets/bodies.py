@@ -138,7 +138,7 @@ class BodiesBake:
         colors = {name: _color(name, getattr(self, name)) for name in ("skin", "shirt", "trousers", "shoes", "hair")}
         target = claim_file(self.out, force=self.force)
         if self.smplx is not None:
-            from bake.smplx import bake_smplx
+            from bake.people.smplx import bake_smplx
 
             bake_smplx(self.smplx, target, betas=self.betas, color=colors["skin"])
         else:
@@ -148,8 +148,8 @@ class BodiesBake:
         return Outcome(text=f"wrote {target}: {body}", data={"file": str(target), **_row(body)})
 
     def _bake(self, target: Path, colors: dict[str, tuple[int, int, int]]) -> None:
-        from bake.humanoid import bake_bodies
-        from bake.people import BodySpec, Outfit, phenotype
+        from bake.people.designs import BodySpec, Outfit, phenotype
+        from bake.people.humanoid import bake_bodies
 
         made = phenotype(
             self.gender, age=self.age, muscle=self.muscle, weight=self.weight, african=self.african, asian=self.asian

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bake.links import (
+from bake.robots.links import (
     AMBER,
     GLASS,
     GRAPHITE,
@@ -25,7 +25,7 @@ from bake.links import (
     box_collision,
     capsule_collision,
 )
-from bake.solids import ball_points, box_points, disc_points, solid
+from bake.robots.solids import ball_points, box_points, disc_points, solid
 
 ARM_REST = (0.0, -3.14, 0.0, 3.0, 0.0, 0.0, 0.0)
 GRIPPER_REST = 0.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bake.rig import Rig
+from bake.people.rig import Rig
 from h3data.bodies.people.clips import JOG_SPEED_MPS, WALK_SPEEDS_MPS, Gaits
 from h3data.bodies.people.gait import JOG, PARAMETERS, WALK, GaitStyle, amplitude, gait_posture, jog_stride, walk_stride
 from h3data.bodies.people.humanoid_file import legs_from_offsets

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.anny_shape import RawShape
+from bake.people.anny_shape import RawShape
 from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX, PARENTS
 from h3data.geometry import Array, normalized
 

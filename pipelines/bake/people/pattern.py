@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.cutting import Cloth, layered, normals, raised
-from bake.garments import BROWS, HAIR, RANK, Tailor, joint_weight
-from bake.people import Outfit
-from bake.rig import Rig
-from bake.shaping import bun, seen_faces, shoe, smooth_skin
+from bake.people.cutting import Cloth, layered, normals, raised
+from bake.people.designs import Outfit
+from bake.people.garments import BROWS, HAIR, RANK, Tailor, joint_weight
+from bake.people.rig import Rig
+from bake.people.shaping import bun, seen_faces, shoe, smooth_skin
 from h3data.bodies.people.skeleton import FINGERS
 from h3data.geometry import Array
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.capsules import capsule_parts
-from bake.humanoid import body_arrays, digest, mesh_arrays, write_npz
-from bake.rig import Rig
+from bake.people.capsules import capsule_parts
+from bake.people.humanoid import body_arrays, digest, mesh_arrays, write_npz
+from bake.people.rig import Rig
 from h3data.bodies.people.humanoid_file import VERTEX_UNIT_M, to_planes
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_INDEX, JOINT_NAMES, PARENTS
 from h3data.errors import FormatError, InputError

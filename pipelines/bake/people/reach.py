@@ -1,4 +1,4 @@
-"""Solve the table of reaching postures: ``python -m bake.reach`` writes ``datasets/bodies/reach/table.npz``.
+"""Solve the table of reaching postures: ``python -m bake.people.reach`` writes ``datasets/bodies/reach/table.npz``.
 
 Per point of the grid a posture is found by Levenberg-Marquardt: little effort, joint limits, balance, an arm that is long
 enough and stays out of the body, and the likeness of neighbouring points, all for several bodies at once, so that one table
@@ -12,7 +12,7 @@ import logging
 import numpy as np
 from numba import njit
 
-from bake.humanoid import write_npz
+from bake.people.humanoid import write_npz
 from h3data.bodies import humanoid_names, load_humanoid
 from h3data.bodies.people import reach_kernel as k
 from h3data.bodies.people.reach import TABLE_FILE, TABLE_FORMAT, Reacher, Table, reach_body

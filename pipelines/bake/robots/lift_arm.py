@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bake.links import (
+from bake.robots.links import (
     AMBER,
     GLASS,
     GRAPHITE,
@@ -24,7 +24,7 @@ from bake.links import (
     box_collision,
     capsule_collision,
 )
-from bake.solids import ball_points, box_points, disc_points, solid
+from bake.robots.solids import ball_points, box_points, disc_points, solid
 
 WHEEL_RADIUS, WHEEL_Y = 0.0508, 0.157
 MAST_X, MAST_Y, MAST_TOP = -0.067, 0.135, 1.21

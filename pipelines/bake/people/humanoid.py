@@ -1,4 +1,4 @@
-"""Bake people into `datasets/bodies/`: ``python -m bake.humanoid``. The same script gives the same bytes.
+"""Bake people into `datasets/bodies/`: ``python -m bake.people.humanoid``. The same script gives the same bytes.
 
 Needs the extra ``bodies`` (anny 0.6.2: 130 s and 1.8 GB the first time). The phenotype that made a body is stored in its
 file. Results are committed: users never run this.
@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.anny_shape import shapes
-from bake.capsules import capsule_parts, fit_capsules
-from bake.gait import fit_gaits, legs_of
-from bake.garments import REGIONS
-from bake.pattern import Pattern
-from bake.people import BODIES, PATTERN, BodySpec
-from bake.rig import Rig, build_rig
+from bake.people.anny_shape import shapes
+from bake.people.capsules import capsule_parts, fit_capsules
+from bake.people.designs import BODIES, PATTERN, BodySpec
+from bake.people.gait import fit_gaits, legs_of
+from bake.people.garments import REGIONS
+from bake.people.pattern import Pattern
+from bake.people.rig import Rig, build_rig
 from h3data.bodies.people.humanoid_file import (
     COMMON_FILE,
     COMMON_FORMAT,

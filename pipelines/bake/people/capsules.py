@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.rig import Rig
+from bake.people.rig import Rig
 from h3data.bodies.people.humanoid import BodyCapsule
 from h3data.bodies.people.skeleton import FINGERS, JOINT_INDEX
 from h3data.geometry import Array

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.cutting import Cloth, Field, Splits, cut
-from bake.people import Outfit
-from bake.rig import Rig
+from bake.people.cutting import Cloth, Field, Splits, cut
+from bake.people.designs import Outfit
+from bake.people.rig import Rig
 from h3data.bodies.people.skeleton import FINGERS, JOINT_INDEX
 from h3data.geometry import Array, normalized
 

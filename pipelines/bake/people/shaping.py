@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bake.cutting import Cloth
-from bake.garments import Tailor, joint_weight, smoothstep
-from bake.people import Outfit
-from bake.rig import Rig
+from bake.people.cutting import Cloth
+from bake.people.designs import Outfit
+from bake.people.garments import Tailor, joint_weight, smoothstep
+from bake.people.rig import Rig
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array, normalized
 
