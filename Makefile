@@ -28,10 +28,10 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, in
 	test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
-	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/lerobot_loader/requirements.txt
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --force -o out/lerobot/ds
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
-	$(LEROBOT)/bin/python tests/lerobot_loader/open_datasets.py out/lerobot/ds out/lerobot/export
+	$(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py out/lerobot/ds out/lerobot/export
 
 GLTF := out/gltf
 check-gltf: setup  ## exported animations and scenes pass the Khronos validator (needs npm)
@@ -39,7 +39,7 @@ check-gltf: setup  ## exported animations and scenes pass the Khronos validator 
 	$(BIN)/h3data export $(GLTF)/ds#0 --to gltf --light --force -o $(GLTF)/episode.glb
 	$(BIN)/h3data scenes export small:0 --force -o $(GLTF)/scene
 	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
-	NODE_PATH=$(GLTF)/node_modules node tests/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
+	NODE_PATH=$(GLTF)/node_modules node tests/export/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
 
 check: setup  ## format, lint, types, layers, circles
 	$(BIN)/ruff format --check .

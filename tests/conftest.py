@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.paths import REAL
+
 try:
     from hypothesis import HealthCheck, settings
 except ImportError:  # a machine with a GPU and little else: `pytest -m gpu`
-    collect_ignore = [path.name for path in Path(__file__).parent.glob("test_*.py") if path.name != "test_gpu.py"]
+    collect_ignore = [str(path) for path in Path(__file__).parent.rglob("test_*.py") if path.name != "test_gpu.py"]
 else:
     settings.register_profile(
         "h3data", derandomize=True, deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow]
     )
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "h3data"))
-
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 
 
 @pytest.fixture(scope="session")

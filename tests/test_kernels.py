@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from h3data import kernels
-
-ROOT = Path(__file__).resolve().parents[1]
+from tests.paths import ROOT
 
 KERNEL = """
 from h3data.kernels import kernel

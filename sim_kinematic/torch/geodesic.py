@@ -2,7 +2,7 @@
 
 Where a straight way is free, its length; else the shortest way through the lattice nodes around both ends
 (`h3data.scene.FreeSpace.lattice`). Beside the exact `FreeSpace.geodesic`, measured on pairs of random points in furnished
-homes: median 0.05 to 0.1 % off, 95 % within 1.2 % (tests/test_torch_social_nav.py holds that). Where the way is
+homes: median 0.05 to 0.1 % off, 95 % within 1.2 % (tests/sim/torch/test_social_nav.py holds that). Where the way is
 not straight, the direction in which it begins is a mean over those nodes: median 4 degrees off, 90 % within 15.
 """
 

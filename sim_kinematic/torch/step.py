@@ -2,7 +2,7 @@
 
 The numba kernels there are the definition; here branches are `torch.where`, loops have a fixed length, and nothing waits for
 the device, so a step can be captured in a CUDA graph. The two agree to 1e-5 m over 1,000 steps in float64
-(tests/test_torch_step.py). A graph pays for every operation, so what two branches need is computed together.
+(tests/sim/torch/test_step.py). A graph pays for every operation, so what two branches need is computed together.
 
 Points on the floor are [..., W, 2]: what a world has several of comes before its axis. Only ``strict`` sliding is here.
 """

@@ -1,7 +1,7 @@
 """The profiles ``habitat`` and ``habitat@0.3.0``: what habitat-lab would have printed for a recording.
 
 Row 0 of the recording stands for Habitat's reset, which it counts as step 1. The arithmetic is in
-`h3data.metrics.habitat.stats` and `h3data.metrics.habitat.reward`; golden data: tests/test_metrics_habitat.py.
+`h3data.metrics.habitat.stats` and `h3data.metrics.habitat.reward`; golden data: tests/metrics/test_habitat.py.
 """
 
 from __future__ import annotations

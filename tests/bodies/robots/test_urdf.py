@@ -1,0 +1,384 @@
+"""URDF: Habitat's own files with its forward kinematics, every kind of geometry, and hostile input."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from h3data.bodies import load_robot, read_urdf
+from h3data.bodies.robots.urdf import Urdf
+from h3data.errors import FormatError, H3DataError, InputError, MissingAssetError
+from h3data.geometry import pose_from_matrix, pose_inverse, pose_multiply
+from h3data.scene.records import Box, Capsule, Cylinder, Hull
+from tests.paths import HABITAT_SIM
+
+needs_real = pytest.mark.skipif(not HABITAT_SIM.is_dir(), reason="Habitat's real files are not beside the checkout")
+FILES = {
+    "fridge": "data/test_assets/urdf/fridge/fridge.urdf",
+    "kuka": "data/test_assets/urdf/kuka_iiwa/model_free_base.urdf",
+    "prim_chain": "data/test_assets/urdf/prim_chain.urdf",
+    "skinned_prism": "data/test_assets/urdf/skinned_prism.urdf",
+    "amass_male": "data/test_assets/urdf/amass_male.urdf",
+}
+
+
+ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
+
+
+def _write(folder: Path, body: str, *, head: str = '<?xml version="1.0"?>') -> Path:
+    path = folder / "robot.urdf"
+    path.write_text(f'{head}<robot name="test">{body}</robot>')
+    return path
+
+
+def _joint(name: str, parent: str, child: str, kind: str = "fixed", more: str = "") -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
+
+
+# --- Habitat's files --------------------------------------------------------------------------------------------------
+@needs_real
+@pytest.mark.parametrize("name", FILES)
+def test_forward_kinematics_equals_habitat(name: str) -> None:
+    """Habitat's link pose is the centre-of-mass frame, and so is its object pose (reference/README.md, physics)."""
+    golden = json.loads((HABITAT_SIM / "reference/physics/forward_kinematics.json").read_text())[name]
+    robot = load_robot(HABITAT_SIM / FILES[name], up="y")  # Habitat does not turn the base frame
+    order = [
+        j["joint"] + part
+        for j in golden["joints"]
+        for part in {0: (), 1: ("",), 4: (".x", ".y", ".z", ".w")}[j["num_pos"]]
+    ]
+    base_inertial = pose_from_matrix(robot.links[0].inertial)
+    bases, positions = [], []
+    for sample in golden["samples"]:
+        w, x, y, z = sample["base_rotation_wxyz"]
+        com = np.array([*sample["base_translation"], x, y, z, w])
+        bases.append(pose_multiply(com, pose_inverse(base_inertial)))
+        values = dict(zip(order, sample["joint_positions"], strict=True))
+        positions.append([values[j] for j in robot.joint_names])
+    matrices = robot.link_matrices(np.array(bases), np.array(positions))
+    inertial = np.stack([link.inertial for link in robot.links])
+    found = matrices @ inertial
+    expected = np.array([[sample["links"][link] for link in robot.link_names] for sample in golden["samples"]])
+    assert expected.shape == found.shape
+    assert len(found) == 40
+    assert np.abs(found - expected).max() < 6e-6
+
+
+@needs_real
+def test_real_files_load_with_meshes_and_shapes() -> None:
+    robots = {name: load_robot(HABITAT_SIM / path) for name, path in FILES.items()}
+    counts = {"fridge": 2, "kuka": 7, "prim_chain": 2, "skinned_prism": 16, "amass_male": 68}
+    assert {name: len(r.joint_names) for name, r in robots.items()} == counts
+    kuka, fridge, chain = robots["kuka"], robots["fridge"], robots["prim_chain"]
+    assert all(link.mesh is not None for link in kuka.links)
+    assert tuple(kuka.links[1].mesh.colors[0]) == (128, 178, 255)  # material Blue: 0.5 0.7 1.0
+    assert len(fridge.links[1].shapes) == 9
+    assert isinstance(kuka.links[0].shapes[0], Hull)
+    kinds = [type(link.shapes[0]) for link in chain.links]
+    assert kinds == [Box, Capsule, Cylinder, Capsule]
+    np.testing.assert_allclose(fridge.upper, [2.3, 2.5])  # in the order of the file: top door, bottom door
+    assert len(np.unique(fridge.links[1].mesh.colors, axis=0)) >= 1
+
+
+@needs_real
+def test_every_real_urdf_loads() -> None:
+    files = sorted(HABITAT_SIM.parent.rglob("*.urdf"))
+    assert len(files) == 10
+    for path in files:
+        robot = load_robot(path)
+        assert np.isfinite(robot.link_matrices(ROOT, robot.rest[None])).all(), path
+
+
+@needs_real
+def test_reading_does_not_write_or_depend_on_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(read_urdf(str(HABITAT_SIM / FILES["kuka"])), Urdf)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- geometry and joints ----------------------------------------------------------------------------------------------
+def test_shapes_lie_where_the_file_says(tmp_path: Path) -> None:
+    shapes = (
+        '<collision><origin xyz="1 2 3" rpy="0 1.5707963267948966 0"/>'
+        '<geometry><capsule radius="0.1" length="0.6"/></geometry></collision>'
+        '<collision><geometry><cylinder radius="0.2" length="0.5"/></geometry></collision>'
+        '<collision><origin xyz="0 0 1"/><geometry><box size="1 2 4"/></geometry></collision>'
+        '<collision><geometry><sphere radius="0.3"/></geometry></collision>'
+    )
+    capsule, cylinder, box, sphere = load_robot(_write(tmp_path, f'<link name="a">{shapes}</link>')).links[0].shapes
+    np.testing.assert_allclose(capsule.end, [1.3, 2, 3], atol=1e-12)  # its z axis turned to x
+    np.testing.assert_allclose(capsule.start, [0.7, 2, 3], atol=1e-12)
+    np.testing.assert_allclose(cylinder.pose, [0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-12)  # y to z
+    assert cylinder.half_height == 0.25
+    np.testing.assert_allclose(box.half_extents, [0.5, 1, 2])
+    np.testing.assert_allclose(sphere.start, sphere.end)
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume"),
+    [
+        ('<box size="1 2 3"/>', 6.0),
+        ('<cylinder radius="0.5" length="2"/>', np.pi / 2),
+        ('<sphere radius="0.5"/>', np.pi / 6),
+        ('<capsule radius="0.5" length="1"/>', np.pi / 6 + np.pi / 4),
+    ],
+)
+def test_primitive_meshes_are_closed_and_outward(tmp_path: Path, shape: str, volume: float) -> None:
+    material = '<material name="m"><color rgba="1 0 0.5 1"/></material>'
+    visual = f'<visual><origin xyz="5 0 0"/><geometry>{shape}</geometry>{material}</visual>'
+    mesh = load_robot(_write(tmp_path, f'<link name="a">{visual}</link>')).links[0].mesh
+    assert mesh is not None
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) - [5, 0, 0] for k in range(3))
+    assert np.sum(a * np.cross(b, c)) / 6 == pytest.approx(volume, rel=0.06)
+    outward = np.sum((mesh.vertices - [5, 0, 0]) * mesh.normals, axis=1)
+    assert outward.min() > 0
+    assert tuple(mesh.colors[0]) == (255, 0, 128)
+
+
+def test_joint_kinds(tmp_path: Path) -> None:
+    body = "".join(f'<link name="{n}"/>' for n in "abcd")
+    body += _joint("slide", "a", "b", "prismatic", '<axis xyz="0 0 2"/><limit lower="-1" upper="1"/>')
+    body += _joint("spin", "b", "c", "continuous", '<origin xyz="1 0 0"/><axis xyz="0 0 1"/>')
+    body += _joint("weld", "c", "d", "fixed", '<origin xyz="0 1 0"/>')
+    robot = load_robot(_write(tmp_path, body), up="y")
+    assert robot.joint_names == ("slide", "spin")
+    assert list(robot.upper) == [1, np.inf]
+    frames = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.array([[0.5, np.pi / 2]]))[0]
+    np.testing.assert_allclose(frames[3, :3, 3], [0, 0, 0.5], atol=1e-12)  # 1 forward, then 1 along the turned y
+    np.testing.assert_allclose(frames[2, :3, 3], [1, 0, 0.5], atol=1e-12)
+
+
+def test_urdf_z_up_becomes_root_y_up(tmp_path: Path) -> None:
+    body = '<link name="a"/><link name="b"/>' + _joint("j", "a", "b", "fixed", '<origin xyz="1 2 3"/>')
+    frames = load_robot(_write(tmp_path, body)).link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 0)))[0]
+    np.testing.assert_allclose(frames[1, :3, 3], [1, 3, -2], atol=1e-12)  # forward, up, right
+
+
+LIMIT = '<limit lower="-1" upper="1"/>'
+
+
+def test_a_mimic_joint_follows_the_one_that_leads_it(tmp_path: Path) -> None:
+    """position = multiplier * leader + offset; a mimic of a mimic follows the first."""
+    body = "".join(f'<link name="{n}"/>' for n in "abcd")
+    body += _joint("third", "c", "d", "prismatic", '<axis xyz="0 0 1"/><mimic joint="second" multiplier="-2"/>')
+    body += _joint(
+        "second", "b", "c", "revolute", f'{LIMIT}<axis xyz="0 0 1"/><mimic joint="first" multiplier="3" offset="0.5"/>'
+    )
+    body += _joint("first", "a", "b", "prismatic", f'{LIMIT}<axis xyz="1 0 0"/>')
+    path = _write(tmp_path, body)
+    assert [j.name for j in read_urdf(path).movable] == ["first"]
+    robot = load_robot(path, up="y")
+    assert robot.joint_names == ("first",)
+    assert robot.link_names == ("a", "b", "c", "d")
+    for x in (-1.0, 0.0, 0.3):
+        frames = robot.link_matrices(ROOT, np.array([[x]]))[0]
+        angle = 3 * x + 0.5
+        np.testing.assert_allclose(frames[2, :2, 0], [np.cos(angle), np.sin(angle)], atol=1e-12)
+        np.testing.assert_allclose(frames[3, :3, 3], [x, 0, -2 * angle], atol=1e-12)
+
+
+def test_a_spherical_joint_takes_a_quaternion(tmp_path: Path) -> None:
+    body = PAIR + _joint("ball", "a", "b", "spherical", '<origin xyz="0 1 0"/>')
+    robot = load_robot(_write(tmp_path, body), up="y")
+    assert robot.joint_names == ("ball.x", "ball.y", "ball.z", "ball.w")
+    np.testing.assert_array_equal(robot.rest, [0, 0, 0, 1])
+    turned = robot.link_matrices(ROOT, np.array([[0, 0, 1.0, 1.0]]))[
+        0, 1
+    ]  # a quarter about z; its length does not matter
+    np.testing.assert_allclose(turned, [[0, -1, 0, 0], [1, 0, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
+
+
+def test_package_paths_are_found_beside_and_above(tmp_path: Path) -> None:
+    from h3data.builtin import builtin_path
+
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "meshes").mkdir()
+    source = builtin_path("robots/quad_arm/meshes/arm_wrist.glb")
+    (tmp_path / "meshes" / "a.glb").write_bytes(source.read_bytes())
+    mesh = '<mesh filename="package://thing/meshes/a.glb" scale="2 2 2"/>'
+    body = f'<link name="a"><visual><geometry>{mesh}</geometry></visual></link>'
+    small, large = load_robot("quad_arm"), load_robot(_write(tmp_path / "urdf", body)).links[0].mesh
+    wrist = small.links[small.link_names.index("arm_wrist")].mesh
+    np.testing.assert_allclose(large.vertices, 2 * wrist.vertices, atol=1e-6)
+
+
+# --- hostile input ----------------------------------------------------------------------------------------------------
+LINKS = "".join(f'<link name="{n}"/>' for n in "abc")
+PAIR = '<link name="a"/><link name="b"/>'
+HOSTILE = {
+    "cycle": (LINKS + _joint("1", "b", "c") + _joint("2", "c", "b"), "cycle"),
+    "closed ring": (PAIR + _joint("1", "a", "b") + _joint("2", "b", "a"), "cycle"),
+    "two roots": (LINKS + _joint("1", "a", "b"), "expected one link without a parent, got a, c"),
+    "two parents": (LINKS + _joint("1", "a", "c") + _joint("2", "b", "c"), "link c has two parents"),
+    "mimic of nothing": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="z"/>'), "cannot mimic 'z'"),
+    "mimic of a fixed one": (
+        LINKS + _joint("1", "a", "b") + _joint("2", "b", "c", "revolute", '<mimic joint="1"/>'),
+        "joint 2: it cannot mimic '1'",
+    ),
+    "mimic in a circle": (
+        LINKS
+        + _joint("1", "a", "b", "revolute", '<mimic joint="2"/>')
+        + _joint("2", "b", "c", "revolute", '<mimic joint="1"/>'),
+        "mimics itself in a circle",
+    ),
+    "mimic of itself": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="1"/>'), "in a circle"),
+    "mimic by NaN": (PAIR + _joint("1", "a", "b", "revolute", '<mimic joint="1" offset="nan"/>'), "1 finite"),
+    "negative size": (
+        '<link name="a"><visual><geometry><box size="1 -1 1"/></geometry></visual></link>',
+        "no negative",
+    ),
+    "unknown joint type": (LINKS + _joint("1", "a", "b", "floating"), "expected type revolute.*got 'floating'"),
+    "unknown link": (LINKS + _joint("1", "a", "z"), "there is no link 'z'"),
+    "twice": ('<link name="a"/><link name="a"/>', "link a is there twice"),
+    "no links": ("", "expected one link without a parent"),
+    "no child": (
+        '<link name="a"/><joint name="j" type="fixed"><parent link="a"/></joint>',
+        "needs <parent> and <child>",
+    ),
+    "not a number": ('<link name="a"><inertial><origin xyz="0 x 0"/></inertial></link>', "3 finite"),
+    "infinite": ('<link name="a"><visual><geometry><sphere radius="inf"/></geometry></visual></link>', "1 finite"),
+    "no geometry": ('<link name="a"><visual/></link>', "no geometry"),
+    "unknown geometry": ('<link name="a"><visual><geometry><torus/></geometry></visual></link>', "got torus"),
+    "zero axis": (PAIR + _joint("1", "a", "b", "revolute", '<axis xyz="0 0 0"/>'), "axis is zero"),
+    "limits": (PAIR + _joint("1", "a", "b", "revolute", '<limit lower="1" upper="0"/>'), "lower limit"),
+    "xacro": ('<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro" name="x"/>', "expand it first"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_urdf_is_refused_in_words(tmp_path: Path, case: str) -> None:
+    body, message = HOSTILE[case]
+    with pytest.raises(FormatError, match=message):
+        read_urdf(_write(tmp_path, body))
+
+
+def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+    body = LINKS + _joint("1", "a", "z") + _joint("2", "a", "b", "floating")
+    with pytest.raises(FormatError, match=r"floating.*no link 'z'"):
+        read_urdf(_write(tmp_path, body))
+
+
+def test_entities_are_refused(tmp_path: Path) -> None:
+    bomb = '<?xml version="1.0"?><!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b SYSTEM "file:///etc/passwd">]>'
+    with pytest.raises(FormatError, match="DOCTYPE"):
+        read_urdf(_write(tmp_path, '<link name="&b;"/>', head=bomb))
+    wide = tmp_path / "wide.urdf"
+    wide.write_bytes((bomb + "<robot/>").encode("utf-16"))
+    with pytest.raises(FormatError, match="UTF-16"):
+        read_urdf(wide)
+
+
+@pytest.mark.parametrize(
+    ("filename", "message"),
+    [
+        ("../../../../../../../../etc/passwd", "two folders above"),
+        ("../../../secret.stl", "two folders above"),
+        ("/etc/hosts.stl", "two folders above"),
+        ("file:///etc/hosts.stl", "two folders above"),
+        ("package://x/../../../../a.stl", "two folders above"),
+        ("../passwd", "expected one of .glb"),
+        ("http://example.org/a.stl", "path of a file"),
+        ("a" * 5000 + ".stl", "at most 1024 characters"),
+        ("", "expected one of .glb"),
+    ],
+)
+def test_meshes_outside_are_refused(tmp_path: Path, filename: str, message: str) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    body = f'<link name="a"><visual><geometry><mesh filename="{filename}"/></geometry></visual></link>'
+    with pytest.raises(FormatError, match=message):
+        read_urdf(_write(tmp_path / "a" / "b", body))
+
+
+def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
+    body = "".join(f'<link name="{k}"/>' for k in range(10_001))
+    with pytest.raises(FormatError, match="at most 10000 links, got 10001"):
+        read_urdf(_write(tmp_path, body))
+    chain = "".join(f'<link name="{k}"/>' for k in range(3000))
+    chain += "".join(_joint(f"j{k}", str(k), str(k + 1), "revolute", LIMIT) for k in range(2999))
+    assert len(load_robot(_write(tmp_path, chain)).joint_names) == 2999
+
+
+def test_missing_meshes_are_listed(tmp_path: Path) -> None:
+    body = '<link name="a"><visual><geometry><mesh filename="gone/one.glb"/></geometry></visual></link>'
+    with pytest.raises(MissingAssetError, match=r"names 1 mesh file.*one\.glb"):
+        read_urdf(_write(tmp_path, body))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"not xml", b"<robot><link", b"<sdf/>", b'{"json": 1}', b"\xff\xfe\x00garbage"]
+)
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.urdf"
+    path.write_bytes(content)
+    with pytest.raises(H3DataError):
+        read_urdf(path)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found none"):
+        read_urdf(tmp_path / "no.urdf")
+
+
+def test_cut_off_mesh_is_refused(tmp_path: Path) -> None:
+    from h3data.builtin import builtin_path
+
+    whole = builtin_path("robots/quad_arm/meshes/arm_wrist.glb").read_bytes()
+    body = '<link name="a"><visual><geometry><mesh filename="a.glb"/></geometry></visual></link>'
+    path = _write(tmp_path, body)
+    for cut in (0, 10, 100, len(whole) // 2, len(whole) - 4):
+        (tmp_path / "a.glb").write_bytes(whole[:cut])
+        with pytest.raises(H3DataError):  # failures are not kept
+            load_robot(path)
+
+
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    path = _write(tmp_path, '<link name="a"/>')
+    before = load_robot(path)
+    assert load_robot(path) is before
+    _write(tmp_path, '<link name="other"/>')
+    assert [link.name for link in load_robot(path).links] == ["other"]
+
+
+WORDS = (
+    "nan",
+    "1e308",
+    "-1",
+    "",
+    '"',
+    "<",
+    ">",
+    "&x;",
+    "revolute",
+    "spherical",
+    "a",
+    "b",
+    "jb",
+    "../../../x.stl",
+    "\x01",
+    "é",
+)
+
+
+@settings(derandomize=True, max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 30), st.sampled_from(WORDS)), min_size=1, max_size=3))
+def test_a_damaged_file_loads_or_is_refused_in_words(damage: list[tuple[int, int, str]]) -> None:
+    body = LINKS + _joint("jb", "a", "b", "prismatic", '<origin xyz="1 2 3" rpy="0 1 0"/><axis xyz="0 0 1"/>' + LIMIT)
+    body += _joint("jc", "b", "c", "revolute", '<mimic joint="jb" multiplier="2" offset="1"/>')
+    text = f'<robot name="test"><material name="m"><color rgba="1 0 0 1"/></material>{body}</robot>'
+    for place, length, word in damage:
+        place %= len(text)
+        text = text[:place] + word + text[place + length :]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        path.write_text(text)
+        try:
+            robot = load_robot(path)
+        except H3DataError:
+            return
+    assert robot.link_matrices(ROOT, robot.rest[None]).shape == (1, len(robot.links), 4, 4)

@@ -1,0 +1,44 @@
+"""The built wheel is complete: its packages and data work outside the repository."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+from tests.paths import ROOT
+
+
+def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(tmp_path / "dist"), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    assert wheel.stat().st_size < 8_000_000
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        archive.extractall(site)
+    top = {name.partition("/")[0] for name in names}
+    assert {n for n in top if not n.endswith(".dist-info")} == {
+        "h3data",
+        "sim_kinematic",
+        "h3data_pipelines",
+        "h3data_viewers",
+    }
+    assert "h3data/_datasets/bodies/female_0.npz" in names
+    assert {f"h3data/_datasets/h3-homes/{f}" for f in ("train.toml", "val.toml", "test.toml", "README.md")} <= set(
+        names
+    )
+    assert {f"h3data_viewers/html_report/{f}" for f in ("paper_results.toml", "page/page.css")} <= set(names)
+    assert not any(name.endswith((".pyc", ".nbi", ".nbc")) for name in names)
+    script = (
+        "import h3data, h3data.builtin, h3data_pipelines.cli as cli; "
+        f"assert h3data.__file__.startswith({str(site)!r}), h3data.__file__; "
+        "assert h3data.builtin.builtin_root().name == '_datasets'; "
+        "raise SystemExit(cli.main(['generate', 'social_nav', '--scenes', 'h3-homes/test', '--episodes', '1', "
+        "'--max-steps', '10', '-o', 'ds']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "1 episode of h3-homes/test" in done.stdout

@@ -1,0 +1,126 @@
+"""Rewards: those of the real habitat-lab step by step, and the published formulas."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from h3data.errors import InputError
+from h3data.metrics.habitat.config import HabitatConfig
+from sim_kinematic.tasks.rewards import REARRANGE_REWARDS, Encounter, PaperReward, RearrangeReward, SocialNavReward
+from tests.paths import REAL
+
+GOLDEN = REAL / "habitat-lab" / "reference"
+FILES = sorted((GOLDEN / "socialnav").glob("[0-9]*.npz"))
+needs_real = pytest.mark.skipif(not FILES, reason="needs the real Habitat files in ../shared/real")
+
+
+def config_of(path: Path) -> HabitatConfig:
+    said = json.loads(path.with_suffix(".json").read_text())
+    sections = {
+        "social_nav_stats": said["social_nav_stats_config"],
+        "social_nav_reward": said["social_nav_reward_config"],
+        "nav_seek_success": said["nav_seek_success_config"],
+    }
+    told = {name: {k: v for k, v in section.items() if k != "type"} for name, section in sections.items()}
+    told |= {"slack_reward": said["slack_reward"], "success_reward": said["success_reward"]}
+    return HabitatConfig.from_info({"habitat_config": told})
+
+
+@needs_real
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
+def test_every_step_pays_what_habitat_pays(path: Path) -> None:
+    """Twice at once: the second world lags a step behind, so that it is reset while the first goes on."""
+    data = dict(np.load(path))
+    reward = SocialNavReward(2, profile="habitat", habitat=config_of(path))
+    steps = len(data["geodesic"])
+
+    def seen(k: int) -> Encounter:
+        rows = [k, max(k - 1, 0)]
+        return Encounter(
+            robot_xz=data["robot_base_pos_f32"][rows][:, [0, 2]], robot_heading=data["in_robot_yaw"][rows],
+            human_xz=data["human_base_pos_f32"][rows][:, [0, 2]], geodesic=data["geodesic"][rows],
+            collides=data["in_did_collide"][rows], collisions=data["in_total_collisions"][rows],
+            goal_xz=np.tile(data["nav_goal_pos"][[0, 2]], (2, 1)),
+        )  # fmt: skip
+
+    first = reward.reset(seen(0))
+    rows = [first.reward[0]]
+    for k in range(1, steps):
+        if k == 1:
+            step = reward.step(seen(k))
+            late = reward.reset(seen(k), where=[False, True])
+            assert late.reward[0] == 0
+        else:
+            step = reward.step(seen(k))
+            assert step.reward[1] == pytest.approx(rows[-1], abs=1e-12)
+        rows.append(step.reward[0])
+        assert step.success[0] == data["seek_success"][k], k
+    # Habitat adds in float32: half a unit in the last place of 14.9, on top of the reward's own 1e-6
+    np.testing.assert_allclose(rows, data["rl_reward"], rtol=0, atol=4e-6)
+    assert reward.followed[0] == data["following_step"][-1]
+
+
+@needs_real
+def test_cooperation_pays_what_habitat_pays() -> None:
+    for case in json.loads((GOLDEN / "rearrange" / "cooperate_reward.json").read_text()):
+        spec = RearrangeReward(stage=case["stage_sparse_reward"], collision=case["collide_penalty"], slack=0.0)
+        paid, ended = np.zeros((1, 4), np.bool_), False
+        for k, truth in enumerate(case["stage_truth"]):
+            hit = case["did_collide"][k]
+            ended |= hit
+            assert spec.step([list(truth.values())], paid, collides=hit)[0] == case["reward"][k]
+            assert ended == case["should_end"][k]
+
+
+def meeting(distance: float, *, turned: float = 0.0, collides: bool = False) -> Encounter:
+    return Encounter([[0.0, 0.0]], [turned], [[distance, 0.0]], [distance], collides=[collides])
+
+
+def test_the_papers_reward_by_hand() -> None:
+    reward = SocialNavReward(1)
+    assert not reward.reset(meeting(4.0)).reward.any()
+    assert reward.step(meeting(3.5)).reward[0] == pytest.approx(0.5 - 0.1)  # nearer
+    assert reward.step(meeting(3.6)).reward[0] == pytest.approx(-0.1 - 0.1)  # farther
+    assert reward.step(meeting(3.0)).reward[0] == pytest.approx(0.6 + 3 - 0.1)  # 3 m away, and facing her
+    assert reward.step(meeting(2.0)).reward[0] == pytest.approx(2 + 3 - 0.1)
+    assert reward.step(meeting(2.0, turned=np.pi)).reward[0] == pytest.approx(2 - 3 - 0.1)
+    assert reward.step(meeting(1.0)).reward[0] == pytest.approx(-1 + 3 - 0.1)  # too near
+    hit = reward.step(meeting(0.5, collides=True))
+    assert hit.reward[0] == pytest.approx(-0.5 + 3 - 0.1)
+    assert hit.ends[0]
+
+
+def test_the_papers_bonus_is_paid_once() -> None:
+    reward = SocialNavReward(1, paper=PaperReward(follow_steps=5))
+    reward.reset(meeting(1.5))
+    paid = [reward.step(meeting(1.5)) for _ in range(8)]
+    assert [bool(p.success[0]) for p in paid] == [False] * 4 + [True] * 4
+    assert [round(p.reward[0] - 4.9) for p in paid] == [0, 0, 0, 0, 10, 0, 0, 0]
+
+
+def test_without_a_way_the_straight_distance_counts() -> None:
+    reward = SocialNavReward(1)
+    reward.reset(meeting(4.0)._replace(geodesic=[np.inf]))
+    assert reward.step(meeting(3.8)._replace(geodesic=[np.inf])).reward[0] == pytest.approx(0.2 - 0.1)
+
+
+def test_rearrangement_in_both_profiles() -> None:
+    for profile, collision, slack in (("paper", 5.0, -0.005), ("habitat", 0.5, -0.0005)):
+        spec, paid = REARRANGE_REWARDS[profile], np.zeros((2, 4), np.bool_)
+        first = spec.step([[True, False, True, False], [False] * 4], paid, collides=[False, True])
+        np.testing.assert_allclose(first, [10 + slack, slack - collision])
+        again = spec.step([[True, True, False, False], [False] * 4], paid, success=[True, False])
+        np.testing.assert_allclose(again, [5 + 10 + slack, slack])
+
+
+def test_what_cannot_be_rewarded_is_refused() -> None:
+    with pytest.raises(InputError, match="paper, habitat"):
+        SocialNavReward(1, profile="galactic")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"\[3, 2\]"):
+        SocialNavReward(3).step(meeting(1.0))
+    with pytest.raises(InputError, match="sub-goals"):
+        RearrangeReward().step([[True]], np.zeros((1, 4), np.bool_))
