@@ -20,7 +20,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.arm_tuck import draw_arms
-from sim_kinematic.agents.roster import Member, cast_of, draw_places
+from sim_kinematic.agents.roster import AgentSpec, draw_places, make_roster
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import clear_of_furniture, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
@@ -40,7 +40,7 @@ class AgentWorlds:
         """
         Args:
             scene: The home.
-            agents: Who is there (`cast_of`).
+            agents: Who is there (`make_roster`).
             worlds: W.
             spec: Speeds and radii; ``spawn_distance_m`` is how far apart they begin, where there is room.
             free: The map, which saves building it again.
@@ -53,7 +53,7 @@ class AgentWorlds:
         self.scene, self.spec = scene, spec or SocialNavSpec()
         size = self.spec.agent_radius_m, self.spec.agent_height_m
         self.free = free or FreeSpace.from_scene(scene, radius_m=size[0], height_m=size[1])
-        self.cast: tuple[Member, ...] = cast_of(agents)
+        self.cast: tuple[AgentSpec, ...] = make_roster(agents)
         robots = [member.body for member in self.cast if isinstance(member.body, Robot)]
         self.state = WorldState.zeros(
             int(worlds), robots=len(robots), people=len(self.cast) - len(robots), joints=[len(r.rest) for r in robots]

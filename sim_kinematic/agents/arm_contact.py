@@ -12,7 +12,6 @@ from h3data.bodies import Robot
 from h3data.geometry import pose_to_matrix
 from h3data.recording import Event
 from h3data.scene import Scene, Shape
-from sim_kinematic.agents.manipulation import arm_columns
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 
 TOUCH_M = 1e-3
@@ -95,7 +94,7 @@ def touch_events(touches: Sequence[ArmTouch], before: Sequence[ArmTouch], *, ste
 
 def arm_links(robot: Robot) -> list[int]:
     """The links that an arm joint moves, and what hangs on them."""
-    moved = {int(robot.joint_links[c]) for c in arm_columns(robot)}
+    moved = {int(robot.joint_links[c]) for c in robot.require_arm()}
     links: list[int] = []
     for k, link in enumerate(robot.links):
         if k in moved or link.parent in links:

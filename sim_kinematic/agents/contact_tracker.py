@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
-from sim_kinematic.agents.roster import Member
+from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.velocity import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen
 from sim_kinematic.contact import AgentContacts
@@ -29,7 +29,7 @@ AnyActor = RobotActor | PersonActor
 class Encounters:
     """All actors of an episode, where they have been, and who touches whom."""
 
-    def __init__(self, cast: Sequence[Member], actors: Sequence[AnyActor]) -> None:
+    def __init__(self, cast: Sequence[AgentSpec], actors: Sequence[AnyActor]) -> None:
         self.actors = actors
         self.tracks = [[actor.xz.copy()] for actor in actors]
         """Where each was at the end of every step, and at the beginning."""

@@ -8,7 +8,6 @@ grip, then `carry_objects` with the hand's new place.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,24 +23,6 @@ from sim_kinematic.motion.step import first_not_finite
 
 
 # --- the robot's arm ----------------------------------------------------------------------------------------------------
-@lru_cache(maxsize=32)
-def arm_columns(robot: Robot) -> tuple[int, ...]:
-    """Columns of the joint positions that move the hand, base first: 7 of ``quad_arm``.
-
-    Raises:
-        InputError: the robot has no hand.
-    """
-    if robot.hand_link < 0:
-        raise InputError(
-            f"Robot {robot.name} has no hand, so it has no arm to move. Hint: name a hand_link in robot.toml."
-        )
-    chain, link = set(), robot.hand_link
-    while link >= 0:
-        chain.add(link)
-        link = robot.links[link].parent
-    return tuple(column for column, moved in enumerate(robot.joint_links) if int(moved) in chain)
-
-
 @kernel(error_model="numpy")
 def step_joint(position, command, most, lower, upper):
     """A joint after one step of ``command``, clipped to -1..1 of ``most`` [rad or m] and to its limits."""
@@ -61,12 +42,12 @@ def _step_arms(joints, columns, action, most, lower, upper):
 
 def move_arms(state: RobotState, robot: Robot, action: ArrayLike, spec: ArmSpec) -> None:
     """Move the arm of a robot in all its worlds by ``action`` [W, n], in place: -1..1 of ``spec.joint_step`` for each of
-    `arm_columns`.
+    ``robot.arm_columns``.
 
     Raises:
         InputError: the actions or the state's joints have another shape, or an action is not finite; then nothing moved.
     """
-    columns = np.array(arm_columns(robot))
+    columns = np.array(robot.require_arm())
     joints = _checked_joints(state, robot)
     rows = _rows(action, (len(joints), len(columns)), "One number per world and arm joint")
     broken = _step_arms(joints, columns, rows, spec.joint_step, robot.lower, robot.upper)

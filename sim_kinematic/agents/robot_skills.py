@@ -13,7 +13,7 @@ from h3data.bodies import Robot, solve_ik
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.manipulation import arm_columns, grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.robot_arm_clearance import ArmWay, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import hand_turn, nearest_stand, robot_stands
@@ -42,7 +42,7 @@ def checked_command(command: ArrayLike, robot: Robot) -> Array:
     Raises:
         InputError: it has another length or is not finite.
     """
-    count = len(arm_columns(robot)) + 3
+    count = len(robot.require_arm()) + 3
     try:
         action = np.asarray(command, np.float64)
     except (TypeError, ValueError):
@@ -84,8 +84,8 @@ class RobotActor:
 
     def __post_init__(self) -> None:
         self.arm_goal = self.robot.rest.copy()
-        self.hand = self.robot.links[self.robot.hand_link].name
-        self._arm = np.flatnonzero(np.arange(len(self.robot.rest)) < 7)
+        self.hand = self.robot.hand_name
+        self._arm = np.array(self.robot.require_arm())
 
     # --- where it is --------------------------------------------------------------------------------------------------
     @property
@@ -112,7 +112,7 @@ class RobotActor:
     @property
     def arm(self) -> NDArray:
         """Positions of the joints that move the hand [n], a copy."""
-        return self.joints[list(arm_columns(self.robot))]
+        return self.joints[self._arm]
 
     @property
     def pose(self) -> Array:

@@ -1,4 +1,4 @@
-"""Who is in a world: any robots and people, as a list of kinds or of built-in bodies."""
+"""The agents of a world: any robots and people, as a list of kinds, bodies and files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.bodies import Robot, humanoid_names, load_humanoid, load_robot, robot_names
+from h3data.bodies import Robot, humanoid_names, is_robot_file, load_humanoid, load_robot, robot_names
 from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array, ground_pose
 from h3data.scene import FreeSpace
@@ -17,67 +17,82 @@ from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.step import least_clearance
 
+Kind = Literal["robot", "human"]
 ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
-"""Of those who are named by their kind."""
-DRAWS = 100
-"""So often a place is drawn; then it may be half as far from the others, and so on down to `NEAREST_M`."""
+"""Default bodies for 'robot' and 'human'."""
+ATTEMPTS = 100
+"""Places sampled for one agent before the distance to the others is halved, down to `NEAREST_M`."""
 NEAREST_M = 1.0
+"""Least distance [m] between two agents at the start."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Member:
+class AgentSpec:
     """One agent of a world."""
 
-    kind: Literal["robot", "human"]
+    kind: Kind
     name: str
-    """In recordings: its kind, with a number where there are several of that kind."""
+    """Name in recordings: the kind, numbered where there are several of it."""
     model: str
-    """Name of the built-in body."""
+    """What `load_robot` or `load_humanoid` takes: the name of a body, or a path."""
     body: Body
 
 
-def cast_of(agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str = HUMAN_BODY) -> tuple[Member, ...]:
-    """The members that ``agents`` lists: ``robot``, ``human``, names of built-in bodies, or .npz files of people, as a sequence
-    or with commas between. Robots come first, as in the state and in recordings; the order is kept otherwise.
+def make_roster(
+    agents: str | Sequence[str], *, robot: str = ROBOT_BODY, human: str = HUMAN_BODY
+) -> tuple[AgentSpec, ...]:
+    """Returns the agents that ``agents`` lists, robots first, as in the state and in recordings, otherwise in its order.
 
-    ``robot`` and ``human`` are the bodies of those who are named by their kind.
+    Args:
+        agents: A sequence, or names separated by commas. Each is ``robot`` or ``human``; the name of a body; a file: a
+            URDF, a ``robot.toml`` or its folder for a robot, an .npz for a person; or its kind and one of these,
+            ``robot:../fetch.urdf``, ``human:male_1``.
+        robot: Body of each ``robot``.
+        human: Body of each ``human``.
 
     Raises:
-        InputError: nobody, or somebody who does not exist; the message lists who does.
+        InputError: The list is empty, or an entry is unknown; the message lists the known names.
     """
     listed = agents.split(",") if isinstance(agents, str) else list(agents)
     listed = [name.strip() if isinstance(name, str) else name for name in listed]
     if not listed or listed == [""]:
         raise InputError("Expected at least one agent: robot, human, or the name of a built-in body; got none.")
-    robots, people = list(robot_names()), list(humanoid_names())
-    models = [{"robot": robot, "human": human}.get(name, name) for name in listed]
-    kinds: list[Literal["robot", "human"]] = []
-    for name, model in zip(listed, models, strict=True):
-        if name not in ("robot", "human") and model not in (*robots, *people) and not str(model).endswith(".npz"):
-            there = ("robot", "human", *robots, *people)
-            raise InputError(
-                f"Unknown agent {name!r}.{did_you_mean(str(name), there)} Expected one of {', '.join(there)}, or a person's "
-                ".npz file."
-            )
-        kinds.append("robot" if name == "robot" or model in robots else "human")
-    many, count = Counter(kinds), Counter[str]()
-    members = []
-    for kind, model in sorted(zip(kinds, models, strict=True), key=lambda pair: pair[0] != "robot"):
+    parsed = [_kind_and_model(name, robot=robot, human=human) for name in listed]
+    total, count = Counter(kind for kind, _ in parsed), Counter[str]()
+    roster = []
+    for kind, model in sorted(parsed, key=lambda pair: pair[0] != "robot"):
         count[kind] += 1
-        name = kind if many[kind] == 1 else f"{kind}_{count[kind]}"
+        name = kind if total[kind] == 1 else f"{kind}_{count[kind]}"
         body = load_robot(model) if kind == "robot" else load_humanoid(model)
-        members.append(Member(kind=kind, name=name, model=model, body=body))
-    return tuple(members)
+        roster.append(AgentSpec(kind=kind, name=name, model=model, body=body))
+    return tuple(roster)
 
 
-def kinds_of(cast: Sequence[Member]) -> tuple[str, ...]:
-    """The kind of each member."""
-    return tuple(member.kind for member in cast)
+def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
+    kind, colon, model = name.partition(":") if isinstance(name, str) else ("", "", "")
+    if kind == "robot":
+        return kind, model if colon else robot
+    if kind == "human":
+        return kind, model if colon else human
+    if name in humanoid_names() or str(name).endswith(".npz"):
+        return "human", name
+    if isinstance(name, str) and name and (name in robot_names() or is_robot_file(name)):
+        return "robot", name
+    known = ("robot", "human", *robot_names(), *humanoid_names())
+    raise InputError(
+        f"Unknown agent {name!r}.{did_you_mean(str(name), known)} Expected one of {', '.join(known)}, a robot's .urdf, "
+        "robot.toml or folder, or a person's .npz file."
+    )
+
+
+def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:
+    """Returns the kind of each agent."""
+    return tuple(agent.kind for agent in roster)
 
 
 def draw_places(
-    free: FreeSpace, cast: Sequence[Member], rng: np.random.Generator, *, apart_m: float, base: BaseSpec,
-    stands_free: Callable[[Member, Array], bool], taken: dict[int, Array] | None = None,
+    free: FreeSpace, cast: Sequence[AgentSpec], rng: np.random.Generator, *, apart_m: float, base: BaseSpec,
+    stands_free: Callable[[AgentSpec, Array], bool], taken: dict[int, Array] | None = None,
 ) -> Array:  # fmt: skip
     """Where each member begins, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from everybody if there is room.
 
@@ -106,7 +121,7 @@ def draw_places(
                 places[k] = np.append(xz, heading)
                 break
             draws += 1
-            if draws == DRAWS:
+            if draws == ATTEMPTS:
                 distance, draws = distance / 2, 0
                 if distance < NEAREST_M:
                     raise SceneError(f"Found no place for {len(cast)} agents. Hint: fewer agents, or a larger home.")

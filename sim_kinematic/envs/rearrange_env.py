@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.scene import Scene
-from sim_kinematic.agents.manipulation import arm_columns
 from sim_kinematic.agents.robot_skills import checked_command
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
@@ -153,7 +152,7 @@ class Hand:
         self.action_space: gymnasium.Space[Any] = (
             gymnasium.spaces.Discrete(len(self.choices))
             if level == "high"
-            else gymnasium.spaces.Box(-1.0, 1.0, (len(arm_columns(session.robot)) + 3,), np.float32)
+            else gymnasium.spaces.Box(-1.0, 1.0, (len(session.robot.require_arm()) + 3,), np.float32)
         )
 
     def chosen(self, action: ArrayLike) -> Action:
@@ -201,7 +200,7 @@ def seen_by(session: RearrangeSession, agent: str) -> tuple[str, ...]:
 
 def _limits(session: RearrangeSession, agent: str) -> dict[str, Limits]:
     """Spaces of those that are no pictures."""
-    arm = len(arm_columns(session.robot)) if agent == "robot" else 0
+    arm = len(session.robot.require_arm()) if agent == "robot" else 0
     return limits(objects=session.spec.objects, arm=arm)
 
 

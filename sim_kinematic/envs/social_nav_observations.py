@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.geometry import ground_pose
-from sim_kinematic.agents.manipulation import arm_columns
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.state import ROBOT, AgentState
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
@@ -169,8 +168,8 @@ class Observer:
         self._batch, self._threads = batch, threads
         self._drawn: dict[int, StateRenderer] = {}
         bodies: tuple[Body, ...] = (batch.robot, batch.human) if people else (batch.robot,)
-        joints = len(arm_columns(batch.robot)) if batch.robot.hand_link >= 0 else 0
-        self._arm = np.array(batch.robot.rest[list(arm_columns(batch.robot))] if joints else [], np.float64)
+        joints = len(batch.robot.arm_columns)
+        self._arm = batch.robot.rest[list(batch.robot.arm_columns)].astype(np.float64)
         states = [
             {name: _limits(name, joints) for name in STATES if name != "arm_joints" or (joints and body is batch.robot)}
             for body in bodies

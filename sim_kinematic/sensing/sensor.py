@@ -157,7 +157,7 @@ def egomotion(
 
 
 def arm_joints(joints: ArrayLike, columns: tuple[int, ...]) -> Floats:
-    """Positions of the arm's joints [..., n] of all [..., J]; `sim_kinematic.agents.manipulation.arm_columns` names them."""
+    """Positions of the arm's joints [..., n] of all [..., J]; `h3data.bodies.Robot.arm_columns` names them."""
     return np.asarray(joints, np.float64)[..., list(columns)]
 
 

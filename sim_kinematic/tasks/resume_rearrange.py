@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Event, Recording, SkillSpan, state_hash
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, cast_of, kinds_of
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, kinds_of, make_roster
 from sim_kinematic.policies.rearrange import POPULATIONS, ZSC, HighLevelPolicy, Planner
 from sim_kinematic.policies.recorded import RecordedPolicy, recorded_choices
 from sim_kinematic.tasks.kept_track import KeptTrack, follow_track
@@ -68,7 +68,7 @@ def recorded_world(recording: Recording) -> RearrangeWorld:
         places = np.array(msgspec.convert(starts, list[tuple[float, float, float]]), np.float64)
     except (msgspec.ValidationError, KeyError) as fault:
         raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
-    cast = cast_of([agent.model.partition("/")[2] for agent in agents])
+    cast = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
     if kinds_of(cast) != kinds:
         raise InputError(f"Expected robots, then people, got: {list(kinds)}.")
     if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
@@ -88,7 +88,7 @@ def recorded_world(recording: Recording) -> RearrangeWorld:
     first = {kind: places[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in own}
     models = {kind: cast[kinds.index(kind)].model for kind in kinds}
     robot, human = models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
-    bodies = {member.model: member.body for member in (*cast, *cast_of([robot, human]))}
+    bodies = {member.model: member.body for member in (*cast, *make_roster([f"robot:{robot}", f"human:{human}"]))}
     return RearrangeWorld(
         scene=scene, free=free, seed=recording.episode.seed, spec=spec, robot=bodies[robot], human=bodies[human],  # type: ignore[arg-type]
         robot_name=robot, human_name=human, cast=cast, places=places,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.recording import Event, Recording
-from sim_kinematic.agents.roster import cast_of
+from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.resimulation import (
     MAX_STEPS,
@@ -65,8 +65,8 @@ def _simulated(recording: Recording, *, until: int, steps: int) -> tuple[dict[st
     if not all(c.shape == (until, 2) and np.isfinite(c).all() for c in commands.values()):
         raise InputError(f"Expected actions of finite numbers [T, 2] in {', '.join(names)}.")
     scene, free = scene_and_map(recording.attachments["scene.glb"], spec.agent_radius_m, spec.agent_height_m)
-    models = [agent.model.partition("/")[2] for agent in agents]
-    if [member.kind for member in cast_of(models)] != [agent.kind for agent in agents]:
+    models = [f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents]
+    if [member.kind for member in make_roster(models)] != [agent.kind for agent in agents]:
         raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.")
     if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
         raise InputError(f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.")

@@ -135,6 +135,37 @@ class Robot:
         )
 
     @cached_property
+    def arm_columns(self) -> tuple[int, ...]:
+        """Columns of ``joint_pos`` that move the hand, in the order of the URDF: those of the seven arm joints of ``quad_arm``,
+        not its gripper. Empty without a hand."""
+        chain: list[int] = []
+        link = self.hand_link
+        while link >= 0:
+            chain.append(link)
+            link = self.links[link].parent
+        # by columns, not by `joint_links`: a link of the chain may follow a joint outside it by mimic
+        moving = [k for k in chain if self.kinds[k] != 0]
+        return tuple(sorted({int(self.columns[k]) + i for k in moving for i in range(4 if self.kinds[k] == 3 else 1)}))
+
+    def require_arm(self) -> tuple[int, ...]:
+        """`arm_columns` of a robot that must have an arm.
+
+        Raises:
+            InputError: it has no hand, or no joint moves it.
+        """
+        if not self.arm_columns:
+            why = "has no hand" if self.hand_link < 0 else f"has no joint that moves its hand {self.hand_name}"
+            raise InputError(
+                f"Robot {self.name} {why}, so it has no arm to move. Hint: name a hand_link in robot.toml."
+            )
+        return self.arm_columns
+
+    @property
+    def hand_name(self) -> str:
+        """Name of the link that grasps; empty if there is none."""
+        return self.links[self.hand_link].name if self.hand_link >= 0 else ""
+
+    @cached_property
     def _parents(self) -> NDArray[np.int64]:
         return np.array([link.parent for link in self.links], np.int64)
 

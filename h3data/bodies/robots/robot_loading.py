@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
+from h3data.bodies.robots.robot_files import RobotFiles, find_robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
-from h3data.builtin import builtin_path
-from h3data.errors import InputError, did_you_mean
 from h3data.geometry import normalized, pose_from_matrix
 from h3data.mesh.link_meshes import DEFAULT_COLOR, box_mesh, load_mesh, moved, round_mesh
 from h3data.mesh.meshes import joined
@@ -24,46 +23,34 @@ Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 
 """URDF base frame (x forward, y left, z up) to agent root axes (x forward, y up, z right)."""
 
 
-def robot_names() -> tuple[str, ...]:
-    """Names of the built-in robots."""
-    return tuple(sorted(p.parent.name for p in builtin_path("robots").glob("*/robot.urdf")))
-
-
 def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z") -> Robot:
-    """A built-in robot by name (`robot_names`), or any URDF by its path. Loaded once, then shared until its files change.
+    """Loads a robot once and shares it until its files change.
 
-    ``up`` is the axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
+    Args:
+        name_or_path: A name (`robot_names`), or the path of a URDF, of a ``robot.toml``, or of the folder of either.
+        up: The axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
+
+    Raises:
+        InputError: There is no such robot.
+        FormatError: Its files cannot be used.
     """
-    path = _find(name_or_path)
-    return _loaded(path, up, _version(path), _version(path.with_name("robot.toml")))
+    files = find_robot(name_or_path)
+    return _loaded(files, up, *map(_version, files))
 
 
 @lru_cache(maxsize=32)
-def _loaded(path: Path, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
+def _loaded(files: RobotFiles, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
-    urdf = read_urdf(path)
-    return _robot(urdf, read_settings(path.with_name("robot.toml"), urdf), up)
+    urdf = read_urdf(files.urdf)
+    return _robot(urdf, read_settings(files.settings, urdf), up)
 
 
-def _version(path: Path) -> tuple[int, int]:
-    """Time stamp [ns] and size of a file; zeros if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
+def _version(path: Path | None) -> tuple[int, int]:
+    """Returns time stamp [ns] and size of a file; zeros if there is none."""
+    if path is None or not path.is_file():
         return 0, 0
+    status = path.stat()
     return status.st_mtime_ns, status.st_size
-
-
-def _find(name_or_path: str | Path) -> Path:
-    if str(name_or_path).lower().endswith(".urdf"):
-        return Path(name_or_path)
-    if str(name_or_path) not in robot_names():
-        known = ", ".join(robot_names()) or "none"
-        near = did_you_mean(str(name_or_path), robot_names())
-        raise InputError(
-            f"No built-in robot {str(name_or_path)!r}.{near} There are: {known}; or give the path of a .urdf."
-        )
-    return builtin_path("robots") / str(name_or_path) / "robot.urdf"
 
 
 # --- building ---------------------------------------------------------------------------------------------------------

@@ -39,8 +39,10 @@ class LegSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What ``robot.toml`` says."""
+    """The fields of ``robot.toml``."""
 
+    urdf: str = ""
+    """Path of the URDF, relative to this file; empty: ``robot.urdf``, or the only one beside it."""
     base_height_m: float = 0.0
     body_height_m: float = 0.5
     base_discs_m: tuple[float, ...] = (0.0,)
@@ -58,16 +60,29 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     cameras: tuple[CameraSettings, ...] = ()
 
 
-def read_settings(path: Path, urdf: Urdf) -> RobotSettings:
-    """The settings in a file, checked against the URDF they belong to; defaults if there is no such file."""
-    if not path.is_file():
-        return RobotSettings()
+def decode_settings(path: Path) -> RobotSettings:
+    """Reads a ``robot.toml`` by itself, without its URDF.
+
+    Raises:
+        FormatError: A field is unknown, of another type, or not finite; the message names it.
+    """
     try:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise FormatError(f"Not a robot description: {error}. File: {path}") from error
-    if not _finite(msgspec.to_builtins(settings)):
-        raise FormatError(f"Expected finite numbers in a robot description, got nan or inf. File: {path}")
+    broken = [name for name, value in msgspec.to_builtins(settings).items() if not _finite(value)]
+    if broken:
+        raise FormatError(
+            f"Expected finite numbers in a robot description, got nan or inf in {', '.join(broken)}. File: {path}"
+        )
+    return settings
+
+
+def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
+    """Returns the settings in a file, checked against the URDF they belong to; defaults without a file."""
+    if path is None:
+        return RobotSettings()
+    settings = decode_settings(path)
     movable, links = {j.name: j for j in urdf.movable}, {link.name for link in urdf.links}
     width = sum(j.width for j in urdf.movable)
     faults = []

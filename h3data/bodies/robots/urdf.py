@@ -186,7 +186,9 @@ def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
     )
     length = float(np.linalg.norm(axis))
     if length == 0:
-        faults.append(f"{where}: its axis is zero")
+        axis, length = np.array(default), 1.0  # Habitat's Fetch has fixed joints with the axis 0 0 0
+        if kind in ("revolute", "continuous", "prismatic"):
+            faults.append(f"{where}: its axis is zero")
     lower, upper = -np.inf, np.inf
     if limit is not None and kind != "continuous":
         lower, upper = (read_numbers(limit.get(side), 1, (0.0,), where, faults)[0] for side in ("lower", "upper"))
@@ -198,7 +200,7 @@ def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
         parent=parent.get("link", ""),
         child=child.get("link", ""),
         origin=read_origin(element, where, faults),
-        axis=axis / (length or 1.0),
+        axis=axis / length,
         lower=lower,
         upper=upper,
         mimic=_mimic(element.find("mimic"), where, faults),

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies.robots.robot_loading import load_robot, robot_names
+from h3data.bodies import load_robot, robot_names
 from h3data.geometry import IDENTITY_POSE, ground_pose, quat_rotate, quat_sign_continuous
 from h3data.limits import MAX_AGENTS, check_count, check_size
 from h3data.recording.records import Agent, AssetRef, Body

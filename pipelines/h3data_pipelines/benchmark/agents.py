@@ -14,7 +14,7 @@ from h3data.bodies.people.reach import hand_points, reach_poses, reacher
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, quat_from_heading, quat_rotate
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.manipulation import arm_columns, grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.person import HAND_SPEED_MPS
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec, WalkerSpec
@@ -57,7 +57,7 @@ class RobotAgent:
     def sample(self, rng: np.random.Generator, action: Action) -> Array:
         """Random actions [W, n], -1..1."""
         worlds = len(self.own.heading)
-        return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(arm_columns(self.body)) + 1))
+        return rng.uniform(-1, 1, (worlds, 2 if action == "nav" else len(self.body.require_arm()) + 1))
 
     def step(self, action: Action, values: Array) -> None:
         """Move, and take along what is held."""

@@ -94,8 +94,9 @@ class Generate:
     """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
     plan_pop_2, plan_pop_3 or plan_pop_4."""
     agents: str | None = None
-    """rearrange, wander: who is there, robots and people with commas between, as robot,robot or human,human or
-    robot,human,male_1 (default: robot,human). In rearrange --policy and --partner may have a name for each robot and person."""
+    """Agents of rearrange and wander, robots and people separated by commas (default: robot,human): kinds, bodies, files, or
+    a kind and one of these, as robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner
+    may have a name for each robot and person."""
     human: str | None = None
     """Body of those who are called human: a built-in one, an .npz file, or any: each episode draws one, in wander for each
     person (default: the episode's, else female_0)."""
@@ -223,11 +224,11 @@ class Generate:
 
     def _rearrange_jobs(self) -> Sequence[AnyJob]:
         from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
-        from sim_kinematic.agents.roster import cast_of
+        from sim_kinematic.agents.roster import make_roster
         from sim_kinematic.tasks.rearrange.log import SOLO
 
         if self.agents is not None:
-            kinds = [member.kind for member in cast_of(self.agents)]
+            kinds = [member.kind for member in make_roster(self.agents)]
             for option, given, kind in (("--policy", self.policy, "robot"), ("--partner", self.partner, "human")):
                 if given not in (None, SOLO) and kind not in kinds:
                     raise InputError(f"{option} {given} is for a {kind}, but there is none in --agents {self.agents}.")

@@ -17,7 +17,7 @@ from h3data_pipelines.jobs.episode_jobs import Changes, drawn_episodes
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
 if TYPE_CHECKING:
-    from sim_kinematic.agents.roster import Member
+    from sim_kinematic.agents.roster import AgentSpec
     from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
 
 
@@ -35,7 +35,7 @@ class RearrangeJob:
     human: str | None
     spec: RearrangeSpec
     agents: str | None = None
-    """Who is there (`sim_kinematic.agents.roster.cast_of`); None: the robot and the person of the paper."""
+    """Who is there (`sim_kinematic.agents.roster.make_roster`); None: the robot and the person of the paper."""
     origin: dict[str, Any] | None = None
     """Which episode of which set it is."""
 
@@ -68,17 +68,17 @@ class RearrangeJob:
         )
 
 
-def recorded_cast(agents: str | None, policy: str) -> tuple[Member, ...]:
+def recorded_cast(agents: str | None, policy: str) -> tuple[AgentSpec, ...]:
     """Who is in the recordings of these agents under this policy.
 
     Raises:
         InputError: there are no such agents, or nobody is left.
     """
-    from sim_kinematic.agents.roster import cast_of
+    from sim_kinematic.agents.roster import make_roster
     from sim_kinematic.tasks.rearrange.episode import PAIR
     from sim_kinematic.tasks.rearrange.log import SOLO
 
-    cast = cast_of(PAIR if agents is None else agents)
+    cast = make_roster(PAIR if agents is None else agents)
     people = tuple(member for member in cast if member.kind == "human")
     if policy == SOLO and not people:
         raise InputError(

@@ -13,7 +13,7 @@ import msgspec
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneSource
 from h3data_pipelines.jobs.episode_jobs import ANY_BODY, drawn_body, drawn_episodes
-from sim_kinematic.agents.roster import HUMAN_BODY, cast_of
+from sim_kinematic.agents.roster import HUMAN_BODY, make_roster
 from sim_kinematic.motion.spec import SocialNavSpec
 
 AGENTS = "robot,human"
@@ -30,7 +30,7 @@ class WanderJob:
     """As the command line names it."""
     source: SceneSource
     agents: tuple[str, ...]
-    """Who is there (`sim_kinematic.agents.roster.cast_of`)."""
+    """Who is there (`sim_kinematic.agents.roster.make_roster`)."""
     spec: SocialNavSpec
     """Speeds and sizes; it lasts ``max_steps``."""
     origin: dict[str, Any] | None = None
@@ -70,7 +70,7 @@ def wander_jobs(
         InputError: no such scenes, agents or body; the message lists what there is.
     """
     names = [name.strip() for name in agents.split(",")]
-    cast_of(_named(names, human, seed))
+    make_roster(_named(names, human, seed))
     drawn = drawn_episodes(
         scenes, episodes=episodes, seed=seed, homes=homes, assets=assets, allow_missing=allow_missing
     )  # fmt: skip

@@ -21,7 +21,7 @@ from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.robot_arm_clearance import arm_way
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, Member, cast_of, draw_places, kinds_of
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, draw_places, kinds_of, make_roster
 from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_stands
 from sim_kinematic.agents.waypoint_walker import sharp_corners
 from sim_kinematic.contact.clearance import clear_of_furniture
@@ -113,7 +113,7 @@ class RearrangeWorld:
     targets: tuple[Target, ...]
     human_name: str
     robot_name: str
-    cast: tuple[Member, ...]
+    cast: tuple[AgentSpec, ...]
     """Who plays it: robots, then people."""
     places: Array
     """Where each of them begins, ``(x, z, heading)``, shape [A, 3]."""
@@ -125,7 +125,7 @@ class RearrangeWorld:
     ) -> RearrangeWorld:  # fmt: skip
         """The episode that ``seed`` draws in ``scene``; ``free`` saves building the map again.
 
-        ``agents`` play it (`sim_kinematic.agents.roster.cast_of`), whatever their number and kinds. It is drawn for one robot and one
+        ``agents`` play it (`sim_kinematic.agents.roster.make_roster`), whatever their number and kinds. It is drawn for one robot and one
         person, so objects, goals and the starts of the first of each kind are the same for all casts.
 
         Raises:
@@ -133,7 +133,7 @@ class RearrangeWorld:
             SceneError: the scene has too few movable things, receptacles in reach, or places to start.
         """
         spec = spec or RearrangeSpec()
-        cast = cast_of(agents, robot=robot, human=human)
+        cast = make_roster(agents, robot=robot, human=human)
         free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
         bodies = load_robot(robot), load_humanoid(human)
         starts, targets = draw_episode(scene, free, seed, spec, *bodies)
@@ -149,7 +149,7 @@ class RearrangeWorld:
         Raises:
             InputError: there are no such agents. SceneError: there is no room for them.
         """
-        cast = cast_of(agents, robot=self.robot_name, human=self.human_name)
+        cast = make_roster(agents, robot=self.robot_name, human=self.human_name)
         places = _places(self.scene, self.free, self.seed, self.spec, self.starts, cast)
         return replace(self, cast=cast, places=places)
 
@@ -159,7 +159,7 @@ class RearrangeWorld:
 
 
 def _places(
-    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[Member]
+    scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[AgentSpec]
 ) -> Array:
     """The drawn starts of the first robot and the first person, and places for the others."""
     kinds = kinds_of(cast)

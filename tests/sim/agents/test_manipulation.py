@@ -13,7 +13,7 @@ from h3data.geometry import IDENTITY_POSE, ground_pose, pose_from_matrix, pose_i
 from h3data.scene import Asset, Box, Instance, Mesh, Scene
 from sim_kinematic.agents import manipulation
 from sim_kinematic.agents.arm_contact import ArmContact, touch_events
-from sim_kinematic.agents.manipulation import arm_columns, carry_objects, grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.manipulation import carry_objects, grip_objects, move_arms, robot_hands
 from sim_kinematic.motion.spec import ArmSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, ROBOT, RobotState, WorldState
 
@@ -32,7 +32,7 @@ def standing(robot: Robot, worlds: int, objects: int = 2, seed: int = 0) -> Worl
     state = WorldState.zeros(worlds, joints=len(robot.joint_names), objects=objects)
     state.robots[0].xz[:], state.robots[0].heading[:] = rng.uniform(-3, 3, (worlds, 2)), rng.uniform(-9, 9, worlds)
     state.robots[0].joints[:] = robot.rest
-    state.robots[0].joints[:, arm_columns(robot)] = REACH_OUT + rng.uniform(-0.2, 0.2, (worlds, 7))
+    state.robots[0].joints[:, robot.arm_columns] = REACH_OUT + rng.uniform(-0.2, 0.2, (worlds, 7))
     state.object_pose[..., 3:] = quat_from_rotvec(rng.uniform(-2, 2, (worlds, objects, 3)))
     state.object_pose[..., :3] = [0, 50, 0]
     if objects:
@@ -43,9 +43,9 @@ def standing(robot: Robot, worlds: int, objects: int = 2, seed: int = 0) -> Worl
 
 
 def test_the_arm_is_what_moves_the_hand(robot: Robot) -> None:
-    assert [robot.joint_names[c] for c in arm_columns(robot)] == [f"arm_{k}" for k in range(7)]
+    assert [robot.joint_names[c] for c in robot.arm_columns] == [f"arm_{k}" for k in range(7)]
     lift = load_robot("lift_arm")
-    names = [lift.joint_names[c] for c in arm_columns(lift)]
+    names = [lift.joint_names[c] for c in lift.arm_columns]
     assert names == ["lift", "arm_extend", "wrist_yaw", "wrist_pitch", "wrist_roll"]
 
 

@@ -17,7 +17,7 @@ from h3data.recording import Recording, open_recording, write_mcap
 from h3data.replay import Replay
 from h3data.replay.validation import validate_recording
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.agents.roster import cast_of, kinds_of
+from sim_kinematic.agents.roster import kinds_of, make_roster
 from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
@@ -86,18 +86,18 @@ def test_impossible_states_are_refused(bad: dict[str, Any]) -> None:
 
 # --- casts --------------------------------------------------------------------------------------------------------------
 def test_a_cast_counts_robots_first() -> None:
-    cast = cast_of("human, lift_arm,male_1,robot")
+    cast = make_roster("human, lift_arm,male_1,robot")
     assert [(m.name, m.model) for m in cast] == [
         ("robot_1", "lift_arm"), ("robot_2", "quad_arm"), ("human_1", "female_0"), ("human_2", "male_1"),
     ]  # fmt: skip
-    assert kinds_of(cast_of(["human"])) == ("human",)
-    assert cast_of(["human"])[0].name == "human"
+    assert kinds_of(make_roster(["human"])) == ("human",)
+    assert make_roster(["human"])[0].name == "human"
 
 
 @pytest.mark.parametrize("agents", ["", [], "cat", "robot,,human", ["robot", None], [7], "ROBOT"])
 def test_agents_that_do_not_exist_are_refused(agents: Any) -> None:
     with pytest.raises(InputError, match=r"robot, human"):
-        cast_of(agents)
+        make_roster(agents)
 
 
 # --- worlds -------------------------------------------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def test_everybody_wanders(home: Scene, free: FreeSpace, agents: str, tmp_path: 
     made = [simulate_wander(home, agents, seed=4, steps=120, free=free) for _ in range(2)]
     assert made[0].columns["state_hash"][-1] == made[1].columns["state_hash"][-1]
     recording = made[0]
-    assert [a.kind for a in recording.agents] == list(kinds_of(cast_of(agents)))
+    assert [a.kind for a in recording.agents] == list(kinds_of(make_roster(agents)))
     require_sound(recording, tmp_path)
     require_outside(recording, free)
     for k in range(len(recording.agents)):
@@ -226,7 +226,7 @@ def test_any_agents_rearrange(
 ) -> None:
     world = drawn.played_by(agents)
     recording = simulate_rearrange(world, policy=policy, partner=partner, solo_steps=700)
-    assert [a.name for a in recording.agents] == [m.name for m in cast_of(agents)]
+    assert [a.name for a in recording.agents] == [m.name for m in make_roster(agents)]
     assert {e.kind for e in recording.events} & {"pick", "collision"}
     assert all(0 <= e.agent < len(recording.agents) for e in recording.events if e.kind == "pick")
     require_sound(recording, tmp_path)
