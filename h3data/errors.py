@@ -1,4 +1,4 @@
-"""The one error tree. Whatever is the user's to mend is an `H3DataError`: the command line prints it and exits with 2."""
+"""The error tree. Every error that the user can fix is an `H3DataError`: the command line prints it and exits with 2."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 
 class H3DataError(Exception):
-    """Base of every error that h3data raises on purpose. The message says what was expected, what came, what to do."""
+    """Base of every error that h3data raises on purpose. Messages say what was expected, what came and what to do."""
 
 
 class InputError(H3DataError):
@@ -22,7 +22,7 @@ class SceneError(H3DataError):
 
 
 class MissingAssetError(SceneError):
-    """A file that a scene or recording refers to was not found below the asset roots."""
+    """A file that a scene or recording refers to is not below any asset root."""
 
 
 class MissingExtraError(H3DataError):
@@ -33,10 +33,10 @@ class PluginError(H3DataError):
     """An installed plug-in cannot be used; the message names its package and entry point."""
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`` Did you mean 'x'?`` of the known name that is nearest to an unknown one; empty if none is near."""
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """`` Did you mean 'x'?`` with the valid name closest to an unknown one; empty if none is close."""
     from difflib import get_close_matches
 
-    plain = {other.lower(): other for other in known}
-    found = get_close_matches(name.lower(), plain, n=1, cutoff=0.6)
-    return f" Did you mean {plain[found[0]]!r}?" if found else ""
+    by_lower = {other.lower(): other for other in valid}
+    closest = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    return f" Did you mean {by_lower[closest[0]]!r}?" if closest else ""

@@ -1,4 +1,4 @@
-"""Files that appear under their final name only when they are complete; where caches lie."""
+"""Files that appear under their final name only once they are complete, and the location of caches."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from h3data.errors import InputError
 
 
 def cache_folder(kind: str) -> Path | None:
-    """Where things of a kind are cached: below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
+    """Cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
 
-    None when ``H3DATA_CACHE`` is ``off``, or where there is no home folder.
+    None if ``H3DATA_CACHE`` is ``off`` or there is no home folder.
     """
-    wanted = os.environ.get("H3DATA_CACHE")
-    if wanted is not None:
-        return None if wanted.lower() in ("", "0", "off", "no") else Path(wanted) / kind
+    setting = os.environ.get("H3DATA_CACHE")
+    if setting is not None:
+        return None if setting.lower() in ("", "0", "off", "no") else Path(setting) / kind
     home = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(home) if home else Path.home() / ".cache") / "h3data" / kind
@@ -33,10 +33,11 @@ def part_file(
     shared: bool = False,
     kept_after: tuple[type[BaseException], ...] | type[BaseException] = (),
 ) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to; renamed to ``path`` on success, removed on any exception but those
-    of ``kept_after``.
+    """Yields a temporary path beside ``path``; renames it to ``path`` on success and removes it on any exception except
+    those in ``kept_after``.
 
-    It is ``<path>.part``; with ``shared``, one that no other process writes at the same time, for caches: the last wins.
+    The temporary path is ``<path>.part``. With ``shared`` its name is unique, so that several processes may fill the same
+    cache entry at once; the last one to finish wins.
 
     Raises:
         InputError: the folder does not exist.

@@ -23,7 +23,7 @@ def _floating(value: ArrayLike) -> Array:
 
 
 def _components(vectors: Array) -> list[Array]:
-    """The components [...] of vectors [..., n], as views."""
+    """Components [...] of vectors [..., n], as views."""
     return [vectors[..., k] for k in range(vectors.shape[-1])]
 
 
@@ -35,7 +35,7 @@ def normalized(vectors: ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products [..., 3], as `numpy.cross` to the bit, whose checks cost more than a few vectors."""
+    """Cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
     ax, ay, az = _components(a)
     bx, by, bz = _components(b)
     x = ay * bz - az * by
@@ -47,7 +47,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Hamilton product ``a b``, shape [..., 4]: rotate by ``b`` first, then by ``a``."""
+    """Hamilton product ``a b``, shape [..., 4]: the rotation by ``b`` followed by the one by ``a``."""
     a, b = _floating(a), _floating(b)
     ax, ay, az, aw = _components(a)
     bx, by, bz, bw = _components(b)
@@ -67,7 +67,7 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 
 def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
-    """Rotate vectors [..., 3] by unit quaternions [..., 4]."""
+    """Vectors [..., 3] rotated by unit quaternions [..., 4]."""
     q, v = _floating(q), _floating(vectors)
     axis, w = q[..., :3], q[..., 3:]
     t = 2 * cross(axis, v)
@@ -75,7 +75,7 @@ def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
 
 
 def quat_from_axis_angle(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
-    """Quaternions [..., 4] that turn by ``angle_rad`` [...] about ``axis`` [..., 3] (need not be unit)."""
+    """Quaternions [..., 4] of rotations by ``angle_rad`` [...] about ``axis`` [..., 3] (any length)."""
     half = _floating(angle_rad)[..., None] / 2
     axis = normalized(axis)
     turned = axis * np.sin(half)
@@ -99,9 +99,9 @@ def quat_from_heading(heading_rad: ArrayLike) -> Array:
 
 
 def heading_from_quat(q: ArrayLike) -> Array:
-    """Headings [...] [rad] of the x axes of frames [..., 4]; any roll and pitch is dropped."""
+    """Headings [...] [rad] of the x axes of frames [..., 4]; roll and pitch are dropped."""
     x, y, z, w = _components(_floating(q))
-    # `quat_rotate` of (1, 0, 0) to the bit, zeros' signs included, without the component that is not needed
+    # Bit-identical to `quat_rotate` of (1, 0, 0), signs of zeros included, without the component that goes unused
     tx, ty, tz = 2 * (y * 0 - z * 0), 2 * (z - x * 0), 2 * (x * 0 - y)
     return np.arctan2(-(0 + w * tz + (x * ty - y * tx)), 1 + w * tx + (y * tz - z * ty))
 
@@ -109,7 +109,7 @@ def heading_from_quat(q: ArrayLike) -> Array:
 def heading_direction(heading_rad: ArrayLike) -> Array:
     """Unit forward vectors in the floor plane, ``(x, z)`` [..., 2], of headings [...]."""
     h = _floating(heading_rad)
-    out = np.empty((*h.shape, 2), h.dtype)  # np.stack takes longer than cosine and sine of a few
+    out = np.empty((*h.shape, 2), h.dtype)  # np.stack costs more than the cosines and sines of a few headings
     out[..., 0], out[..., 1] = np.cos(h), -np.sin(h)
     return out
 
@@ -138,9 +138,9 @@ def quat_to_matrix(q: ArrayLike) -> Array:
 
 
 def quat_from_matrix(matrix: ArrayLike) -> Array:
-    """Unit quaternions [..., 4] of rotation matrices [..., 3, 3]; the sign with w >= 0 is returned.
+    """Unit quaternions [..., 4] with w >= 0 of rotation matrices [..., 3, 3].
 
-    Picks the largest of the four squared components, so no case loses precision (Shepperd's method).
+    Divides by the largest of the four components, so that no case loses precision (Shepperd's method).
     """
     m = _floating(matrix)
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -159,7 +159,7 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def quat_sign_continuous(q: ArrayLike) -> Array:
-    """Quaternions [T, ..., 4] with signs chosen so that no neighbour in time (axis 0) jumps to the antipode."""
+    """Quaternions [T, ..., 4] with signs chosen so that none jumps to the antipode from one time (axis 0) to the next."""
     q = _floating(q)
     if len(q) < 2:
         return q.copy()
@@ -169,7 +169,7 @@ def quat_sign_continuous(q: ArrayLike) -> Array:
 
 
 def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
-    """Normalised linear blend of quaternions [..., 4] along the shorter arc; weight [...] 0 gives a, 1 gives b."""
+    """Normalised linear blend of quaternions [..., 4] along the shorter arc; ``weight`` [...] 0 gives a, 1 gives b."""
     a, b, w = _floating(a), _floating(b), _floating(weight)[..., None]
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
     return normalized(a * (1 - w) + b * w)
@@ -192,27 +192,27 @@ def pose_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """pose7 of ``a b``: a pose ``b`` given in frame ``a``, shape [..., 7]."""
+    """pose7 of ``a b``, shape [..., 7]: pose ``b``, given in frame ``a``, in the frame that ``a`` is given in."""
     a, b = _floating(a), _floating(b)
     position = a[..., :3] + quat_rotate(a[..., 3:], b[..., :3])
     return np.concatenate([position, quat_multiply(a[..., 3:], b[..., 3:])], axis=-1)
 
 
 def pose_inverse(pose: ArrayLike) -> Array:
-    """pose7 of the inverse, shape [..., 7]."""
+    """pose7 of the inverse transform, shape [..., 7]."""
     p = _floating(pose)
     q = quat_conjugate(p[..., 3:])
     return np.concatenate([-quat_rotate(q, p[..., :3]), q], axis=-1)
 
 
 def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
-    """Points [..., N, 3] moved by 4x4 (or 3x4) matrices [..., 4, 4]."""
+    """Points [..., N, 3] transformed by 4x4 (or 3x4) matrices [..., 4, 4]."""
     m, p = _floating(matrix), _floating(points)
     return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
 
 
 def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0) -> Array:
-    """pose7 [..., 7] of agent roots that stand at floor points ``(x, z)`` [..., 2] with headings [...]."""
+    """pose7 [..., 7] of agent roots standing at floor points ``(x, z)`` [..., 2] with headings [...]."""
     xz = _floating(xz)
     q = quat_from_heading(np.asarray(heading_rad, xz.dtype))
     y = np.broadcast_to(np.asarray(floor_y, xz.dtype), xz.shape[:-1])

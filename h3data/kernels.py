@@ -1,11 +1,11 @@
-"""The decorator of all compiled kernels: `kernel`, numba's ``njit`` with a cache that notices every change it must.
+"""`kernel`, the decorator of all compiled functions: numba's ``njit`` with a cache that also notices changes in other files.
 
-numba recompiles a cached kernel when the file changes that it stands in. But a kernel also takes in what it calls and the
-constants it reads from other files; after an update of those it would go on as before. So the stamp of its cache covers
-all of our own modules that its module imports, directly or not.
+numba recompiles a cached kernel when the kernel's own file changes. But a kernel also inlines the functions it calls and
+the constants it reads from other files; when only those change, numba would keep running the stale machine code. The
+stamp of the cache therefore covers all of our modules that the kernel's module imports, directly or indirectly.
 
-The first compilation of a process is announced in the log (``h3data.kernels``, INFO): on a fresh machine the first command
-spends some twenty seconds on it, once.
+The first compilation of a process is announced in the log (``h3data.kernels``, INFO): on a fresh machine, the first
+command spends about twenty seconds on it, once.
 """
 
 from __future__ import annotations
@@ -26,25 +26,27 @@ from numba.core import event
 _log = logging.getLogger(__name__)
 
 OURS = ("h3data", "sim_kinematic")
-"""Packages whose sources count."""
+"""Packages whose sources are part of the stamp."""
 _IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
-"""Imports at the top level; the indented ones are for type checkers or come too late for a kernel."""
+"""Top-level imports; indented ones are for type checkers or run too late to reach a kernel."""
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: ``njit(cache=True, nogil=True)`` with further ``options``.
+    """Decorator: ``njit(cache=True, nogil=True)`` with further ``options``.
 
-    What is only called by other kernels and compiled into them may be a plain ``njit(nogil=True)``.
+    Functions that are only called by other kernels, and compiled into them, may use a plain ``njit(nogil=True)``.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
             dispatcher: Any = njit(cache=True, nogil=True, **options)(function)
-        except RuntimeError:  # numba finds no folder that it can write to
+        except RuntimeError:  # numba finds no writable folder for its cache
             _warn_once()
             return njit(nogil=True, **options)(function)
-        if hasattr(dispatcher, "_cache"):  # not where numba is switched off
-            file = dispatcher._cache._cache_file  # numba has no public way; tests/test_kernels.py tells when this ends
+        if hasattr(dispatcher, "_cache"):  # absent with NUMBA_DISABLE_JIT
+            file = (
+                dispatcher._cache._cache_file
+            )  # numba has no public hook; tests/test_kernels.py fails if this changes
             file._source_stamp = (file._source_stamp, source_digest(function.__module__))
         return dispatcher
 
@@ -57,7 +59,7 @@ def _announce() -> None:
 
 
 class _Announcer(event.Listener):
-    """Hears of what is compiled; kernels that come from the cache make no event."""
+    """Listens for compilations; kernels loaded from the cache raise no event."""
 
     def on_start(self, event: event.Event) -> None:
         _announce()
@@ -72,8 +74,8 @@ event.register("numba:compile", _Announcer())
 @functools.cache
 def _warn_once() -> None:
     warnings.warn(
-        "Compiled kernels cannot be kept, so every start takes some seconds longer: numba can write neither beside the "
-        "package nor in the home folder. Hint: set NUMBA_CACHE_DIR to a folder that can be written.",
+        "Compiled kernels cannot be cached, so every start takes some seconds longer: numba can write neither beside the "
+        "package nor in the home folder. Hint: set NUMBA_CACHE_DIR to a writable folder.",
         RuntimeWarning,
         stacklevel=3,
     )
@@ -81,7 +83,7 @@ def _warn_once() -> None:
 
 @functools.cache
 def _source(module: str) -> tuple[str, tuple[str, ...]]:
-    """Digest of a module's source, and our modules that it imports."""
+    """Digest of a module's source, and the names of our modules that it imports."""
     path = getattr(sys.modules.get(module), "__file__", None)
     if path is None:
         return "", ()
@@ -91,12 +93,12 @@ def _source(module: str) -> tuple[str, tuple[str, ...]]:
 
 
 def source_digest(module: str) -> str:
-    """Digest of the sources of a module and of all of ours that it imports, directly or not."""
-    seen: dict[str, str] = {}
+    """Digest of the sources of a module and of all our modules that it imports, directly or indirectly."""
+    digests: dict[str, str] = {}
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name not in seen:
-            seen[name], imports = _source(name)
+        if name not in digests:
+            digests[name], imports = _source(name)
             waiting += imports
-    return hashlib.sha256("".join(f"{name} {seen[name]}\n" for name in sorted(seen)).encode()).hexdigest()
+    return hashlib.sha256("".join(f"{name} {digests[name]}\n" for name in sorted(digests)).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB bytes and computed with in linear light."""
+"""sRGB and linear light (IEC 61966-2-1). Colours are stored as sRGB bytes; arithmetic on them uses linear light."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
-    """Linear light 0..1 of sRGB values 0..1; what lies outside is cut off."""
+    """Linear light 0..1 of sRGB values 0..1; values outside are clipped."""
     x = np.clip(np.asarray(srgb, np.float64), 0, 1)
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """sRGB values 0..1 of linear light 0..1; what lies outside is cut off."""
+    """sRGB values 0..1 of linear light 0..1; values outside are clipped."""
     x = np.clip(np.asarray(linear, np.float64), 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
@@ -24,5 +24,5 @@ def bytes_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def linear_to_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
-    """The nearest sRGB bytes of linear light 0..1."""
+    """sRGB bytes nearest to linear light 0..1."""
     return np.rint(255 * linear_to_srgb(linear)).astype(np.uint8)

@@ -1,4 +1,13 @@
-"""Homes: what stands where, and where one can go. Everything is imported at first use (free space needs numba, shapely)."""
+"""Homes: their furniture and objects, procedural generation, and the floor that agents can walk on.
+
+- `records`: assets, instances, rooms, lights; `scene_file` stores them as GLB, `scene_json` as JSON records and a digest
+- `homes`: the generator of furnished homes
+- `freespace`: geodesic distances and paths on the free floor
+- `scene_sets`: train, val and test splits of scenes
+- `validation`: faults such as cut-off floor and floating objects
+
+Names are imported at first use, because free space needs numba and shapely.
+"""
 
 from __future__ import annotations
 
@@ -27,32 +36,16 @@ if TYPE_CHECKING:
     from h3data.scene.scene_file import load_scene, save_scene
     from h3data.scene.scene_json import scene_digest
 
-_HOMES = {
-    "FreeSpace": "h3data.scene.freespace.free_space",
-    "CATEGORIES": "h3data.scene.homes",
-    "HOME_PRESETS": "h3data.scene.homes",
-    "HomePreset": "h3data.scene.homes",
-    "HomeSpec": "h3data.scene.homes",
-    "build_home": "h3data.scene.homes",
-    "Asset": "h3data.scene.records",
-    "Box": "h3data.scene.records",
-    "Capsule": "h3data.scene.records",
-    "Cylinder": "h3data.scene.records",
-    "Hull": "h3data.scene.records",
-    "Instance": "h3data.scene.records",
-    "LightSource": "h3data.scene.records",
-    "Mesh": "h3data.mesh.records",
-    "Receptacle": "h3data.scene.records",
-    "Room": "h3data.scene.records",
-    "Scene": "h3data.scene.records",
-    "Shape": "h3data.scene.records",
-    "Texture": "h3data.mesh.records",
-    "instance_bounds": "h3data.scene.records",
-    "instance_matrix": "h3data.scene.records",
-    "load_scene": "h3data.scene.scene_file",
-    "save_scene": "h3data.scene.scene_file",
-    "scene_digest": "h3data.scene.scene_json",
+_MODULES = {
+    "h3data.mesh.records": "Mesh Texture",
+    "h3data.scene.freespace.free_space": "FreeSpace",
+    "h3data.scene.homes": "CATEGORIES HOME_PRESETS HomePreset HomeSpec build_home",
+    "h3data.scene.records": "Asset Box Capsule Cylinder Hull Instance LightSource Receptacle Room Scene Shape "
+    "instance_bounds instance_matrix",
+    "h3data.scene.scene_file": "load_scene save_scene",
+    "h3data.scene.scene_json": "scene_digest",
 }
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
     "CATEGORIES",
@@ -83,6 +76,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'h3data.scene' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)

@@ -1,4 +1,4 @@
-"""What a scene is: assets (meshes, collision parts, receptacles) and instances of them in the world."""
+"""Records of a scene: assets (meshes, collision parts, receptacles), their instances in the world, rooms, lights."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Cylinder:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Capsule:
-    """All points within ``radius`` of the segment from ``start`` to ``end``."""
+    """The points within ``radius`` of the segment from ``start`` to ``end``."""
 
     start: NDArray[np.float64]
     """Shape [3] [m]."""
@@ -48,7 +48,7 @@ class Capsule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hull:
-    """The convex hull of some points."""
+    """The convex hull of a set of points."""
 
     points: NDArray[np.float64]
     """Shape [N, 3] [m]."""
@@ -59,11 +59,11 @@ Shape = Box | Cylinder | Capsule | Hull
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Receptacle:
-    """A horizontal surface of an asset on which things can be put: a rectangle with free space above it."""
+    """A horizontal surface of an asset on which objects can be placed: a rectangle with free space above it."""
 
     name: str
     center: NDArray[np.float64]
-    """Middle of the surface in the asset frame, shape [3] [m]."""
+    """Centre of the surface in the asset frame, shape [3] [m]."""
     half_size: NDArray[np.float64]
     """Half extents along the asset's x and z axes, shape [2] [m]."""
     clearance_m: float
@@ -72,13 +72,13 @@ class Receptacle:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asset:
-    """One kind of thing: what it looks like, what it collides as, where things can be put on it."""
+    """One kind of object: its mesh, its collision shapes and the surfaces on which other objects can be placed."""
 
     name: str
     mesh: Mesh
     category: str = "object"
     shapes: tuple[Shape, ...] = ()
-    """Convex collision parts; empty means that it does not collide (a rug, a lamp shade)."""
+    """Convex collision parts; empty if nothing collides with it (a rug, a lamp shade)."""
     receptacles: tuple[Receptacle, ...] = ()
 
     def __repr__(self) -> str:
@@ -100,12 +100,12 @@ class Instance:
     pose: NDArray[np.float64]
     """pose7 of the asset frame in the world, shape [7]."""
     scale: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
-    """Per axis of the asset frame, shape [3]."""
+    """Scale per axis of the asset frame, shape [3]."""
     semantic_id: int = 0
     motion: Motion = "static"
-    """``static`` belongs to the building and its furniture; ``kinematic`` may be moved by somebody."""
+    """``static`` for the building and its furniture, ``kinematic`` for objects that agents may move."""
     layer: str = ""
-    """Named layers can be left out of a picture: ``ceiling`` is, in views from above."""
+    """Named layers can be hidden from a camera: views from above hide ``ceiling``."""
     receptacles: tuple[str, ...] | None = None
     """Names of the asset's receptacles that may be used here; None = all."""
 
@@ -117,7 +117,7 @@ class Room:
     name: str
     category: str
     rectangles: NDArray[np.float64]
-    """Disjoint rectangles that make up the room, ``x0 z0 x1 z1``, shape [R, 4] [m]."""
+    """Disjoint rectangles ``x0 z0 x1 z1`` that make up the room, shape [R, 4] [m]."""
     floor_y: float = 0.0
 
 
@@ -127,34 +127,34 @@ LightFrame = Literal["global", "camera", "object"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightSource:
-    """A lamp, or the sun, as a Habitat lighting config states it. The renderer does not use them yet."""
+    """A lamp or the sun, as in a Habitat lighting config. Kept for export; the renderer does not use it yet."""
 
     name: str
     kind: LightKind
     vector: NDArray[np.float64]
-    """Of a directional light the way in which its light travels, else its position [m], shape [3]."""
+    """Direction in which the light of a ``directional`` source travels, else the position [m]; shape [3]."""
     color: NDArray[np.float64]
     """RGB, usually 0..1, shape [3]."""
     intensity: float
-    """Factor on the colour; negative values take light away, as in Habitat."""
+    """Factor on the colour; negative values subtract light, as in Habitat."""
     frame: LightFrame = "global"
-    """What ``vector`` is relative to."""
+    """Frame of ``vector``."""
     cone_rad: tuple[float, float] = (0.0, 0.0)
     """Half angles of a spot: full light inside the first, none outside the second."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """A home: assets, where they stand, rooms. Frame: world, +Y up, metres."""
+    """A home: assets, their instances, rooms and lights. World frame, +Y up, metres."""
 
     name: str
     assets: Mapping[str, Asset]
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...] = ()
     lights: tuple[LightSource, ...] | None = None
-    """None: nothing is said about light; empty: there are no lamps (Habitat then draws plain colours)."""
+    """None if the source says nothing about light; empty if there are no lamps (Habitat then shows flat colours)."""
     source: Mapping[str, Any] = field(default_factory=dict)
-    """How to get it again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}`` or the Habitat files it came from."""
+    """How to obtain the scene again, e.g. ``{"kind": "home", "preset": "small", "seed": 7}``, or Habitat's files."""
 
     def __post_init__(self) -> None:
         unknown = sorted({i.asset for i in self.instances} - set(self.assets))
@@ -162,8 +162,8 @@ class Scene:
             raise SceneError(f"Scene {self.name!r}: instances refer to assets that it does not have: {unknown[:5]}.")
         names = [i.name for i in self.instances]
         if len(set(names)) != len(names):
-            twice = sorted({n for n in names if names.count(n) > 1})
-            raise SceneError(f"Scene {self.name!r}: instance names must be unique, these are not: {twice[:5]}.")
+            repeated = sorted({n for n in names if names.count(n) > 1})
+            raise SceneError(f"Scene {self.name!r}: instance names must be unique, these are not: {repeated[:5]}.")
 
     @property
     def static_instances(self) -> tuple[Instance, ...]:
@@ -171,14 +171,14 @@ class Scene:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Smallest and largest corner of everything, shape [2, 3] [m]."""
+        """Minimum and maximum corner of all instances, shape [2, 3] [m]."""
         boxes = [instance_bounds(self, i) for i in self.instances if len(self.assets[i.asset].mesh.vertices)]
         if not boxes:
             return np.zeros((2, 3))
         return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
 
     def receptacles(self) -> Iterator[tuple[Instance, Receptacle]]:
-        """Every receptacle in use of every static instance; Habitat names them ``instance|receptacle``."""
+        """Every usable receptacle of every static instance; Habitat names them ``instance|receptacle``."""
         for instance in self.static_instances:
             for receptacle in self.assets[instance.asset].receptacles:
                 if instance.receptacles is None or receptacle.name in instance.receptacles:
@@ -200,7 +200,7 @@ def instance_matrix(instance: Instance) -> NDArray[np.float64]:
 
 
 def instance_bounds(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """World axis-aligned box around the instance's mesh box, shape [2, 3] [m]."""
+    """Axis-aligned box in the world around the bounding box of the instance's mesh, shape [2, 3] [m]."""
     lo, hi = scene.assets[instance.asset].mesh.bounds
     matrix = instance_matrix(instance)
     center = matrix[:3, :3] @ ((lo + hi) / 2) + matrix[:3, 3]

@@ -1,12 +1,12 @@
-"""A scene as one GLB (glTF 2.0 binary) that any viewer opens and that gives the same scene back exactly.
+"""A scene as one GLB (glTF 2.0 binary) that any viewer opens and from which the same scene is restored exactly.
 
 Viewers see one mesh per asset (POSITION, NORMAL, COLOR_0 linear, TEXCOORD_0), one node per instance, and one material per
-texture, whose image lies in the file once as PNG. What glTF has no place for (categories, collision shapes, receptacles,
-rooms, float64 poses, ...) lies as JSON below ``extras.h3data`` of the file. sRGB colours survive exactly: 16-bit linear
-values are at least 19 steps apart for neighbouring 8-bit sRGB ones.
+texture, whose image is embedded once as PNG. Data without a place in glTF (categories, collision shapes, receptacles,
+rooms, float64 poses, ...) is JSON below ``extras.h3data``. sRGB colours survive exactly: the 16-bit linear values of
+neighbouring 8-bit sRGB ones are at least 19 apart.
 
-A mesh with ``face_textures`` has one primitive per texture, so its triangles are stored ordered by texture (stable); the
-array itself is kept too and tells where each belongs.
+A mesh with ``face_textures`` has one primitive per texture, so its triangles are stored ordered by texture (stable sort).
+The array itself is stored too; from it a reader restores the original order.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from h3data.srgb import bytes_to_linear
 
 FORMAT_NAME = "h3data.scene"
 FORMAT_VERSION = (1, 1)
-"""Major, minor. A reader refuses a newer major version and ignores fields that it does not know. 1.1 added textures."""
+"""Major, minor. A reader refuses a newer major version and ignores unknown fields. 1.1 added textures."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 
@@ -55,7 +55,7 @@ def _linear_of_srgb() -> NDArray[np.uint16]:
 
 
 def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """The nearest 8-bit sRGB values; exact for values written by `save_scene`."""
+    """Nearest 8-bit sRGB values; exact for values written by `save_scene`."""
     table = _linear_of_srgb().astype(np.int32)
     middles = (table[1:] + table[:-1]) // 2
     return np.searchsorted(middles, linear, side="left").astype(np.uint8)
@@ -63,7 +63,7 @@ def _srgb_of_linear(linear: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 # --- writing ----------------------------------------------------------------------------------------------------------
 class _Textures:
-    """The textures of a file in order of their first use, each written once."""
+    """The textures of a file in order of first use, each written once."""
 
     def __init__(self, chunk: GlbChunk) -> None:
         self._chunk = chunk
@@ -74,7 +74,7 @@ class _Textures:
         ]
 
     def index(self, texture: Texture) -> int:
-        """Index of the texture in the file; its material is the one after."""
+        """Index of the texture in the file; its material has the next index, since material 0 has no texture."""
         if id(texture) not in self._place:
             place = self._place[id(texture)] = len(self.images)
             view = self._chunk.view(png_bytes(texture.pixels))
@@ -85,7 +85,7 @@ class _Textures:
         return self._place[id(texture)]
 
     def records(self) -> dict[str, Any]:
-        """What the document says about them."""
+        """Top-level entries of the glTF document."""
         if not self.images:
             return {"materials": self.materials}
         return {
@@ -103,13 +103,13 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
         return None
     for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
         if values is not None and not np.isfinite(values).all():
-            raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot hold them.")
+            raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot store them.")
     low, high = mesh.bounds.tolist()
     vertices = mesh.vertices.astype("<f4")
     out: dict[str, Any] = {"POSITION": chunk.array(vertices, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
     if mesh.normals is not None:
         out["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
-    rgba = np.full((len(vertices), 4), 65535, "<u2")  # four components keep every vertex on a 4-byte border
+    rgba = np.full((len(vertices), 4), 65535, "<u2")  # a fourth component keeps every vertex aligned to 4 bytes
     rgba[:, :3] = _linear_of_srgb()[mesh.colors]
     out["COLOR_0"] = chunk.array(rgba, "VEC4", UINT16, VERTICES, normalized=True)
     if mesh.uv is not None:
@@ -129,9 +129,9 @@ def _by_texture(face_textures: NDArray[np.int16]) -> NDArray[np.int64]:
 
 
 def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[dict[str, Any]]:
-    """What viewers draw: all triangles, or those of each texture."""
+    """The primitives that viewers show: one for all triangles, or one per texture."""
     attributes = {name: index for name, index in accessors.items() if name.isupper()}
-    materials = [*(1 + k for k in accessors.get("textures", [])), 0]  # the last one is that of texture -1
+    materials = [*(1 + k for k in accessors.get("textures", [])), 0]  # the last one serves texture -1
     if mesh.face_textures is None:
         material = materials[0]
         return [{"attributes": attributes, "indices": accessors["indices"], "material": material, "mode": 4}]
@@ -205,7 +205,7 @@ def scene_bytes(scene: Scene) -> bytes:
 
 
 def save_scene(scene: Scene, path_or_buffer: str | os.PathLike[str] | BinaryIO) -> None:
-    """Writes a scene as GLB to a path (first to ``.part``, then renamed) or into an open binary file."""
+    """Writes a scene as GLB to a path (atomically, through ``.part``) or into an open binary file."""
     data = scene_bytes(scene)
     if not isinstance(path_or_buffer, str | os.PathLike):
         path_or_buffer.write(data)
@@ -237,7 +237,7 @@ def load_scene(path_or_bytes: str | os.PathLike[str] | bytes | BinaryIO) -> Scen
     if not isinstance(record, dict) or record.get("format") != FORMAT_NAME:
         raise FormatError(
             "A GLB, but not one written by h3data.scene.save_scene. "
-            f"Hint: h3data.interop reads GLBs and scenes of other makers. File: {where}"
+            f"Hint: h3data.open reads other GLBs and Habitat's scenes. File: {where}"
         )
     try:
         major = int(record["version"][0])

@@ -1,4 +1,4 @@
-"""What a scene holds beside its meshes as plain JSON records, and the digest of all of it."""
+"""JSON records of everything in a scene except its meshes, and the digest of a whole scene."""
 
 from __future__ import annotations
 
@@ -36,13 +36,14 @@ def floats(values: NDArray[np.float64]) -> list[Any]:
 _SHAPE_WRITERS: Mapping[type, Callable[[Any], dict[str, Any]]] = {
     Box: lambda s: {"type": "box", "pose": floats(s.pose), "half_extents": floats(s.half_extents)},
     Cylinder: lambda s: {
-        "type": "cylinder", "pose": floats(s.pose), "radius": float(s.radius), "half_height": float(s.half_height)
+        "type": "cylinder",
+        "pose": floats(s.pose),
+        "radius": float(s.radius),
+        "half_height": float(s.half_height),
     },
-    Capsule: lambda s: {
-        "type": "capsule", "start": floats(s.start), "end": floats(s.end), "radius": float(s.radius)
-    },
+    Capsule: lambda s: {"type": "capsule", "start": floats(s.start), "end": floats(s.end), "radius": float(s.radius)},
     Hull: lambda s: {"type": "hull", "points": floats(s.points)},
-}  # fmt: skip
+}
 
 
 def _array(value: Any, *shape: int | None) -> NDArray[np.float64]:
@@ -50,7 +51,7 @@ def _array(value: Any, *shape: int | None) -> NDArray[np.float64]:
     if array.size == 0 and len(shape) == 2:
         array = array.reshape(0, shape[1] or 0)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
-        raise ValueError(f"an array of shape {list(array.shape)} where {list(shape)} is needed")
+        raise ValueError(f"expected an array of shape {list(shape)}, got {list(array.shape)}")
     return array
 
 
@@ -65,7 +66,7 @@ _SHAPE_READERS: Mapping[str, Callable[[dict[str, Any]], Shape]] = {
 
 
 def asset_record(asset: Asset, mesh: dict[str, Any] | None) -> dict[str, Any]:
-    """All of an asset but its arrays; ``mesh`` names the accessors and textures that hold those."""
+    """An asset as plain JSON, without its arrays; ``mesh`` names the accessors and textures that hold them."""
     return {
         "name": asset.name,
         "category": asset.category,
@@ -99,7 +100,7 @@ def instance_record(i: Instance) -> dict[str, Any]:
 
 
 def read_instance(record: dict[str, Any]) -> Instance:
-    """The instance of `instance_record`."""
+    """Inverse of `instance_record`."""
     if record["motion"] not in ("static", "kinematic"):
         raise ValueError(f"unknown motion {record['motion']!r}")
     return Instance(
@@ -125,7 +126,7 @@ def room_record(r: Room) -> dict[str, Any]:
 
 
 def read_room(record: dict[str, Any]) -> Room:
-    """The room of `room_record`."""
+    """Inverse of `room_record`."""
     return Room(
         name=str(record["name"]),
         category=str(record["category"]),
@@ -148,7 +149,7 @@ def light_record(light: LightSource) -> dict[str, Any]:
 
 
 def read_light(record: dict[str, Any]) -> LightSource:
-    """The light of `light_record`."""
+    """Inverse of `light_record`."""
     inner, outer = (float(a) for a in record["cone_rad"])
     if record["kind"] not in get_args(LightKind) or record["frame"] not in get_args(LightFrame):
         raise ValueError(f"unknown light {record['kind']!r} in frame {record['frame']!r}")
@@ -164,7 +165,7 @@ def read_light(record: dict[str, Any]) -> LightSource:
 
 
 def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
-    """The asset of `asset_record` with its mesh."""
+    """Inverse of `asset_record`, given the mesh."""
     return Asset(
         name=str(record["name"]),
         mesh=mesh,
@@ -184,10 +185,10 @@ def read_asset(record: dict[str, Any], mesh: Mesh) -> Asset:
 
 # --- digest -----------------------------------------------------------------------------------------------------------
 def scene_digest(scene: Scene) -> str:
-    """SHA-256 (hex) of what the scene holds: assets by name, instances in order, rooms.
+    """SHA-256 (hex) of a scene's content: assets by name, instances in order, rooms, lights.
 
-    Independent of files, of the order of assets and of which meshes share a texture; the scene's name and source are
-    not content and do not count.
+    Independent of files, of the order of assets and of which meshes share a texture. The scene's name and source are not
+    content.
     """
     pixels_of: dict[int, str] = {}
     h = hashlib.sha256(b"h3data.scene.digest/1")
@@ -209,7 +210,7 @@ def scene_digest(scene: Scene) -> str:
         mesh = asset.mesh
         for array, dtype in ((mesh.vertices, "<f4"), (mesh.faces, "<i4"), (mesh.colors, "u1"), (mesh.normals, "<f4")):
             feed_array(array, dtype)
-        if mesh.uv is not None:  # meshes without have the digest that they always had
+        if mesh.uv is not None:  # untextured meshes keep the digest they had before textures existed
             feed("uv")
             feed_array(mesh.uv, "<f4")
             feed_array(mesh.face_textures, "<i2")

@@ -1,7 +1,8 @@
-"""Scene sets: which homes belong to a split, and how many episodes are played in each. One TOML file is one split.
+"""Scene sets: the homes of a split and the number of episodes in each. One TOML file is one split.
 
-The file says *which*, never *what*: homes as specs, other scenes as paths (docs/scene-sets.md). Episodes are not stored
-either: number ``i`` in a scene follows from `SceneSet.episode_seed`, and `sim_kinematic.social_nav_sets` draws it.
+The file refers to scenes and never contains them: homes as specs, other scenes as paths (docs/scene-sets.md). Episodes are
+not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
+(`sim_kinematic.tasks.social_nav_episodes`).
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ SUFFIX = ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class SceneFile:
-    """A scene that somebody else made, or that `h3data.scene.save_scene` wrote."""
+    """A scene in a file: Habitat's, or one written by `h3data.scene.save_scene`."""
 
     path: str
     """GLB, or Habitat's ``.scene_instance.json``, ``.stage_config.json``, ``.scene_dataset_config.json``."""
     scene: str = ""
-    """Which scene of a ``.scene_dataset_config.json``."""
+    """Name of the scene within a ``.scene_dataset_config.json``."""
     assets: tuple[str, ...] = ()
-    """Folders below which its files are looked for as well; none: those of H3DATA_ASSETS."""
+    """Additional folders to search for the scene's files; if empty, those of H3DATA_ASSETS."""
     strict: bool = False
     """Whether warnings are errors."""
     allow_missing: bool = False
-    """Whether what has no file is left out, with a warning."""
+    """Whether objects whose files are missing are left out with a warning."""
 
 
 SceneSource = HomeSpec | SceneFile
-"""All that is needed to get a scene; hashable."""
+"""Everything needed to obtain a scene; hashable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,16 +49,16 @@ class SceneEntry:
     """One scene of a set."""
 
     id: str
-    """Unique in its set; stays when others are added."""
+    """Unique in its set and stable when scenes are added."""
     source: SceneSource
 
 
 class SocialNavRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The table ``[social_nav]``: what a set's episodes of social navigation have in common."""
+    """The table ``[social_nav]``: the settings that all social-navigation episodes of a set share."""
 
     episodes_per_scene: int = 10
     spawn_distance_m: float = 5.0
-    """Least distance of the starts in the floor plane [m]; the paper: 3 for training, 5 for evaluation."""
+    """Minimum distance between the starts in the floor plane [m]; the paper uses 3 for training, 5 for evaluation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,26 +71,29 @@ class SceneSet:
     social_nav: SocialNavRules
     about: str
     sha256: str
-    """Digest of the file: an interrupted dataset goes on with the same one only."""
+    """Digest of the file: an interrupted dataset can only be continued with the same set."""
 
     @property
     def label(self) -> str:
-        """``h3-homes/test``."""
+        """Name and split, e.g. ``h3-homes/test``."""
         return f"{self.name}/{self.split}" if self.split else self.name
 
     @property
     def episodes(self) -> int:
-        """How many episodes there are in all."""
+        """Number of episodes in all scenes together."""
         return len(self.scenes) * self.social_nav.episodes_per_scene
 
     def place(self, episode: int) -> tuple[SceneEntry, int]:
-        """Scene of an episode of the set, and which one it is there: they go round the scenes, so any number is spread."""
+        """Scene of an episode of the set, and its index within that scene.
+
+        Consecutive episodes take consecutive scenes, so that the first few episodes already cover many of them.
+        """
         return self.scenes[episode % len(self.scenes)], episode // len(self.scenes)
 
     def episode_seed(self, scene_id: str, index: int, *, seed: int = 0) -> int:
-        """Seed (63 bits) of episode ``index`` in a scene. It depends on nothing else, so sets may grow.
+        """Seed (63 bits) of episode ``index`` in a scene. It does not depend on the other scenes, so sets may grow.
 
-        ``seed`` 0 gives the set's own episodes, any other gives others in the same scenes.
+        ``seed`` 0 gives the set's own episodes; any other value gives different episodes in the same scenes.
         """
         text = f"h3data.episode/1/{self.name}/{self.split}/{scene_id}/{seed}/{index}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
@@ -98,32 +102,35 @@ class SceneSet:
         """The scene with a number (``3``) or an id (``test_03``)."""
         if which.isdecimal() and int(which) < len(self.scenes):
             return self.scenes[int(which)]
-        found = next((e for e in self.scenes if e.id == which), None)
-        if found is None:
-            raise InputError(
-                f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
-                f"or by id: {_some(e.id for e in self.scenes)}."
-            )
-        return found
+        for entry in self.scenes:
+            if entry.id == which:
+                return entry
+        raise InputError(
+            f"There is no scene {which!r} in {self.label}. It has {len(self.scenes)}: 0 to {len(self.scenes) - 1}, "
+            f"or by id: {_some(e.id for e in self.scenes)}."
+        )
 
 
-# --- by name ----------------------------------------------------------------------------------------------------------
+# --- lookup by name ---------------------------------------------------------------------------------------------------
 def builtin_sets() -> Mapping[str, tuple[str, ...]]:
-    """Names of the sets that ship with h3data, with their splits: train, val, test first. A set is a folder with a card."""
+    """Splits of the sets that ship with h3data by set name, in the order train, val, test, others.
+
+    A set is a folder with a card (README.md).
+    """
     order = {"train": 0, "val": 1, "test": 2}
     files = [file for card in builtin_root().glob("*/README.md") for file in card.parent.glob(f"*{SUFFIX}")]
     splits: dict[str, list[str]] = {}
     for file in sorted(files, key=lambda f: (f.parent.name, order.get(f.stem, 3), f.stem)):
         splits.setdefault(file.parent.name, []).append(file.stem)
-    return {name: tuple(found) for name, found in splits.items()}
+    return {name: tuple(stems) for name, stems in splits.items()}
 
 
 def find_scene_set(text: str) -> SceneSet | None:
-    """The built-in set ``h3-homes/test`` or the one in a TOML file; None if ``text`` is not like either.
+    """The built-in set with a label such as ``h3-homes/test``, or the set in a TOML file; None if ``text`` is neither.
 
     Raises:
-        InputError: it is, but there is no such split or file.
-        FormatError: the file has faults.
+        InputError: there is no such split or file.
+        FormatError: the file is invalid.
     """
     if text.endswith(SUFFIX):
         return read_scene_set(Path(text))
@@ -132,9 +139,9 @@ def find_scene_set(text: str) -> SceneSet | None:
     if splits is None or Path(text).is_file():
         return None
     if split not in splits:
-        there = [f"{name}/{s}" for s in splits]
+        labels = [f"{name}/{s}" for s in splits]
         raise InputError(
-            f"Which split of {name}? Expected {' or '.join(there)}, got {text!r}.{did_you_mean(text, there)}"
+            f"Which split of {name}? Expected {' or '.join(labels)}, got {text!r}.{did_you_mean(text, labels)}"
         )
     return read_scene_set(builtin_root() / name / f"{split}{SUFFIX}")
 
@@ -169,11 +176,11 @@ class _SetFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def read_scene_set(path: str | Path) -> SceneSet:
-    """The set in a TOML file. Paths in it start at its folder, or are absolute; files must exist, but are not read.
+    """The set in a TOML file. Scene paths are relative to its folder or absolute; the files must exist but are not read.
 
     Raises:
         InputError: the file cannot be read.
-        FormatError: it has faults; the message names the file and the key of each.
+        FormatError: the file is invalid; the message names the key of each fault.
     """
     path = Path(path)
     try:
@@ -183,27 +190,31 @@ def read_scene_set(path: str | Path) -> SceneSet:
     try:
         content = msgspec.toml.decode(data, type=_SetFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as fault:
-        raise FormatError(f"{_plainer(fault, _SetFile)} Scene set: {path}") from None
-    faults = list(_faults_of_head(content))
+        raise FormatError(f"{_readable(fault, _SetFile)} Scene set: {path}") from None
+    faults = list(_header_faults(content))
     scenes: list[SceneEntry] = []
     for k, record in enumerate(content.scenes):
         try:
             scenes.append(_entry(record, path.parent))
         except (InputError, msgspec.ValidationError) as fault:
             kind = _File if "file" in record else _Home
-            faults.append(f"scenes[{k}]: {_plainer(fault, kind)}")
+            faults.append(f"scenes[{k}]: {_readable(fault, kind)}")
     ids = [e.id for e in scenes]
-    faults += [f"scenes: the id {i!r} is there {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
+    faults += [f"scenes: the id {i!r} occurs {ids.count(i)} times." for i in dict.fromkeys(ids) if ids.count(i) > 1]
     if faults:
         more = f" ... and {len(faults) - 5} more faults." if len(faults) > 5 else ""
         raise FormatError(f"{' '.join(faults[:5])}{more} Scene set: {path}")
     return SceneSet(
-        name=content.name, split=content.split, scenes=tuple(scenes), social_nav=content.social_nav,
-        about=content.about, sha256=hashlib.sha256(data).hexdigest(),
-    )  # fmt: skip
+        name=content.name,
+        split=content.split,
+        scenes=tuple(scenes),
+        social_nav=content.social_nav,
+        about=content.about,
+        sha256=hashlib.sha256(data).hexdigest(),
+    )
 
 
-def _faults_of_head(content: _SetFile) -> Iterable[str]:
+def _header_faults(content: _SetFile) -> Iterable[str]:
     rules = content.social_nav
     if content.format != FORMAT:
         yield f"format: expected {FORMAT}, got {content.format}."
@@ -225,11 +236,11 @@ def _entry(record: dict[str, Any], folder: Path) -> SceneEntry:
     entry = msgspec.convert(record, _File)
     if ".." in PurePosixPath(entry.file).parts:
         raise InputError(
-            f"file: the path must not climb out of the folder of the set, got {entry.file!r}. Hint: give it whole."
+            f"file: the path must not leave the folder of the set, got {entry.file!r}. Hint: use an absolute path."
         )
     file = folder / entry.file
     if not file.is_file():
-        raise InputError(f"file: there is no such file: {entry.file!r}.")
+        raise InputError(f"file: no such file: {entry.file!r}.")
     return SceneEntry(id=_checked_id(entry.id), source=SceneFile(path=str(file), scene=entry.scene))
 
 
@@ -239,12 +250,12 @@ def _checked_id(text: str) -> str:
     return text
 
 
-def _plainer(fault: Exception, kind: type[msgspec.Struct]) -> str:
-    """The message of msgspec or ours, with the keys that would have been right."""
+def _readable(fault: Exception, kind: type[msgspec.Struct]) -> str:
+    """The message of msgspec or ours, with the valid keys if a key is unknown."""
     text = str(fault).replace("`", "'").replace("$.", "").removesuffix(" - at '$'").rstrip(".")
     text = text.replace("Object contains unknown field", "unknown key").replace("Object missing required", "missing")
-    known = f" Expected: {', '.join(kind.__struct_fields__)}." if "unknown key" in text else ""
-    return f"{text}.{known}"
+    valid = f" Expected: {', '.join(kind.__struct_fields__)}." if "unknown key" in text else ""
+    return f"{text}.{valid}"
 
 
 def _some(names: Iterable[str]) -> str:

@@ -1,6 +1,6 @@
-"""What is wrong with a scene for those who walk in it: cut-off floor, tight passages, floating things, far receptacles.
+"""Faults of a scene that matter to agents: cut-off floor, tight passages, floating objects, receptacles out of reach.
 
-What needs FCL (things inside each other) is in `sim_kinematic.contact.overlapping_instances`.
+Objects inside each other need FCL: see `sim_kinematic.contact.overlapping_instances`.
 """
 
 from __future__ import annotations
@@ -31,22 +31,23 @@ Kind = Literal[
 ]
 
 GAP_BELOW_M, GAP_ABOVE_M = 0.05, 0.10
-"""A passage of 2 r - 5 cm to 2 r + 10 cm is open or shut by rounding alone (research/navigation-and-stepping.md 6)."""
+"""Whether a passage 2 r - 5 cm to 2 r + 10 cm wide is open depends on rounding (research/navigation-and-stepping.md 6)."""
 REACH_M = 1.1
-"""Greatest way on the floor plane from where one can stand to the middle of a receptacle, as the home generator grants."""
+"""Greatest distance in the floor plane from standing room to the centre of a receptacle; the home generator's limit."""
 ISLAND_MIN_M2 = 0.05
-"""Smaller patches of free floor are corners between things, not places."""
+"""Smaller patches of free floor are leftover corners between objects and are ignored."""
 ROOM_MIN_M2 = 0.1
-"""A room of which less can be walked on cannot be entered."""
+"""A room with less walkable floor cannot be entered."""
 FLOAT_M, SINK_M = 0.02, 0.01
-"""A thing floats when nothing is this close below it, and is sunk when a surface is this far above its underside."""
+"""An object floats if nothing is this close below it, and is sunk if a surface lies this far above its underside."""
 CLIMB_M = 0.2
-"""Lower things are walked over."""
+"""Lower objects are stepped over."""
 FURNITURE_MAX_M2 = 6.0
-"""What takes more of the floor than this is a room, not something in it."""
+"""Static instances with a larger footprint are whole rooms, not furniture."""
 TOUCH_M = 0.05
-"""A thing this near to the rim of an agent is what stops it."""
+"""Objects this close to the rim of an agent's disc are taken to be what stops it."""
 _SLACK_M = 0.004
+"""Rounding of buffered polygons."""
 _HULL_SHARE = 0.9
 
 
@@ -56,22 +57,25 @@ class Problem:
 
     kind: Kind
     subject: str
-    """The room, instance or receptacle, or two joined by " / "."""
+    """The room, instance or receptacle, or two of them joined by " / "."""
     text: str
-    """What is wrong, with numbers."""
+    """Description of the fault, with numbers."""
     position: NDArray[np.float64] | None = None
-    """Where, world, shape [3] [m]; None if it is nowhere (a file that is missing)."""
+    """Position in the world, shape [3] [m]; None if it has none (a missing file)."""
 
 
 def free_space_for_validation(scene: Scene, *, radius_m: float = 0.25, height_m: float = 1.41) -> FreeSpace:
-    """The free space of a disc that is smaller by half of `GAP_BELOW_M`: tight passages are open in it."""
+    """Free space for a disc smaller by half of `GAP_BELOW_M`, so that tight passages are open in it."""
     return FreeSpace.from_scene(scene, radius_m=radius_m - GAP_BELOW_M / 2, height_m=height_m)
 
 
 def find_problems(scene: Scene, loose: FreeSpace, *, radius_m: float = 0.25) -> list[Problem]:
-    """Everything that is wrong with a scene's floor, its receptacles and the things on them, in that order.
+    """Faults of a scene's floor, its receptacles and the objects on them, in that order.
 
-    ``loose`` is its `free_space_for_validation`; ``radius_m`` the radius of the agent.
+    Args:
+        scene: The scene.
+        loose: Its `free_space_for_validation`.
+        radius_m: Radius of the agent [m].
     """
     free = shapely.MultiPolygon(loose.polygon).buffer(-GAP_BELOW_M / 2)
     islands = sorted((p for p in shapely.get_parts(free) if p.area >= ISLAND_MIN_M2), key=lambda p: -p.area)
@@ -100,64 +104,64 @@ def _islands(scene: Scene, islands: Sequence[BaseGeometry], floor: float, radius
 def _standing_between(
     scene: Scene, first: BaseGeometry, second: BaseGeometry, floor: float, radius_m: float
 ) -> list[str]:
-    """Names of static things, but for walls and whole stages, that an agent touches from both of two islands."""
-    found = []
+    """Names of static furniture that an agent touches from both of two islands."""
+    names = []
     for instance in scene.static_instances:
         if not len(scene.assets[instance.asset].mesh.vertices) or scene.assets[instance.asset].category == "wall":
             continue
         low, high = instance_bounds(scene, instance)
         foot = shapely.box(low[0], low[2], high[0], high[2])
         around = foot.buffer(radius_m + TOUCH_M)
-        stands = low[1] < floor + 1.0 and high[1] > floor + CLIMB_M
-        if stands and foot.area < FURNITURE_MAX_M2 and around.intersects(first) and around.intersects(second):
-            found.append(instance.name)
-    return found
+        obstructs = low[1] < floor + 1.0 and high[1] > floor + CLIMB_M
+        if obstructs and foot.area < FURNITURE_MAX_M2 and around.intersects(first) and around.intersects(second):
+            names.append(instance.name)
+    return names
 
 
 def _rooms(scene: Scene, main: BaseGeometry, floor: float) -> Iterable[Problem]:
     for room in scene.rooms:
         if abs(room.floor_y - floor) > 0.5:
-            continue  # another storey, of which this free space says nothing
+            continue  # another storey, which this free space does not cover
         area = shapely.union_all([shapely.box(*r) for r in np.asarray(room.rectangles, np.float64)])
         inside = main.intersection(area).area
         if inside < ROOM_MIN_M2:
             yield Problem(
                 kind="unreachable_room",
                 subject=room.name,
-                text=f"{inside:.2f} of its {area.area:.2f} m2 can be walked to",
+                text=f"{inside:.2f} of its {area.area:.2f} m2 are reachable",
                 position=np.array([area.centroid.x, floor, area.centroid.y]),
             )
 
 
 def tight_gaps(loose: BaseGeometry, floor: float, *, radius_m: float) -> list[Problem]:
-    """Passages whose width is between 2 r - 5 cm and 2 r + 10 cm: open for one agent, shut for the next.
+    """Passages between 2 r - 5 cm and 2 r + 10 cm wide: open for one agent, closed for the next.
 
-    ``loose`` is the free area for the disc of r - 2.5 cm. Where the wider disc (r + 5 cm) does not get, though the
-    places on both sides are free for it, is a tight passage; niches with one entrance are none.
+    ``loose`` is the free area for a disc of r - 2.5 cm. A tight passage is a part of it that the wider disc (r + 5 cm)
+    cannot enter, though the places on both sides are free for that disc. Niches with one entrance do not count.
     """
     shrink = (GAP_BELOW_M + GAP_ABOVE_M) / 2
     wide = loose.buffer(-shrink)
     reached = wide.buffer(shrink + _SLACK_M)
-    found = []
+    problems = []
     for neck in shapely.get_parts(loose.difference(reached)):
         mouths = shapely.get_parts(neck.buffer(2 * _SLACK_M).intersection(reached))
         if sum(m.area > 1e-6 for m in mouths) < 2:
             continue
         point = neck.representative_point()
         width = 2 * (radius_m - GAP_BELOW_M / 2 + _narrowest(loose, neck, shrink))
-        found.append(
+        problems.append(
             Problem(
                 kind="tight_gap",
                 subject=f"({point.x:.2f}, {point.y:.2f})",
-                text=f"a passage of {width:.2f} m, which is near the {2 * radius_m:.2f} m of an agent",
+                text=f"a passage {width:.2f} m wide, close to the agent's {2 * radius_m:.2f} m",
                 position=np.array([point.x, floor, point.y]),
             )
         )
-    return found
+    return problems
 
 
 def _narrowest(loose: BaseGeometry, neck: BaseGeometry, most: float) -> float:
-    """By how much a disc may grow until it does not pass a neck any more [m], within 2 mm."""
+    """Growth of the disc's radius at which it no longer passes a neck [m], to within 2 mm; at most ``most``."""
     around = loose.intersection(neck.buffer(0.3))
     before = len([p for p in shapely.get_parts(around) if p.intersects(neck)])
     low, high = 0.0, most
@@ -170,21 +174,21 @@ def _narrowest(loose: BaseGeometry, neck: BaseGeometry, most: float) -> float:
 
 def _receptacles(scene: Scene, main: BaseGeometry) -> Iterable[Problem]:
     for instance, receptacle in scene.receptacles():
-        at = transform_points(instance_matrix(instance), np.asarray(receptacle.center, np.float64)[None])[0]
-        away = main.distance(shapely.Point(at[0], at[2])) if not main.is_empty else np.inf
-        if away > REACH_M:
+        center = transform_points(instance_matrix(instance), np.asarray(receptacle.center, np.float64)[None])[0]
+        distance = main.distance(shapely.Point(center[0], center[2])) if not main.is_empty else np.inf
+        if distance > REACH_M:
             yield Problem(
                 kind="out_of_reach",
                 subject=f"{instance.name}|{receptacle.name}",
-                text=f"its middle is {away:.2f} m from where one can stand (reach {REACH_M} m)",
-                position=at,
+                text=f"its centre is {distance:.2f} m from standing room (reach {REACH_M} m)",
+                position=center,
             )
 
 
-def stands_for_hollow(asset: Asset) -> bool:
-    """Whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may be none.
+def hull_fills_hollows(asset: Asset) -> bool:
+    """Whether an asset collides as one hull that fills hollows of its mesh, so that overlaps with it may not be real.
 
-    Told by the mesh: less than `_HULL_SHARE` of its surface lies within 1 cm of the hull's.
+    True if less than `_HULL_SHARE` of the mesh's surface lies within 1 cm of the hull.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -200,9 +204,9 @@ def stands_for_hollow(asset: Asset) -> bool:
     return float(area[inside > -0.01].sum()) < _HULL_SHARE * float(area.sum())
 
 
-# --- things that do not rest ------------------------------------------------------------------------------------------
+# --- objects that do not rest on anything -----------------------------------------------------------------------------
 def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
-    """Kinematic things with nothing below them, or partly below the surface of their receptacle."""
+    """Kinematic objects with nothing below them, or partly below the surface of their receptacle."""
     movable = [i for i in scene.instances if i.motion == "kinematic" and len(scene.assets[i.asset].mesh.vertices)]
     if not movable:
         return
@@ -220,17 +224,17 @@ def _resting(scene: Scene, floor: float) -> Iterable[Problem]:
             yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
             continue
         gap = float(low[1] - _support(scene, boxes, thing, points, low))
-        ground = float(low[1] - floor)
-        if -SINK_M > ground > -0.5 and gap > FLOAT_M:
-            text = f"its underside is {-100 * ground:.1f} cm below the floor"
+        above_floor = float(low[1] - floor)
+        if -SINK_M > above_floor > -0.5 and gap > FLOAT_M:
+            text = f"its underside is {-100 * above_floor:.1f} cm below the floor"
             yield Problem(kind="sunk", subject=thing.name, text=text, position=middle)
         elif gap > FLOAT_M:
-            what = f"the next thing below is {100 * gap:.1f} cm away" if np.isfinite(gap) else "nothing is below it"
-            yield Problem(kind="floating", subject=thing.name, text=what, position=middle)
+            text = f"the next surface below is {100 * gap:.1f} cm away" if np.isfinite(gap) else "nothing is below it"
+            yield Problem(kind="floating", subject=thing.name, text=text, position=middle)
 
 
 def _sunk(surfaces: Sequence, thing: Instance, foot: NDArray[np.float64], top: float) -> tuple[float, str] | None:
-    """How far a receptacle's surface is above the foot of a thing that stands in its rectangle, and its name."""
+    """Height of a receptacle's surface above the foot of an object within its rectangle, and the receptacle's name."""
     for matrix, owner, receptacle in surfaces:
         local = np.linalg.solve(matrix[:3, :3], foot - matrix[:3, 3]) - receptacle.center
         level = (matrix[:3, :3] @ receptacle.center + matrix[:3, 3])[1]
@@ -243,9 +247,9 @@ def _sunk(surfaces: Sequence, thing: Instance, foot: NDArray[np.float64], top: f
 def _support(
     scene: Scene, boxes: Sequence[NDArray[np.float64]], thing: Instance, points: NDArray, low: NDArray
 ) -> float:
-    """Height of the highest surface under the foot of a thing [m]; -inf if there is none.
+    """Height of the highest surface below an object [m]; -inf if there is none.
 
-    Looked for straight below the middle and a ring of points of the footprint.
+    Probed straight below the middle of the footprint and a ring of points on it.
     """
     high = points.max(0)
     foot = points[points[:, 1] < low[1] + 0.02]
@@ -264,7 +268,7 @@ def _support(
 
 
 def _height_below(triangles: NDArray, points: NDArray, level: float) -> float:
-    """Greatest height at most ``level`` at which triangles [F, 3, 3] are met straight below points [N, 2] (x, z)."""
+    """Greatest height up to ``level`` at which vertical lines through points [N, 2] (x, z) hit triangles [F, 3, 3]."""
     flat = triangles[..., [0, 2]]
     near = (flat.min(1) <= points.max(0)).all(1) & (flat.max(1) >= points.min(0)).all(1)
     near &= triangles[..., 1].min(1) <= level

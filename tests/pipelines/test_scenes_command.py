@@ -41,7 +41,7 @@ from h3data.scene import (
     load_scene,
     scene_digest,
 )
-from h3data.scene.validation import Problem, find_problems, free_space_for_validation, stands_for_hollow
+from h3data.scene.validation import Problem, find_problems, free_space_for_validation, hull_fills_hollows
 from h3data_pipelines.assets.scene_reports import validate_scene
 from h3data_pipelines.cli import main
 from sim_kinematic.contact import overlapping_instances
@@ -139,7 +139,7 @@ def test_a_door_of_nearly_an_agents_width(door_m: float) -> None:
     (gap,) = [p for p in found if p.kind == "tight_gap"]
     assert gap.position is not None
     np.testing.assert_allclose(gap.position, [4.05, 0, 2.0], atol=0.12)
-    width = float(gap.text.split("passage of ")[1].split(" m")[0])
+    width = float(gap.text.removeprefix("a passage ").split(" m")[0])
     assert width == pytest.approx(door_m, abs=0.012)
     # below 2 r it is shut for the agent as well
     assert [p.kind for p in found if p.kind != "tight_gap"] == (SHUT if door_m < 0.5 else [])
@@ -226,10 +226,10 @@ def test_hulls_that_fill_hollows_are_told_by_their_mesh(home: Scene) -> None:
         asset = next(a for a in home.assets.values() if a.category == category)
         return replace(asset, shapes=(Hull(points=asset.mesh.vertices.astype(np.float64)),))
 
-    assert stands_for_hollow(as_one_hull("chair"))
-    assert stands_for_hollow(as_one_hull("shelf"))
-    assert not stands_for_hollow(as_one_hull("box"))
-    assert not stands_for_hollow(next(a for a in home.assets.values() if a.category == "chair"))
+    assert hull_fills_hollows(as_one_hull("chair"))
+    assert hull_fills_hollows(as_one_hull("shelf"))
+    assert not hull_fills_hollows(as_one_hull("box"))
+    assert not hull_fills_hollows(next(a for a in home.assets.values() if a.category == "chair"))
 
 
 # --- validate ---------------------------------------------------------------------------------------------------------

@@ -410,18 +410,18 @@ def test_truncation_anywhere_is_noticed(home: Scene):
             load_scene(data[:cut])
 
 
-def test_a_foreign_glb_is_sent_to_interop(tmp_path: Path):
+def test_a_foreign_glb_is_sent_to_open(tmp_path: Path):
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.glb"
     trimesh.creation.box().export(path)
-    with pytest.raises(FormatError, match=r"h3data\.interop.*box\.glb"):
+    with pytest.raises(FormatError, match=r"h3data\.open.*box\.glb"):
         load_scene(path)
 
 
 @pytest.mark.parametrize("extras", [None, 3, [], {}, {"h3data": None}, {"h3data": {"format": "h3data.else"}}])
 def test_foreign_extras_are_foreign(home: Scene, extras: Any):
     document, binary = chunks(scene_bytes(home))
-    with pytest.raises(FormatError, match="interop"):
+    with pytest.raises(FormatError, match="h3data.open"):
         load_scene(rebuilt({**document, "extras": extras}, binary))
 
 

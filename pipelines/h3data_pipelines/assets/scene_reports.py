@@ -136,10 +136,10 @@ def _of_one_object(first: str, second: str) -> bool:
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
     """Things inside each other, and the number of pairs that may be so only because one is a hull of a hollow thing."""
-    from h3data.scene.validation import Problem, stands_for_hollow
+    from h3data.scene.validation import Problem, hull_fills_hollows
     from sim_kinematic.contact import overlapping_instances
 
-    hollow = {name for name, asset in scene.assets.items() if stands_for_hollow(asset)}
+    hollow = {name for name, asset in scene.assets.items() if hull_fills_hollows(asset)}
     asset_of = {i.name: i.asset for i in scene.instances}
     found = [o for o in overlapping_instances(scene) if not _of_one_object(o.first, o.second)]
     sure = [o for o in found if not {asset_of[o.first], asset_of[o.second]} & hollow]
