@@ -421,7 +421,7 @@ def test_a_foreign_glb_is_sent_to_open(tmp_path: Path):
 @pytest.mark.parametrize("extras", [None, 3, [], {}, {"h3data": None}, {"h3data": {"format": "h3data.else"}}])
 def test_foreign_extras_are_foreign(home: Scene, extras: Any):
     document, binary = chunks(scene_bytes(home))
-    with pytest.raises(FormatError, match="h3data.open"):
+    with pytest.raises(FormatError, match=r"h3data\.open"):
         load_scene(rebuilt({**document, "extras": extras}, binary))
 
 
