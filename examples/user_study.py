@@ -5,12 +5,11 @@ import sys
 from PIL import Image, ImageDraw, ImageFont
 
 from h3data.metrics import plan_sessions, simulate_study
-from h3data.stats.mixed_models import fit_glmm
-from h3data.stats.posthoc import MarginalMeans, contrasts, contrasts_text, marginal_means, relative_efficiency
+from h3data.stats import MarginalMeans, contrasts, contrasts_text, fit_glmm, marginal_means, relative_efficiency
 
 
 def draw(means: MarginalMeans, path: str) -> None:
-    """Estimated means as dots, 95 % intervals as bars."""
+    """Estimated means as dots, 95% intervals as bars."""
     ends, most = means.intervals(), float(means.intervals().max()) * 1.1
     picture = Image.new("RGB", (720, 60 + 50 * len(means.levels)), "white")
     pen, font = ImageDraw.Draw(picture), ImageFont.load_default(18)
@@ -43,6 +42,6 @@ means = marginal_means(fit, "condition")
 print(means.to_text(), end="\n\n")
 print(contrasts_text(contrasts(means)), end="\n\n")
 for e in relative_efficiency(means, "solo"):
-    print(f"RE {e.level}: {e.percent:.1f} % [{e.low:.1f}, {e.high:.1f}]")
+    print(f"RE {e.level}: {e.percent:.1f}% [{e.low:.1f}, {e.high:.1f}]")
 if len(sys.argv) > 1:
     draw(means, sys.argv[1])

@@ -1,10 +1,9 @@
 """What an episode was worth: task metrics of recordings, from their columns alone."""
 
 from h3data.metrics.batch import measure_files
-from h3data.metrics.differences import Differences, compare_tables
+from h3data.metrics.differences import Differences, compare_runs, compare_tables
 from h3data.metrics.explaining import explain, explain_episode, list_metrics
 from h3data.metrics.metric import EpisodeMetrics, Metric, MissingColumnsError, find_agents
-from h3data.metrics.paired import PairedComparison, compare_paired, compare_runs
 from h3data.metrics.power import Power, simulate_power, simulate_study
 from h3data.metrics.registry import (
     PROFILES,
@@ -37,14 +36,12 @@ __all__ = [
     "Metric",
     "MetricsTable",
     "MissingColumnsError",
-    "PairedComparison",
     "Power",
     "Profile",
     "Session",
     "Summary",
     "all_metrics",
     "anonymous_id",
-    "compare_paired",
     "compare_runs",
     "compare_tables",
     "events_of",

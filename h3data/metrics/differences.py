@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
-from h3data.metrics.paired import PairedComparison, compare_runs
-from h3data.metrics.table import MetricsTable
+from h3data.errors import InputError, did_you_mean
+from h3data.metrics.table import MetricsTable, aligned
+from h3data.stats import PAdjustment, PairedComparison, adjust_p_values, compare_paired
+from h3data.stats.paired_tests import some_of
 
 _SHOWN = 3
-"""Episodes that text names per metric."""
+"""Changed episodes that the text names per metric."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,10 +26,10 @@ class Differences:
 
     profile: str
     names: tuple[str, str]
-    """What the two runs are called."""
+    """Labels of the two runs."""
     episode_ids: tuple[str, ...]
     first: dict[str, NDArray[np.float64]]
-    """By metric, in the order of ``episode_ids``; NaN = undefined."""
+    """Values by metric, in the order of ``episode_ids``; NaN = undefined."""
     second: dict[str, NDArray[np.float64]]
     tests: dict[str, PairedComparison]
     """Means, interval, test and effect size by metric."""
@@ -41,20 +43,17 @@ class Differences:
         return [(self.episode_ids[k], float(a[k]), float(b[k])) for k in order]
 
     def to_text(self) -> str:
-        """A table of metrics, and below it the episodes that changed most."""
-        heads = ["metric", *self.names, "difference", "95 % interval", "p", "changed"]
-        lines = [heads]
+        """A table of the metrics, followed by the episodes that changed most."""
+        lines = [["metric", *self.names, "difference", "95% interval", "p", "changed"]]
         for name, test in self.tests.items():
             interval = "" if np.isnan(test.low) else f"[{test.low:+.3f}, {test.high:+.3f}]"
             means = [_number(test.first_mean), _number(test.second_mean), _number(test.difference, "+.3f")]
             changed = f"{len(self.changed(name))} of {len(self.episode_ids)}"
             lines.append([name, *means, interval, _number(test.p_adjusted, ".3g"), changed])
-        widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
-        table = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
-        return "\n".join([*table, *self._change_lines()])
+        return "\n".join([aligned(lines), *self._change_lines()])
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON types; undefined numbers are None."""
+        """The comparison as JSON types; undefined numbers are None."""
         return {
             "profile": self.profile,
             "runs": list(self.names),
@@ -77,9 +76,9 @@ class Differences:
             if changed:
                 each = [f"{e} {_number(a)} / {_number(b)}" for e, a, b in changed[:_SHOWN]]
                 lines.append(f"  {name}: {', '.join(each)}{', ...' if len(changed) > _SHOWN else ''}")
-        return (
-            [f"Episodes that differ ({self.names[0]} / {self.names[1]})", *lines] if lines else ["No episode differs."]
-        )
+        if not lines:
+            return ["No episode differs."]
+        return [f"Episodes that differ ({self.names[0]} / {self.names[1]})", *lines]
 
 
 def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[str, str] = ("A", "B")) -> Differences:
@@ -89,17 +88,16 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
         InputError: the runs hold different episodes or profiles, or an id names two episodes; the message names them.
     """
     if (first.profile, first.metrics) != (second.profile, second.metrics):
-        raise InputError(f"Runs of different metrics cannot be paired: {first!r} and {second!r}.")
+        raise InputError(f"Runs with different metrics cannot be paired: {first!r} and {second!r}.")
     for name, table in zip(names, (first, second), strict=True):
-        twice = [i for i, times in Counter(table.episode_ids).items() if times > 1]
-        if twice:
-            raise InputError(f"Episode ids of {name} are not unique, so they cannot be paired: {_some(twice)}.")
+        if repeated := _repeated(table):
+            raise InputError(f"Episode ids of {name} are not unique, so they cannot be paired: {_quoted(repeated)}.")
     sets = set(first.episode_ids), set(second.episode_ids)
     missing = [i for i in first.episode_ids if i not in sets[1]]
     extra = [i for i in second.episode_ids if i not in sets[0]]
     if missing or extra:
         parts = [
-            f"only {name} has {len(ids)}: {_some(ids)}"
+            f"only {name} has {len(ids)}: {_quoted(ids)}"
             for name, ids in zip(names, (missing, extra), strict=True)
             if ids
         ]
@@ -116,7 +114,44 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
     )
 
 
-def _some(names: list[str]) -> str:
+def compare_runs(
+    first: MetricsTable,
+    second: MetricsTable,
+    *,
+    metrics: Sequence[str] | None = None,
+    adjust: PAdjustment = "holm",
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> dict[str, PairedComparison]:
+    """Compares every metric (or ``metrics``) of two tables over the same episodes; p values are adjusted together."""
+    if first.profile != second.profile:
+        raise InputError(f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.")
+    names = list(metrics) if metrics is not None else list(first.columns)
+    unknown = [n for n in names if n not in first.columns]
+    if unknown:
+        near = did_you_mean(unknown[0], first.columns)
+        raise InputError(f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.")
+    for table, which in ((first, "first"), (second, "second")):
+        if repeated := _repeated(table):
+            raise InputError(f"Expected each episode once; the {which} run repeats {some_of(sorted(repeated))}.")
+    results = {
+        name: compare_paired(
+            dict(zip(first.episode_ids, map(float, first.columns[name]), strict=True)),
+            dict(zip(second.episode_ids, map(float, second.columns[name]), strict=True)),
+            confidence=confidence,
+            seed=seed,
+        )
+        for name in names
+    }
+    adjusted = adjust_p_values([r.p for r in results.values()], method=adjust)
+    return {name: replace(r, p_adjusted=float(p)) for (name, r), p in zip(results.items(), adjusted, strict=True)}
+
+
+def _repeated(table: MetricsTable) -> list[str]:
+    return [episode for episode, times in Counter(table.episode_ids).items() if times > 1]
+
+
+def _quoted(names: list[str]) -> str:
     return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
 
 

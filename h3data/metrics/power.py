@@ -1,4 +1,4 @@
-"""How often a planned study would find the differences that are expected: simulate it, fit it, count."""
+"""Power of a planned study: simulate it, fit it, count how often the expected differences are found."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.metrics.study import Session, study_rows
-from h3data.stats.glmm_design import Family
-from h3data.stats.mixed_models import fit_glmm
-from h3data.stats.posthoc import Adjustment, contrasts, marginal_means
-from h3data.stats.statistics import wilson_interval
+from h3data.stats import Adjustment, Family, SeparationError, contrasts, fit_glmm, marginal_means, wilson_interval
 
 _GROUPS = ("participant", "scene", "observation")
 
@@ -31,7 +28,7 @@ class Power:
     high: float
     runs: int
     failed: int
-    """Runs without a converged fit (separation, for one); counted as finding nothing."""
+    """Runs without a converged fit, as after separation; counted as finding nothing."""
 
 
 def simulate_study(
@@ -42,14 +39,15 @@ def simulate_study(
     deviations: Mapping[Literal["participant", "scene", "observation"], float],
     seed: int = 0,
 ) -> dict[str, NDArray[Any]]:
-    """Columns of a study as `study_rows`, and ``response`` drawn from the mixed model.
+    """Returns the columns of `study_rows` and a ``response`` sampled from the mixed model.
 
     Args:
         sessions: From `plan_sessions`.
         means: Expected steps or rate of a typical participant in a typical scene, by condition.
         family: ``poisson`` (log link) or ``binomial`` (logit link, one trial per row).
-        deviations: Standard deviations on the link scale of participants, scenes and, beyond the family, single episodes.
-        seed: Same seed, same study.
+        deviations: Standard deviations on the link scale of participants, scenes and single episodes (in addition to
+            the family's own variance).
+        seed: The same seed gives the same study.
     """
     table: dict[str, NDArray[Any]] = {name: np.array(column) for name, column in study_rows(sessions).items()}
     unknown = [name for name in deviations if name not in _GROUPS]
@@ -86,15 +84,15 @@ def simulate_power(
     adjust: Adjustment = "tukey",
     seed: int = 0,
 ) -> tuple[Power, ...]:
-    """Power of each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``, ``runs`` times.
+    """Returns the power for each pair of conditions: `simulate_study`, `fit_glmm`, `contrasts` with p < ``alpha``.
 
-    Poisson models get the observation-level effect if the simulation has one. Takes about 0.1 to 0.3 s a run.
+    Poisson models get the observation-level effect if the simulation has one. Takes 0.1 to 0.3 s per run.
     """
     if runs < 1 or not 0 < alpha < 1:
-        raise InputError(f"Expected one run or more and 0 < alpha < 1, got {runs} and {alpha}.")
+        raise InputError(f"Expected one run or more and 0 < alpha < 1, got {runs} runs and alpha {alpha}.")
     observation = family == "poisson" and deviations.get("observation", 0.0) > 0
     levels = sorted(means)
-    found = {(a, b): 0 for k, a in enumerate(levels) for b in levels[k + 1 :]}
+    detections = {(a, b): 0 for k, a in enumerate(levels) for b in levels[k + 1 :]}
     failed = 0
     for run in range(runs):
         table = simulate_study(sessions, means, family, deviations=deviations, seed=seed + run)
@@ -103,18 +101,16 @@ def simulate_power(
             fit = fit_glmm(
                 table, "response", family, fixed=["condition"], random=random, observation_effect=observation
             )
-        except InputError as error:
-            if "Separation" not in str(error):
-                raise
+        except SeparationError:
             failed += 1
             continue
         if not fit.converged:
             failed += 1
             continue
         for c in contrasts(marginal_means(fit, "condition"), adjust=adjust):
-            found[c.first, c.second] += c.p < alpha
+            detections[c.first, c.second] += c.p < alpha
     result = []
-    for (a, b), times in found.items():
+    for (a, b), times in detections.items():
         low, high = wilson_interval(times, runs)
         result.append(Power(first=a, second=b, power=times / runs, low=low, high=high, runs=runs, failed=failed))
     return tuple(result)

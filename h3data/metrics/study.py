@@ -23,29 +23,29 @@ _SHORTEST_KEY = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Episodes that a participant does in a row under one condition in one scene."""
+    """Consecutive episodes of a participant under one condition in one scene."""
 
     condition: str
     scene: str
     episodes: tuple[str, ...]
-    """Ids, in order."""
+    """Episode ids, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """All that one participant does, in order: training, then the blocks. The manifest that a session client reads."""
+    """Everything one participant does, in order: training, then the blocks. Stored as the manifest of a session."""
 
     study: str
     participant: str
     """Anonymous id."""
     training: tuple[str, ...]
-    """Episode ids of the first block's scene, not counted; no later episode repeats them."""
+    """Ids of uncounted episodes in the first block's scene; no later episode repeats them."""
     blocks: tuple[Block, ...]
     format: Literal["h3data/session@1"] = "h3data/session@1"
 
 
 def latin_square(conditions: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Orders of ``conditions``, N of an even number N, 2 N of an odd one, balanced for position and for what comes before.
+    """Returns orders of ``conditions`` balanced for position and for the preceding condition: N orders, or 2 N if N is odd.
 
     Each condition is equally often at each position, and follows each other condition equally often (J. V. Bradley 1958,
     "Complete Counterbalancing of Immediate Sequential Effects in a Latin Square Design").
@@ -70,20 +70,20 @@ def plan_sessions(
     study: str = "study",
     seed: int = 0,
 ) -> tuple[Session, ...]:
-    """One session per participant: every condition once, each in one scene, no episode twice for the same person.
+    """Returns one session per participant: every condition once, each in one scene, no episode twice for the same person.
 
-    Orders come from `latin_square`, dealt in turn, so that they balance whenever the participants are a multiple of their
-    number. Scenes rotate over participants and conditions: participant and scene are crossed, not nested. Who gets which
-    order and which episodes is drawn with ``seed``.
+    Orders come from `latin_square` in turn, so they balance whenever the number of participants is a multiple of theirs.
+    Scenes rotate over participants and conditions: participant and scene are crossed, not nested. The assignment of orders
+    and episodes to participants is random with ``seed``.
 
     Args:
         participants: Ids (see `anonymous_id`), or their number: then P01, P02, ...
-        conditions: E.g. solo, learn_single, plan_pop3.
+        conditions: Names such as solo, learn_single, plan_pop3.
         episodes: Episode ids by scene.
-        episodes_per_condition: Of each block.
-        training_episodes: Before the first block, in its scene.
-        study: Name that the manifests carry.
-        seed: Same seed, same plan.
+        episodes_per_condition: Episodes of each block.
+        training_episodes: Episodes before the first block, in its scene.
+        study: Name in the manifests.
+        seed: The same seed gives the same plan.
 
     Raises:
         InputError: a repeated id, or a scene with too few episodes.
@@ -112,7 +112,7 @@ def plan_sessions(
             scene: [str(e) for e in random.permutation(list(ids))] for scene, ids in episodes.items()
         }
         order = orders[turn % len(orders)]
-        # The shift after each cycle lets every order meet every scene.
+        # Shifting by one after each cycle combines every order with every scene.
         offset = turn + turn // cycle
         places = [scenes[(offset + conditions.index(c)) % len(scenes)] for c in order]
         training = _take(left, places[0], training_episodes)
@@ -126,7 +126,7 @@ def plan_sessions(
 
 
 def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
-    """One row per planned episode: participant, condition, scene, episode, block (from 1) and trial (from 1, overall)."""
+    """Columns with a row per planned episode: participant, condition, scene, episode, block and trial (both from 1)."""
     rows = [
         (s.participant, b.condition, b.scene, e, k + 1, sum(len(x.episodes) for x in s.blocks[:k]) + j + 1)
         for s in sessions
@@ -138,13 +138,13 @@ def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
 
 
 def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) -> list[Path]:
-    """Writes a manifest ``<participant>.json`` per session; the folder must exist."""
+    """Writes a manifest ``<participant>.json`` per session into an existing folder and returns the paths."""
     import msgspec
 
     paths = [Path(folder) / f"{s.participant}.json" for s in sessions]
     bad = [s.participant for s in sessions if Path(s.participant).name != s.participant]
     if bad:
-        raise InputError(f"A participant's id becomes a file name; {bad[0]!r} cannot. Hint: anonymous_id.")
+        raise InputError(f"A participant's id becomes a file name, which {bad[0]!r} cannot. Hint: use anonymous_id.")
     for session, path in zip(sessions, paths, strict=True):
         with part_file(path) as part:
             part.write_bytes(msgspec.json.format(msgspec.json.encode(session), indent=2) + b"\n")
@@ -152,7 +152,7 @@ def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) 
 
 
 def read_session(path: str | os.PathLike[str]) -> Session:
-    """The session of a manifest."""
+    """Reads the session manifest at ``path``."""
     import msgspec
 
     try:
@@ -164,10 +164,10 @@ def read_session(path: str | os.PathLike[str]) -> Session:
 
 
 def anonymous_id(person: str, *, key: bytes) -> str:
-    """``P-`` and ten letters or digits that stand for ``person`` (an e-mail address, say): the same key, the same id.
+    """Returns the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
 
     HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
-    whose id it is, not even by trying names: keep the key away from the data, and delete it to make the ids final.
+    whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
     """
     if len(key) < _SHORTEST_KEY:
         raise InputError(
@@ -175,7 +175,7 @@ def anonymous_id(person: str, *, key: bytes) -> str:
         )
     text = unicodedata.normalize("NFKC", person).strip().casefold()
     if not text:
-        raise InputError("Expected a person's name or address, got an empty text.")
+        raise InputError("Expected a person's name or e-mail address, got an empty text.")
     digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
     return "P-" + base64.b32encode(digest).decode()[:10]
 
@@ -183,7 +183,7 @@ def anonymous_id(person: str, *, key: bytes) -> str:
 def _take(left: dict[str, list[str]], scene: str, count: int) -> tuple[str, ...]:
     if len(left[scene]) < count:
         raise InputError(
-            f"Scene {scene!r} has too few episodes: nobody may see one twice. Hint: more episodes or scenes, or fewer "
+            f"Scene {scene!r} has too few episodes: nobody may get one twice. Hint: add episodes or scenes, or use fewer "
             "episodes per condition or for training."
         )
     taken, left[scene] = left[scene][:count], left[scene][count:]

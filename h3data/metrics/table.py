@@ -15,7 +15,7 @@ from h3data.errors import InputError
 from h3data.metrics.metric import EpisodeMetrics, Metric
 from h3data.metrics.registry import find_profile, measure, one_task
 from h3data.recording.records import Recording
-from h3data.stats.statistics import bootstrap_interval, wilson_interval
+from h3data.stats import bootstrap_interval, wilson_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +92,8 @@ class MetricsTable:
     def to_text(self, *, confidence: float = 0.95) -> str:
         """An aligned table ``mean [low, high]``, one line per metric, and the notes below."""
         records = {m.name: m for m in self.metrics}
-        heads = ["metric", "mean", f"{100 * confidence:g} % interval", "unit", "episodes", "", "what"]
         arrows = {"higher": "up", "lower": "down", "neither": ""}
-        lines = [heads]
+        lines = [["metric", "mean", f"{100 * confidence:g}% interval", "unit", "episodes", "", "what"]]
         for name, s in self.summary(confidence=confidence).items():
             metric = records[name]
             interval = "" if np.isnan(s.low) else f"[{s.low:.3f}, {s.high:.3f}]"
@@ -102,9 +101,7 @@ class MetricsTable:
             unit = "" if metric.unit == "1" else metric.unit
             of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
             lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
-        widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
-        table = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
-        return "\n".join(table + self._note_lines() + set_up_lines(e.set_up for e in self.episodes))
+        return "\n".join([aligned(lines), *self._note_lines(), *set_up_lines(e.set_up for e in self.episodes)])
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
         """Summary, notes and all episodes as JSON types; NaN becomes None."""
@@ -172,6 +169,12 @@ def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str = "paper") -> M
         episodes=rows,
         metrics=metrics,
     )
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as text with columns of equal width."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
 def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:

@@ -1,4 +1,8 @@
-"""From columns to the matrices of a mixed model: factors, treatment coding, and what makes a model impossible to fit."""
+"""From columns to the design matrices of a mixed model: factors, treatment coding, and checks that it can be fitted."""
+
+# Written out because patsy and formulaic code fixed effects only and neither detects separation, which is frequent in
+# studies (nobody collides while alone) and which glmer reports as an estimate of about 20 with an enormous standard
+# error. tests/stats/test_mixed_models.py holds coefficient names and estimates to lme4 1.1-31 on tests/data/glmm.
 
 from __future__ import annotations
 
@@ -18,20 +22,24 @@ if TYPE_CHECKING:
 Family = Literal["poisson", "binomial"]
 
 
+class SeparationError(InputError):
+    """Some coefficient has no finite estimate: a level or a combination of levels decides the response."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FixedDesign:
-    """What turns rows into the columns of the fixed effects: an intercept, factors in treatment coding, covariates."""
+    """Coding of the fixed effects: an intercept, factors in treatment coding, covariates."""
 
     terms: tuple[tuple[str, ...], ...]
     """Variables of each term: one for a main effect, several for an interaction."""
     levels: Mapping[str, tuple[str, ...]]
-    """Of each factor; the first is the reference."""
+    """Levels of each factor; the first is the reference."""
     covariate_means: Mapping[str, float]
-    """Of each numeric variable, over all rows."""
+    """Mean of each numeric variable over all rows."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the columns: ``(Intercept)``, ``condition[solo]``, ``trial``, ``condition[solo]:home[small]``."""
+        """Names of the columns: ``(Intercept)``, ``condition[solo]``, ``trial``, ``condition[solo]:home[small]``."""
         names = ["(Intercept)"]
         for term in self.terms:
             parts = [[f"{v}[{level}]" for level in self.levels[v][1:]] if v in self.levels else [v] for v in term]
@@ -39,7 +47,7 @@ class FixedDesign:
         return tuple(names)
 
     def matrix(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Rows [N, P] of ``columns``: level numbers of factors, values of covariates, each [N]."""
+        """Returns the design matrix [N, P] of ``columns``: level numbers of factors, values of covariates, each [N]."""
         rows = len(next(iter(columns.values()))) if columns else 1
         blocks = [np.ones((rows, 1))]
         for term in self.terms:
@@ -55,7 +63,10 @@ class FixedDesign:
         return np.hstack(blocks)
 
     def marginal(self, factor: str) -> NDArray[np.float64]:
-        """Rows [L, P] of the estimated means of ``factor``: other factors' levels weigh alike, covariates at their mean."""
+        """Returns the rows [L, P] of the marginal means of ``factor``.
+
+        The levels of the other factors get equal weights, covariates are at their mean (emmeans' reference grid).
+        """
         if factor not in self.levels:
             raise InputError(
                 f"{factor!r} is no factor of this model. Its factors are: {', '.join(self.levels) or 'none'}."
@@ -69,15 +80,15 @@ class FixedDesign:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MixedDesign:
-    """Everything that a fit reads: response, fixed effects and the groups of the random intercepts."""
+    """Response, fixed effects and the groups of the random intercepts of a model to fit."""
 
     family: Family
     formula: str
-    """As lme4 spells it."""
+    """In lme4's notation."""
     response: NDArray[np.float64]
     """Counts, or successes, shape [N]."""
     trials: NDArray[np.float64]
-    """Of each row, shape [N]; ones unless successes are counted out of several."""
+    """Trials of each row, shape [N]; ones unless successes are counted out of several."""
     fixed: FixedDesign
     x: NDArray[np.float64]
     """Columns of the fixed effects, shape [N, P]."""
@@ -97,7 +108,7 @@ def mixed_design(
     levels: Mapping[str, Sequence[str]],
     observation_effect: bool,
 ) -> MixedDesign:
-    """Reads and checks the columns; see `fit_glmm` for the arguments and the errors."""
+    """Reads and checks the columns of a table; arguments and errors as for `fit_glmm`."""
     if family not in ("poisson", "binomial"):
         raise InputError(f"Expected the family 'poisson' or 'binomial', got {family!r}.")
     if isinstance(fixed, str) or isinstance(random, str):
@@ -154,11 +165,13 @@ def _read(
     table: pa.Table | Mapping[str, ArrayLike], names: Sequence[str], *, optional: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
     """The named columns, all of one length, without missing values."""
-    known = list(table) if isinstance(table, Mapping) else table.column_names
-    unknown = [n for n in (*names, *optional) if n not in known]
+    available = list(table) if isinstance(table, Mapping) else table.column_names
+    unknown = [n for n in (*names, *optional) if n not in available]
     if unknown:
-        near = did_you_mean(unknown[0], known)
-        raise InputError(f"The table has no column {', '.join(map(repr, unknown))}.{near} It has: {', '.join(known)}.")
+        near = did_you_mean(unknown[0], available)
+        raise InputError(
+            f"The table has no column {', '.join(map(repr, unknown))}.{near} It has: {', '.join(available)}."
+        )
     columns, missing = {}, []
     for name in names:
         values = np.asarray(table[name]) if isinstance(table, Mapping) else np.asarray(table[name].to_pylist())
@@ -214,19 +227,21 @@ def _odd(values: NDArray[Any], *, least: int = 0) -> str:
 
 
 def _factor(name: str, values: NDArray[Any], order: Sequence[str] | None) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    levels, codes = np.unique(values.astype(str), return_inverse=True)
-    found = levels.tolist()
+    """Level number of each row, and the levels in ``order``, else sorted."""
+    unique, codes = np.unique(values.astype(str), return_inverse=True)
+    levels = unique.tolist()
     if order is not None:
-        unknown, unused = sorted(set(found) - set(order)), sorted(set(order) - set(found))
+        unknown, unused = sorted(set(levels) - set(order)), sorted(set(order) - set(levels))
         if unknown or unused or len(set(order)) != len(order):
             raise InputError(
-                f"The levels of {name!r} and its values differ: without a level {unknown}; without a row {unused}."
+                f"The levels given for {name!r} do not match its values: values without a level {unknown}; "
+                f"levels without a row {unused}."
             )
-        codes = np.array([list(order).index(level) for level in found])[codes]
-        found = list(order)
-    if len(found) < 2:
-        raise InputError(f"{name!r} has one level only ({found[0]!r}): it has no effect to estimate. Leave it out.")
-    return codes.astype(np.int64), tuple(found)
+        codes = np.array([list(order).index(level) for level in levels])[codes]
+        levels = list(order)
+    if len(levels) < 2:
+        raise InputError(f"{name!r} has only one level ({levels[0]!r}): it has no effect to estimate. Leave it out.")
+    return codes.astype(np.int64), tuple(levels)
 
 
 def _check_rank(design: FixedDesign, x: NDArray[np.float64], coded: Mapping[str, NDArray[Any]]) -> None:
@@ -251,7 +266,8 @@ def _check_rank(design: FixedDesign, x: NDArray[np.float64], coded: Mapping[str,
                 )
     names = [design.names[k] for k in order[rank:]]
     raise InputError(
-        f"The fixed effects are not independent ({len(x)} rows): {', '.join(names)} follows from the others. Leave it out."
+        f"The fixed effects are linearly dependent ({len(x)} rows): {', '.join(names)} follows from the others. "
+        "Leave it out."
     )
 
 
@@ -262,10 +278,10 @@ def _check_separation(
     x: NDArray[np.float64],
     design: FixedDesign,
 ) -> None:
-    """Refuses data without a finite estimate: some change of the coefficients never makes any row less likely.
+    """Raises a `SeparationError` if some change of the coefficients makes no row less likely, however far it goes.
 
-    A linear programme finds it (Konis 2007): rows at 0 may only go down, rows where all trials succeeded only up, others
-    must stay. It decides the mixed model too, since it holds whatever the random effects are.
+    Found by a linear programme (Konis 2007): rows at 0 may only go down, rows where all trials succeeded only up, all
+    others must stay. The condition does not involve the random effects, so it decides the mixed model too.
     """
     from scipy.optimize import linprog
 
@@ -301,8 +317,8 @@ def _check_separation(
         if (side[rising] > 0).all()
         else "is 0 or at its largest"
     )
-    raise InputError(
-        f"Separation: {response!r} {what} in {where}, so that the estimate is infinite. "
+    raise SeparationError(
+        f"Separation: {response!r} {what} in {where}, so the estimate would be infinite. "
         "Hint: leave these rows out and report their rate with a Wilson interval."
     )
 
@@ -321,12 +337,12 @@ def _check_groups(groups: Mapping[str, NDArray[np.int64]], *, bernoulli: bool) -
     for name, codes in groups.items():
         if bernoulli and codes.max() + 1 == len(codes):
             raise InputError(
-                f"Every row has a level of {name!r} of its own: with 0/1 responses its variance cannot be estimated. "
+                f"Every row has its own level of {name!r}: with 0/1 responses its variance cannot be estimated. "
                 "Leave it out."
             )
     for (a, first), (b, second) in itertools.combinations(groups.items(), 2):
         pairs = len(np.unique(np.column_stack([first, second]), axis=0))
         if pairs == first.max() + 1 == second.max() + 1:
             raise InputError(
-                f"{a!r} and {b!r} group the rows alike: their variances cannot be told apart. Leave one out."
+                f"{a!r} and {b!r} group the rows identically: their variances cannot be separated. Leave one out."
             )

@@ -4,6 +4,10 @@ Bates, Maechler, Bolker, Walker 2015, "Fitting Linear Mixed-Effects Models Using
 computational notes of lme4. The random intercepts are b = theta * u with u ~ N(0, I); eta = X beta + sum_k theta_k Z_k u_k.
 """
 
+# Written out because no maintained pure-Python package has this likelihood (see `h3data.stats`). Checked against lme4
+# 1.1-31 (log-likelihoods and modes of tests/data/glmm) and against a plain dense Laplace approximation that
+# tests/stats/test_mixed_models.py computes with scipy.optimize.
+
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -23,27 +27,28 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
-    """The most likely random effects of given deviations (and coefficients), and the deviance there."""
+    """The most likely random effects for given deviations (and coefficients), and the deviance there."""
 
     deviance: float
     """-2 log-likelihood; infinite if the iteration failed."""
     largest: Array
     """Spherical effects u of the factor with the most levels."""
     rest: Array
-    """Spherical effects of the other factors, then the coefficients if these were free."""
+    """Spherical effects of the other factors, followed by the coefficients if these were free."""
     coefficients: Array
     fixed_factor: Array
-    """Lower Cholesky factor [P, P] of the coefficients' information; [0, 0] unless they were free."""
+    """Lower Cholesky factor [P, P] of the coefficients' information; shape [0, 0] unless they were free."""
     eta: Array
     """Linear predictor, shape [N]."""
 
 
 class LaplaceModel:
-    """Computes modes, each starting from the one before: an optimiser's next point is near.
+    """Laplace's approximation for one design. Each mode starts from the previous one, which an optimiser keeps near.
 
-    The normal matrix has the diagonal block of the factor with the most levels (the observation-level effect, if there is
-    one) eliminated in closed form; what remains is as large as the other factors and the coefficients, and dense.
-    All large products are sparse: on busy cores threads of BLAS wait for each other (32 ms for 900 x 40, alone 0.08 ms).
+    The diagonal block of the factor with the most levels (the observation-level effect, if there is one) is eliminated
+    from the normal matrix in closed form; the dense remainder has the size of the other factors and the coefficients.
+    All large products are sparse because BLAS threads wait for each other on busy cores: 32 ms for a product of 900 x 40
+    that takes 0.08 ms alone.
     """
 
     def __init__(self, design: MixedDesign) -> None:
@@ -76,14 +81,14 @@ class LaplaceModel:
         self._beta = np.linalg.lstsq(x, start, rcond=None)[0]
 
     def mode(self, theta: Array, coefficients: Array | None = None) -> Mode:
-        """The mode for deviations ``theta`` [K] and ``coefficients`` [P]; without these, the most likely ones too.
+        """Returns the mode for deviations ``theta`` [K] and ``coefficients`` [P], or the most likely ones if None.
 
         deviance = -2 log f(y | u, beta) + |u|² + log |I + Λ'Z'WZΛ|, Laplace's approximation of -2 log ∫ f(y | u) φ(u) du.
         """
         q = self._small_count
         free = coefficients is None
         products = self._free if free else self._bound
-        own = theta[self._big]
+        spread = theta[self._big]
         scale = np.repeat(theta[self._others], self.level_counts[self._others])
         penalty = np.ones(q)
         u, v, offset = self._largest, self._rest, np.zeros(len(self._y))
@@ -94,22 +99,24 @@ class LaplaceModel:
             offset = self._x @ coefficients
 
         def predict(u: Array, v: Array) -> tuple[Array, float]:
-            eta = offset + own * u[self._group] + products.small @ (scale * v)
+            eta = offset + spread * u[self._group] + products.small @ (scale * v)
             return eta, self._fit(eta) + float(u @ u + penalty @ v**2)
 
         eta, value = predict(u, v)
         for _ in range(60):
             mean, weight = self._moments(eta)
-            diagonal = own * own * products.sum_big(weight) + 1
-            cross, inner = products.normal(weight, own * own / diagonal)
+            diagonal = spread * spread * products.sum_big(weight) + 1
+            cross, inner = products.normal(weight, spread * spread / diagonal)
             try:
                 factor = np.linalg.cholesky(inner * np.outer(scale, scale) + np.diag(penalty))
             except np.linalg.LinAlgError:
                 break
-            right_u = own * products.sum_big(self._y - mean) - u
-            right_v = scale * (products.small_t @ (self._y - mean) - cross @ (own * right_u / diagonal)) - penalty * v
+            right_u = spread * products.sum_big(self._y - mean) - u
+            right_v = (
+                scale * (products.small_t @ (self._y - mean) - cross @ (spread * right_u / diagonal)) - penalty * v
+            )
             step_v = np.linalg.solve(factor.T, np.linalg.solve(factor, right_v))
-            step_u = (right_u - own * (cross.T @ (scale * step_v))) / diagonal
+            step_u = (right_u - spread * (cross.T @ (scale * step_v))) / diagonal
             if max(np.abs(step_u).max(), np.abs(step_v).max(initial=0)) < _TOLERANCE:
                 self._largest, self._rest = u, v[:q]
                 self._beta = v[q:] if free else self._beta
@@ -132,7 +139,7 @@ class LaplaceModel:
         return Mode(deviance=float("inf"), largest=u, rest=v, coefficients=self._beta, fixed_factor=np.eye(0), eta=eta)
 
     def intercepts(self, mode: Mode, theta: Array) -> Mapping[str, Array]:
-        """Random intercepts b = theta * u on the link scale, by factor, shape [levels]."""
+        """Returns the random intercepts b = theta * u on the link scale by factor, each of shape [levels]."""
         ends = np.cumsum(self.level_counts[self._others])
         parts = dict(zip(self._others, np.split(mode.rest, ends)[: len(ends)], strict=True)) | {self._big: mode.largest}
         return {name: theta[k] * parts[k] for k, name in enumerate(self.names)}
@@ -149,7 +156,7 @@ class LaplaceModel:
         return 2 * float(self._constant + np.sum(partition - self._y * eta))
 
     def _moments(self, eta: Array) -> tuple[Array, Array]:
-        """Mean and variance [N]; the links are canonical, so the variance is the weight."""
+        """Mean and variance [N]. The links are canonical, so the variance is also the weight."""
         from scipy.special import expit
 
         if self._poisson:
@@ -159,7 +166,7 @@ class LaplaceModel:
 
 
 class _Products:
-    """Products of the sparse indicators: of the factor with the most levels, and of the small factors and coefficients.
+    """Products with the sparse indicators of the largest factor, and of the smaller factors and coefficients.
 
     Matrices are scipy's ``csr_matrix``.
     """
@@ -174,7 +181,7 @@ class _Products:
         return self._big_t @ values
 
     def normal(self, weight: Array, eliminated: Array) -> tuple[Any, Array]:
-        """Small-by-large block M'WZ (sparse), and the small block M'WM less what eliminating the large one takes away."""
+        """Returns the small-by-large block M'WZ (sparse) and the Schur complement of the large block in M'WM."""
         weighted = _scale_columns(self.small_t, weight)
         cross = weighted @ self._big
         return cross, (weighted @ self.small).toarray() - (_scale_columns(cross, eliminated) @ cross.T).toarray()

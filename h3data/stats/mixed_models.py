@@ -1,5 +1,9 @@
 """Generalised linear mixed models with crossed random intercepts: maximum likelihood by Laplace's approximation."""
 
+# Written out because no maintained pure-Python package fits these by maximum likelihood (see `h3data.stats`). Checked
+# against lme4 1.1-31 on four simulated data sets (tests/data/glmm/make_reference.R): estimates, standard errors,
+# deviations, modes and log-likelihoods within 0.1%.
+
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,13 +21,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _SINGULAR = 1e-4
-"""Deviations below count as 0, as lme4's isSingular does."""
+"""Deviations below this count as 0, as in lme4's isSingular."""
 _DECREMENT = 1e-7
-"""A fit has converged if a further Newton step would lower the deviance by less."""
+"""A fit has converged if another Newton step would lower the deviance by less than this."""
 _ROUNDING = 1e-4
-"""So much may remain of the decrement, by the error of finite differences, where no step lowers the deviance at all."""
+"""Decrement accepted where no step lowers the deviance any more: the error of the finite differences."""
 _STEP = 0.02
-"""Of the finite differences, in standard errors."""
+"""Step of the finite differences, in standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,14 +35,14 @@ class GlmmFit:
     """A fitted model. All estimates are on the link scale: natural logarithm for Poisson, log-odds for binomial."""
 
     formula: str
-    """As lme4 spells it."""
+    """In lme4's notation."""
     family: Family
     rows: int
     fixed: FixedDesign
     coefficients: NDArray[np.float64]
-    """Of the fixed effects, shape [P], named by ``fixed.names``; treatment coding."""
+    """Coefficients of the fixed effects, shape [P], named by ``fixed.names``; treatment coding."""
     covariance: NDArray[np.float64]
-    """Of the coefficients, shape [P, P], from the observed information of coefficients and deviations together."""
+    """Covariance of the coefficients, shape [P, P], from the observed information of coefficients and deviations."""
     deviations: Mapping[str, float]
     """Standard deviation of each random intercept; 0 = singular."""
     modes: Mapping[str, Mapping[str, float]]
@@ -46,14 +50,14 @@ class GlmmFit:
     log_likelihood: float
     """Laplace's approximation, constants included."""
     dispersion: float
-    """Pearson's statistic over the residual degrees of freedom: far above 1 means that the standard errors are too small."""
+    """Pearson's statistic over the residual degrees of freedom; far above 1, the standard errors are too small."""
     converged: bool
     notes: tuple[str, ...]
-    """What a reader of the estimates has to know: singular, over-dispersed, not converged."""
+    """Reservations about the estimates: singular, over-dispersed, not converged."""
 
     @property
     def standard_errors(self) -> NDArray[np.float64]:
-        """Of the coefficients, shape [P]."""
+        """Standard errors of the coefficients, shape [P]."""
         return np.sqrt(np.diag(self.covariance))
 
     def __repr__(self) -> str:
@@ -61,7 +65,7 @@ class GlmmFit:
         return f"GlmmFit({self.formula!r}, {self.family}, {self.rows} rows, {state})"
 
     def to_text(self) -> str:
-        """The model, its coefficients with standard errors, the deviations, and the notes."""
+        """A table of the coefficients with standard errors and of the deviations, followed by the notes."""
         state = "" if self.converged else "  NOT CONVERGED"
         lines = [f"{self.formula}   {self.family}, {self.rows} rows{state}", ""]
         width = max(map(len, (*self.fixed.names, *self.deviations)))
@@ -88,23 +92,24 @@ def fit_glmm(
 ) -> GlmmFit:
     """Fits ``response ~ fixed + (1 | random[0]) + (1 | random[1]) + ...`` by maximum likelihood.
 
-    As lme4's ``glmer(..., nAGQ = 1)``: canonical links, penalised iteratively reweighted least squares for the random
-    intercepts, Laplace's approximation of the likelihood, standard errors from the observed information.
-    Used as in Habitat 3.0's appendix, Human-in-the-loop Evaluation: Poisson for steps, binomial for collisions.
+    Equivalent to lme4's ``glmer(..., nAGQ = 1)``: canonical links, penalised iteratively reweighted least squares for
+    the random intercepts, Laplace's approximation of the likelihood, standard errors from the observed information.
+    Habitat 3.0 (appendix, Human-in-the-loop Evaluation) uses Poisson for steps and binomial for collisions.
 
     Args:
         table: One row per episode.
         response: Counts (Poisson), 0/1 or successes out of ``trials`` (binomial).
         family: ``poisson`` with the log link or ``binomial`` with the logit link.
         fixed: Columns: text and booleans are factors, numbers covariates; ``"a:b"`` is an interaction of ``a`` and ``b``.
-        random: Columns that group the rows, each with a random intercept; crossed in any way, unbalanced too.
+        random: Columns that group the rows, each with a random intercept; crossed or nested, balanced or not.
         trials: Column of the numbers of trials.
-        levels: Order of a factor's levels, the reference first; else alphabetical. Makes a factor of numbers.
-        observation_effect: Adds a random intercept of each row: counts that vary more than Poisson allows.
+        levels: Order of a factor's levels, the reference first (default: alphabetical). Turns numbers into a factor.
+        observation_effect: Adds a random intercept per row, for counts that vary more than Poisson allows.
 
     Raises:
-        InputError: unknown columns, undefined values, a response that is no count, one level only, dependent fixed
-            effects, an interaction with an empty cell, separation, random effects that cannot be told apart.
+        SeparationError: a level or a combination of levels decides the response.
+        InputError: unknown columns, undefined values, a response that is not a count, a factor with one level, linearly
+            dependent fixed effects, an interaction with an empty cell, random effects that cannot be separated.
     """
     design = mixed_design(
         table,
@@ -137,7 +142,7 @@ def fit_glmm(
     dispersion = model.pearson(mode) / max(len(design.response) - len(optimum), 1)
     if dispersion > 1.5 and not observation_effect and not bool((design.trials == 1).all() and family == "binomial"):
         notes.append(
-            f"over-dispersed: the response varies {dispersion:.1f} times as much as the {family} family allows, so that "
+            f"over-dispersed: the response varies {dispersion:.1f} times as much as the {family} family allows, so the "
             "standard errors are too small. Hint: observation_effect=True."
         )
     return GlmmFit(
@@ -146,7 +151,7 @@ def fit_glmm(
         rows=len(design.response),
         fixed=design.fixed,
         coefficients=coefficients,
-        covariance=2 * inverse[k:, k:],  # the information is half the Hessian of -2 log L,
+        covariance=2 * inverse[k:, k:],  # the information is half the Hessian of -2 log L
         deviations=dict(zip(design.groups, map(float, theta), strict=True)),
         modes={
             name: dict(zip(design.group_levels[name], map(float, values), strict=True))
@@ -160,28 +165,28 @@ def fit_glmm(
 
 
 def _profiled(model: LaplaceModel) -> tuple[NDArray[np.float64], Mode]:
-    """Deviations [K] and mode near the optimum: coefficients go along with the random effects (lme4's ``nAGQ = 0``)."""
+    """Deviations [K] and mode near the optimum, with coefficients in the inner iteration (lme4's ``nAGQ = 0``)."""
     from scipy.optimize import minimize
 
     k = len(model.level_counts)
     first = np.full(k, np.log(0.3))
-    found = minimize(
+    result = minimize(
         lambda log_theta: model.mode(np.exp(log_theta)).deviance,
         first,
         method="Nelder-Mead",
         bounds=[(-12, 5)] * k,
         options={"initial_simplex": first + np.vstack([np.zeros(k), np.eye(k)]), "xatol": 0.02, "fatol": 0.01},
     )
-    theta = np.exp(found.x)
+    theta = np.exp(result.x)
     return theta, model.mode(theta)
 
 
 def _newton(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Minimum, inverse of the Hessian there, and whether the one is a minimum and the other positive.
+    """Returns the minimum, the inverse Hessian there, and whether it converged to a proper minimum.
 
-    The columns of ``scale`` are the directions that derivatives are taken along, about one standard error long.
+    Derivatives are taken along the columns of ``scale``, each about one standard error long.
     """
     best = function(x)
     scale = _unit_curvature(function, x, scale, best)
@@ -193,7 +198,7 @@ def _newton(
         values, vectors = np.linalg.eigh(hessian)
         slopes = vectors.T @ gradient
         lengths = slopes / np.maximum(np.abs(values), 1e-4)
-        # A deviation of 0 is always flat: if the deviance falls to both sides, the gradient does not show it.
+        # The deviance is even in each standard deviation, so at 0 the gradient vanishes even where it falls to both sides.
         saddle = (values < -1e-3) & (np.abs(lengths) < 1)
         step = -vectors @ np.where(saddle, np.copysign(1, slopes), lengths)
         minimum, decrement = bool(values.min() > 1e-6), float(-gradient @ step)
@@ -215,7 +220,7 @@ def _newton(
 def _unit_curvature(
     function: Callable[[NDArray[np.float64]], float], x: NDArray[np.float64], scale: NDArray[np.float64], middle: float
 ) -> NDArray[np.float64]:
-    """``scale`` with columns so long that the second derivative along each is about 2, that of a standard error."""
+    """Rescales the columns of ``scale`` until the second derivative along each is about 2, that of a standard error."""
     ends = np.array([function(x + s) + function(x - s) for s in _STEP * scale.T])
     curvature = np.abs(ends - 2 * middle) / _STEP**2
     return scale * np.clip(np.sqrt(2 / np.maximum(curvature, 1e-9)), 0.1, 30)
@@ -240,7 +245,7 @@ def _differences(
 def _notes(design: MixedDesign, theta: NDArray[np.float64], converged: bool) -> list[str]:
     notes = []
     if not converged:
-        notes.append("did not converge: estimates and standard errors are not to be trusted. Hint: a simpler model.")
+        notes.append("did not converge: do not trust estimates or standard errors. Hint: fit a simpler model.")
     singular = [name for name, deviation in zip(design.groups, theta, strict=True) if deviation == 0]
     if singular:
         notes.append(f"singular: the variance of {', '.join(singular)} is estimated as 0.")

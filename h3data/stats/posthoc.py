@@ -1,4 +1,8 @@
-"""Estimated marginal means of a mixed model, their pairwise contrasts, and relative efficiency: as R's emmeans."""
+"""Estimated marginal means of a mixed model, their pairwise contrasts, and relative efficiency, as in R's emmeans."""
+
+# No Python package has emmeans' grids and contrasts for mixed models (see `h3data.stats`). tests/stats/test_posthoc.py compares
+# means, standard errors, intervals and contrasts with emmeans 1.8.4 on tests/data/glmm, and the published study's
+# differences and efficiencies with its published means.
 
 from __future__ import annotations
 
@@ -13,8 +17,9 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.stats.glmm_design import Family
+from h3data.stats.intervals import check_confidence
 from h3data.stats.mixed_models import GlmmFit
-from h3data.stats.statistics import adjust_p_values, check_confidence
+from h3data.stats.multiple_tests import adjust_p_values
 
 Scale = Literal["link", "response"]
 Adjustment = Literal["tukey", "holm", "none"]
@@ -22,7 +27,7 @@ Adjustment = Literal["tukey", "holm", "none"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MarginalMeans:
-    """The mean of each level of a factor for a typical participant in a typical scene (all random intercepts 0)."""
+    """Mean of each level of a factor for a typical participant in a typical scene (all random intercepts 0)."""
 
     factor: str
     family: Family
@@ -30,18 +35,18 @@ class MarginalMeans:
     link: NDArray[np.float64]
     """Means on the link scale (logarithm or log-odds), shape [L]."""
     covariance: NDArray[np.float64]
-    """Of ``link``, shape [L, L]."""
+    """Covariance of ``link``, shape [L, L]."""
 
     @property
     def means(self) -> NDArray[np.float64]:
-        """On the response scale: counts or rates, shape [L]."""
+        """Means on the response scale: counts or rates, shape [L]."""
         from scipy.special import expit
 
         return np.exp(self.link) if self.family == "poisson" else expit(self.link)
 
     @property
     def standard_errors(self) -> NDArray[np.float64]:
-        """Of `means`, by the delta method, shape [L]."""
+        """Standard errors of `means` by the delta method, shape [L]."""
         return np.sqrt(np.diag(self.covariance)) * self.slopes
 
     @property
@@ -50,7 +55,7 @@ class MarginalMeans:
         return self.means if self.family == "poisson" else self.means * (1 - self.means)
 
     def intervals(self, confidence: float = 0.95) -> NDArray[np.float64]:
-        """Lower and upper ends on the response scale, shape [L, 2]: normal on the link scale, transformed back."""
+        """Returns the ends of the intervals on the response scale, shape [L, 2]: normal on the link scale, transformed."""
         from scipy.special import expit, ndtri
 
         check_confidence(confidence)
@@ -59,9 +64,9 @@ class MarginalMeans:
         return np.exp(ends) if self.family == "poisson" else expit(ends)
 
     def to_text(self, *, confidence: float = 0.95) -> str:
-        """One line per level: mean, standard error, interval."""
+        """A table with mean, standard error and interval of each level."""
         width = max(map(len, (*self.levels, self.factor)))
-        lines = [f"{self.factor.ljust(width)}  {'mean':>10}  {'std. error':>10}  {100 * confidence:g} % interval"]
+        lines = [f"{self.factor.ljust(width)}  {'mean':>10}  {'std. error':>10}  {100 * confidence:g}% interval"]
         rows = zip(self.levels, self.means, self.standard_errors, self.intervals(confidence), strict=True)
         lines += [f"{name.ljust(width)}  {m:10.4g}  {e:10.3g}  [{a:.4g}, {b:.4g}]" for name, m, e, (a, b) in rows]
         return "\n".join(lines)
@@ -75,11 +80,12 @@ class Contrast:
     second: str
     scale: Scale
     difference: float
-    """Of logarithms or log-odds (``link``), or of counts or rates (``response``)."""
+    """Difference of logarithms or log-odds (``link``), or of counts or rates (``response``)."""
     standard_error: float
     low: float
     """Lower end of the interval, widened for the number of contrasts."""
     high: float
+    """Upper end of the interval."""
     z: float
     p: float
     """Two-sided, adjusted."""
@@ -104,7 +110,7 @@ class RelativeEfficiency:
 
 
 def marginal_means(fit: GlmmFit, factor: str) -> MarginalMeans:
-    """Estimated means of ``factor``: other factors' levels weigh alike on the link scale, covariates at their mean."""
+    """Returns the marginal means of ``factor``: equal weights of the other factors' levels on the link scale."""
     rows = fit.fixed.marginal(factor)
     return MarginalMeans(
         factor=factor,
@@ -118,13 +124,13 @@ def marginal_means(fit: GlmmFit, factor: str) -> MarginalMeans:
 def contrasts(
     means: MarginalMeans, *, scale: Scale = "link", adjust: Adjustment = "tukey", confidence: float = 0.95
 ) -> tuple[Contrast, ...]:
-    """All pairs of levels, z tests on the estimates of ``scale``, as emmeans' ``pairs`` (``response``: after ``regrid``).
+    """Returns the contrasts of all pairs of levels with z tests, as emmeans' ``pairs`` (``response``: after ``regrid``).
 
     Args:
         means: From `marginal_means`.
         scale: ``link`` tests ratios (the better normal approximation); ``response`` tests differences of counts or rates.
         adjust: ``tukey``: studentised range of all levels; ``holm``: step-down on the p values, Bonferroni for intervals.
-        confidence: Of all intervals together.
+        confidence: Joint confidence of all intervals.
     """
     from scipy.special import ndtr, ndtri
     from scipy.stats import studentized_range
@@ -132,7 +138,7 @@ def contrasts(
     check_confidence(confidence)
     if scale not in ("link", "response") or adjust not in ("tukey", "holm", "none"):
         raise InputError(
-            f"Expected a scale of link, response and adjust of tukey, holm, none; got {scale!r}, {adjust!r}."
+            f"Expected scale link or response and adjust tukey, holm or none; got {scale!r} and {adjust!r}."
         )
     count = len(means.levels)
     pairs = list(itertools.combinations(range(count), 2))
@@ -146,7 +152,7 @@ def contrasts(
     if adjust == "holm":
         p = adjust_p_values(p, method="holm")
         half = -ndtri((1 - confidence) / 2 / len(pairs))
-    elif adjust == "tukey" and count > 2:  # of two means it is the plain test
+    elif adjust == "tukey" and count > 2:  # for two means Tukey's test is the plain one
         p = np.clip(studentized_range.sf(np.abs(z) * np.sqrt(2), count, np.inf), 0, 1)
         half = _tukey_half_width(confidence, count)
     return tuple(
@@ -169,7 +175,7 @@ def contrasts(
 def relative_efficiency(
     means: MarginalMeans, baseline: str, *, confidence: float = 0.95
 ) -> tuple[RelativeEfficiency, ...]:
-    """RE = 100 * mean steps of ``baseline`` / mean steps of each other level (Habitat 3.0, appendix, HITL evaluation).
+    """Returns RE = 100 * mean steps of ``baseline`` / mean steps of each other level (Habitat 3.0, appendix, HITL evaluation).
 
     The interval is that of the ratio, not widened for the number of levels.
     """
@@ -193,7 +199,7 @@ def relative_efficiency(
 
 
 def contrasts_text(rows: Sequence[Contrast]) -> str:
-    """One line per contrast: the difference (and the ratio on the link scale), its interval, z and p."""
+    """A table of contrasts: the difference (on the link scale, the ratio), its interval, z and p."""
     if not rows:
         return "no contrasts"
     width = max(len(f"{c.first} - {c.second}") for c in rows)
@@ -209,7 +215,7 @@ def contrasts_text(rows: Sequence[Contrast]) -> str:
 
 @functools.cache
 def _tukey_half_width(confidence: float, count: int) -> float:
-    """In standard errors of a difference."""
+    """Half the width of Tukey's intervals, in standard errors of a difference."""
     from scipy.stats import studentized_range
 
     return float(studentized_range.ppf(confidence, count, np.inf) / np.sqrt(2))

@@ -183,5 +183,5 @@ def test_the_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     script = EXAMPLES / "user_study.py"
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "means.png")])
     runpy.run_path(str(script))
-    assert "RE learn_single: 134.1 %" in capsys.readouterr().out
+    assert "RE learn_single: 134.1%" in capsys.readouterr().out
     assert (tmp_path / "means.png").stat().st_size > 2000

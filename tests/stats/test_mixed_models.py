@@ -13,9 +13,10 @@ from scipy.special import gammaln
 from scipy.stats import norm, poisson
 
 from h3data.errors import InputError
+from h3data.stats import SeparationError, fit_glmm
 from h3data.stats.glmm_design import mixed_design
 from h3data.stats.laplace import LaplaceModel
-from h3data.stats.mixed_models import _newton, fit_glmm
+from h3data.stats.mixed_models import _newton
 from tests.stats.glmm_reference import CROSSED, FITS, columns, reference, stored_fit
 
 
@@ -194,23 +195,23 @@ def base(rows: int = 24) -> dict[str, list]:
         ({}, {"fixed": ["c", "c:d"]}, "needs 'd'"),
         ({}, {"trials": "hit"}, "Trials belong"),
         ({}, {"family": "binomial"}, "at most 1 in 'y'"),
-        ({}, {"levels": {"c": ["a", "z"]}}, r"without a level \['b'\]; without a row \['z'\]"),
+        ({}, {"levels": {"c": ["a", "z"]}}, r"values without a level \['b'\]; levels without a row \['z'\]"),
         ({}, {"levels": {"k": ["a"]}}, "no column 'k'"),
         ({"y": [1.5] * 24}, {}, "got e.g. 1.5"),
         ({"y": [-1] + [2] * 23}, {}, "got e.g. -1"),
         ({"y": ["many"] * 24}, {}, "'many'"),
         ({"y": [float("nan"), 3, *[2] * 21, float("inf")]}, {}, r"'y' in 2 of 24 rows \(0, 23\)"),
         ({"c": [None, *["a", "b"] * 11, "a"]}, {}, r"'c' in 1 of 24 rows \(0\).*leave these rows out"),
-        ({"c": ["a"] * 24}, {}, "'c' has one level only"),
-        ({"p": ["p"] * 24}, {}, "'p' has one level only"),
+        ({"c": ["a"] * 24}, {}, "'c' has only one level"),
+        ({"p": ["p"] * 24}, {}, "'p' has only one level"),
         ({"y": [1, 2]}, {}, "same length"),
         ({k: [] for k in base()}, {}, "no rows"),
         ({"y": np.ones((24, 2))}, {}, r"shape \[24, 2\]"),
-        ({"d": ["a", "b"] * 12}, {"fixed": ["c", "d"]}, r"not independent.*follows from the others"),
+        ({"d": ["a", "b"] * 12}, {"fixed": ["c", "d"]}, r"linearly dependent.*follows from the others"),
         ({"d": ["u", "v", "u", "u"] * 6}, {"fixed": ["c", "d", "c:d"]}, "No row has c = a, d = v"),
-        ({"s": [f"x{k % 4}" for k in range(24)]}, {}, "'p' and 's' group the rows alike"),
-        ({"p": [str(k) for k in range(24)]}, {"observation_effect": True}, "group the rows alike"),
-        ({}, {"response": "hit", "family": "binomial", "observation_effect": True}, "a level of 'observation' of its own"),
+        ({"s": [f"x{k % 4}" for k in range(24)]}, {}, "'p' and 's' group the rows identically"),
+        ({"p": [str(k) for k in range(24)]}, {"observation_effect": True}, "group the rows identically"),
+        ({}, {"response": "hit", "family": "binomial", "observation_effect": True}, "its own level of 'observation'"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_fitted_is_refused_in_words(change, call, message):
@@ -221,10 +222,10 @@ def test_what_cannot_be_fitted_is_refused_in_words(change, call, message):
 
 def test_separation_names_its_level():
     table = columns("study")
-    with pytest.raises(InputError, match=r"'collided' is 0 in every row with condition = solo.*Wilson"):
+    with pytest.raises(SeparationError, match=r"'collided' is 0 in every row with condition = solo.*Wilson"):
         fit_glmm(table, "collided", "binomial", fixed=["condition"], random=CROSSED)
     never = base() | {"y": [0, 4] * 12}
-    with pytest.raises(InputError, match="every row with c = a"):
+    with pytest.raises(SeparationError, match="every row with c = a"):
         fit_glmm(never, "y", "poisson", fixed=["c"], random=["p"])
     with pytest.raises(InputError, match="Separation: 'hit' is at its largest in 24 rows"):
         fit_glmm(base() | {"hit": [1] * 24}, "hit", "binomial", fixed=[], random=["p"])

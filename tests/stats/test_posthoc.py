@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from h3data.errors import InputError
-from h3data.stats.mixed_models import fit_glmm
-from h3data.stats.posthoc import MarginalMeans, contrasts, contrasts_text, marginal_means, relative_efficiency
+from h3data.stats import MarginalMeans, contrasts, contrasts_text, fit_glmm, marginal_means, relative_efficiency
 from tests.stats.glmm_reference import FITS, columns, reference, stored_fit
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from h3data.metrics.table import set_up_lines
-from h3data.stats.statistics import bootstrap_interval, wilson_interval
+from h3data.metrics.table import aligned, set_up_lines
+from h3data.stats import bootstrap_interval, wilson_interval
 from h3data_viewers.html_report.report_paper import paper_results
 
 METRICS = {
@@ -150,12 +150,6 @@ def _paper_text() -> str:
         of = [values.get(metric, ()) for values in (row.train, row.zsc) for metric in METRICS]
         lines.append([row.name, *(f"{v[0]:g} ± {v[1]:g}" if v else "-" for v in of)])
     return f"{aligned(lines)}\n{paper.source}."
-
-
-def aligned(lines: list[list[str]]) -> str:
-    """Columns of equal width."""
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
 def or_none(value: float) -> float | None:

@@ -8,8 +8,8 @@ from typing import Any
 
 from h3data.errors import InputError
 from h3data.metrics import metrics_of
-from h3data.metrics.table import set_up_lines
-from h3data_pipelines.jobs.cross_play import NOTHING, CellValue, aligned, cell_value, or_none
+from h3data.metrics.table import aligned, set_up_lines
+from h3data_pipelines.jobs.cross_play import NOTHING, CellValue, cell_value, or_none
 from h3data_pipelines.jobs.episode_jobs import Changes, Job, seeded_jobs, set_jobs
 from h3data_pipelines.jobs.failed_episodes import reason_of
 from h3data_viewers.html_report.report_paper import paper_results

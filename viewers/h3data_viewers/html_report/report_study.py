@@ -9,9 +9,15 @@ import numpy as np
 
 from h3data.errors import H3DataError
 from h3data.metrics import metrics_of
-from h3data.stats.mixed_models import GlmmFit, fit_glmm
-from h3data.stats.posthoc import MarginalMeans, contrasts, marginal_means, relative_efficiency
-from h3data.stats.statistics import bootstrap_interval
+from h3data.stats import (
+    GlmmFit,
+    MarginalMeans,
+    bootstrap_interval,
+    contrasts,
+    fit_glmm,
+    marginal_means,
+    relative_efficiency,
+)
 from h3data_viewers.html_report.report_data import ReportData, ReportEpisode, Run
 from h3data_viewers.html_report.report_paper import metric_column, paper_results
 from h3data_viewers.html_report.report_tables import (

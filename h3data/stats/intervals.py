@@ -1,9 +1,11 @@
-"""Confidence intervals of means (Wilson for proportions, percentile bootstrap, Student's t), seeds, many tests at once."""
+"""Confidence intervals: Wilson for proportions, percentile bootstrap and Student's t for means."""
+
+# scipy.stats has all three but takes about a second to import; these need scipy.special alone, and the bootstrap must
+# give the same bits whatever the version of scipy. tests/stats/test_intervals.py compares each with scipy.stats.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import InputError
 
 _BLOCK = 2_000_000
-"""Random indices drawn at once: 16 MB."""
+"""Random indices held in memory at once: 16 MB."""
 
 
 def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson score interval of a proportion, without continuity correction; NaN without trials.
+    """Returns the Wilson score interval of a proportion, without continuity correction; NaN without trials.
 
-    E. B. Wilson 1927, eq. for p0: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n).
+    E. B. Wilson 1927, equation for p0: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n).
     """
     from scipy.special import ndtri
 
@@ -30,7 +32,7 @@ def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) ->
     p, spread = successes / trials, z * z / trials
     middle = (p + spread / 2) / (1 + spread)
     half = z / (1 + spread) * np.sqrt(p * (1 - p) / trials + spread / (4 * trials))
-    # Exact at the ends: the two terms cancel there but for rounding.
+    # At the ends the two terms cancel except for rounding, which would leave -1e-17 for 0.
     low = 0.0 if successes == 0 else float(middle - half)
     high = 1.0 if successes == trials else float(middle + half)
     return low, high
@@ -39,7 +41,10 @@ def wilson_interval(successes: int, trials: int, *, confidence: float = 0.95) ->
 def bootstrap_interval(
     values: ArrayLike, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0
 ) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean of ``values`` [E]; NaN below two values. Same seed, same interval."""
+    """Returns the percentile bootstrap interval of the mean of ``values`` [E].
+
+    NaN values are left out; with fewer than two left, both ends are NaN. The same seed gives the same interval.
+    """
     check_confidence(confidence)
     v = _defined(values)
     if len(v) < 2:
@@ -55,7 +60,10 @@ def bootstrap_interval(
 
 
 def t_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Student's t interval of the mean of ``values`` [E], for means of few runs; NaN below two values."""
+    """Returns Student's t interval of the mean of ``values`` [E]; NaN below two defined values.
+
+    For a few runs, such as training seeds, where a bootstrap is too narrow.
+    """
     from scipy.special import stdtrit
 
     check_confidence(confidence)
@@ -72,18 +80,20 @@ class SeedSummary:
 
     mean: float
     std: float
-    """Of the seeds, n - 1 below; NaN of one seed."""
+    """Sample standard deviation (n - 1); NaN for one seed."""
     low: float
-    """Lower end of Student's t interval of the mean; NaN of one seed."""
+    """Lower end of Student's t interval of the mean; NaN for one seed."""
     high: float
+    """Upper end of the interval."""
     seeds: int
+    """Seeds with a defined value."""
 
     def __str__(self) -> str:
         return f"{self.mean:.3g} ± {self.std:.2g}"
 
 
 def over_seeds(values: ArrayLike, *, confidence: float = 0.95) -> SeedSummary:
-    """Mean ± standard deviation of one value per seed, shape [S], as papers print it; undefined values are left out."""
+    """Returns mean ± standard deviation of one value per seed [S], as papers print it; NaN values are left out."""
     v = _defined(values)
     low, high = t_interval(v, confidence=confidence)
     return SeedSummary(
@@ -95,37 +105,8 @@ def over_seeds(values: ArrayLike, *, confidence: float = 0.95) -> SeedSummary:
     )
 
 
-def adjust_p_values(
-    p: ArrayLike, *, method: Literal["holm", "bonferroni", "benjamini-hochberg", "none"] = "holm"
-) -> NDArray[np.float64]:
-    """p values [M] of M tests made together, in their order; NaN stays NaN and does not count as a test.
-
-    ``holm`` and ``bonferroni`` bound the chance of any false finding (Holm 1979), ``benjamini-hochberg`` the expected share
-    of false ones among the findings (1995).
-    """
-    values = np.asarray(p, np.float64)
-    if values.ndim != 1 or (values < 0).any() or (values > 1).any():
-        raise InputError(f"Expected p values between 0 and 1, shape [M], got {p!r}.")
-    result = values.copy()
-    tested = np.flatnonzero(~np.isnan(values))
-    order = tested[np.argsort(values[tested], kind="stable")]
-    ranked, m = values[order], len(order)
-    match method:
-        case "none":
-            pass
-        case "bonferroni":
-            result[order] = np.minimum(m * ranked, 1)
-        case "holm":
-            result[order] = np.minimum(np.maximum.accumulate(ranked * np.arange(m, 0, -1)), 1)
-        case "benjamini-hochberg":
-            result[order] = np.minimum.accumulate((ranked * m / np.arange(1, m + 1))[::-1])[::-1]
-        case _:
-            raise InputError(f"Expected holm, bonferroni, benjamini-hochberg or none, got {method!r}.")
-    return result
-
-
 def check_confidence(confidence: float) -> None:
-    """Refuses percentages and nonsense."""
+    """Raises an `InputError` unless ``confidence`` is a share, such as 0.95 (not 95)."""
     if not 0 < confidence < 1:
         raise InputError(f"Expected a confidence between 0 and 1, e.g. 0.95, got {confidence}.")
 

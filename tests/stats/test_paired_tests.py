@@ -11,7 +11,8 @@ import pytest
 import scipy.stats
 
 from h3data.errors import InputError
-from h3data.metrics import MetricsTable, compare_paired, compare_runs
+from h3data.metrics import MetricsTable, compare_runs
+from h3data.stats import compare_paired
 
 
 def runs(n: int = 30, shift: float = 0.4, seed: int = 0) -> tuple[dict[str, float], dict[str, float]]:

@@ -1,31 +1,30 @@
-"""Two runs on the same episodes: paired tests, intervals of the difference, effect sizes."""
+"""Paired comparison of one value per episode in two runs: test, interval of the difference, effect size."""
+
+# The permutation test is written out so that a seed gives the same p value with every version of scipy. tests/stats/test_paired_tests.py
+# compares the p values of all four with scipy.stats.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, did_you_mean
-from h3data.stats.statistics import adjust_p_values, bootstrap_interval
-
-if TYPE_CHECKING:
-    from h3data.metrics.table import MetricsTable
+from h3data.errors import InputError
+from h3data.stats.intervals import bootstrap_interval
 
 PairedMethod = Literal["auto", "permutation", "t", "wilcoxon", "mcnemar"]
 
 _RESAMPLES = 10_000
 _BLOCK = 2_000_000
-"""Random signs drawn at once."""
+"""Random signs held in memory at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """``first - second`` over the episodes that both define."""
+    """``first - second`` over the episodes in which both are defined."""
 
     first_mean: float
     second_mean: float
@@ -33,17 +32,18 @@ class PairedComparison:
     low: float
     """Lower end of the bootstrap interval of the mean difference over episodes."""
     high: float
+    """Upper end of the interval."""
     p: float
     """Two-sided; NaN below two pairs."""
     p_adjusted: float
-    """For all metrics compared together; equals ``p`` of a single one."""
+    """Adjusted for all metrics compared together; equals ``p`` for a single one."""
     method: str
     effect: float
     """See ``effect_name``; positive where the first is larger; NaN if undefined."""
     effect_name: Literal["Cohen's d_z", "rank-biserial correlation", "odds ratio"]
     pairs: int
     undefined: int
-    """Episodes that one of the two or both do not define."""
+    """Episodes in which one of the two values, or both, are undefined."""
 
 
 def compare_paired(
@@ -56,15 +56,16 @@ def compare_paired(
 ) -> PairedComparison:
     """Compares one value per episode id of two runs.
 
-    Methods (each two-sided) and their effect sizes:
-    ``permutation``: random signs of the differences, 10,000 seeded draws; Cohen's d_z = mean / std of the differences.
+    Methods (all two-sided) and their effect sizes:
+    ``permutation``: random signs of the differences, 10,000 seeded permutations; Cohen's d_z = mean / std of the
+    differences.
     ``t``: Student's paired t test; d_z.
     ``wilcoxon``: signed ranks; matched-pairs rank-biserial correlation (Kerby 2014), zeros left out.
     ``mcnemar``: for 0/1 values, exact; odds ratio of the discordant pairs, (b + 1/2) / (c + 1/2).
     ``auto``: ``mcnemar`` if all values are 0 or 1, else ``permutation``.
 
     Raises:
-        InputError: the runs hold different episodes; the message names them.
+        InputError: the runs hold different episodes (the message names them), or the method does not fit the values.
     """
     _check_same_episodes(first, second)
     a = np.array([first[k] for k in first], np.float64)
@@ -83,11 +84,10 @@ def compare_paired(
     d = a - b
     p, effect = test(d, seed) if len(d) > 1 else (float("nan"), float("nan"))
     low, high = bootstrap_interval(d, confidence=confidence, seed=seed)
-    nothing = not len(d)
     return PairedComparison(
-        first_mean=float("nan") if nothing else float(a.mean()),
-        second_mean=float("nan") if nothing else float(b.mean()),
-        difference=float("nan") if nothing else float(d.mean()),
+        first_mean=_mean(a),
+        second_mean=_mean(b),
+        difference=_mean(d),
         low=low,
         high=high,
         p=p,
@@ -100,38 +100,8 @@ def compare_paired(
     )
 
 
-def compare_runs(
-    first: MetricsTable,
-    second: MetricsTable,
-    *,
-    metrics: Sequence[str] | None = None,
-    adjust: Literal["holm", "bonferroni", "benjamini-hochberg", "none"] = "holm",
-    confidence: float = 0.95,
-    seed: int = 0,
-) -> dict[str, PairedComparison]:
-    """Paired comparison of every metric (or ``metrics``) of two tables over the same episodes, p values adjusted together."""
-    if first.profile != second.profile:
-        raise InputError(f"Two profiles cannot be compared: {first.profile!r} and {second.profile!r}.")
-    names = list(metrics) if metrics is not None else list(first.columns)
-    unknown = [n for n in names if n not in first.columns]
-    if unknown:
-        near = did_you_mean(unknown[0], first.columns)
-        raise InputError(f"No metric {', '.join(map(repr, unknown))}.{near} There are: {', '.join(first.columns)}.")
-    for table, which in ((first, "first"), (second, "second")):
-        twice = sorted(e for e, times in Counter(table.episode_ids).items() if times > 1)
-        if twice:
-            raise InputError(f"Expected each episode once; the {which} run repeats {_some(twice)}.")
-    results = {
-        name: compare_paired(
-            dict(zip(first.episode_ids, map(float, first.columns[name]), strict=True)),
-            dict(zip(second.episode_ids, map(float, second.columns[name]), strict=True)),
-            confidence=confidence,
-            seed=seed,
-        )
-        for name in names
-    }
-    adjusted = adjust_p_values([r.p for r in results.values()], method=adjust)
-    return {name: replace(r, p_adjusted=float(p)) for (name, r), p in zip(results.items(), adjusted, strict=True)}
+def _mean(values: NDArray[np.float64]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
@@ -141,6 +111,7 @@ def _permutation(d: NDArray[np.float64], seed: int) -> tuple[float, float]:
     for start in range(0, _RESAMPLES, per_block):
         rows = min(per_block, _RESAMPLES - start)
         signs = random.integers(0, 2, (rows, len(d)), np.int8) * 2 - 1
+        # The tolerance keeps permutations that equal the observed sum up to rounding among the extreme ones.
         extreme += int((np.abs(signs @ d) >= observed * (1 - 1e-12)).sum())
     return (extreme + 1) / (_RESAMPLES + 1), _cohen(d)
 
@@ -190,15 +161,14 @@ def _check_same_episodes(first: Mapping[str, float], second: Mapping[str, float]
     only_first, only_second = [k for k in first if k not in second], [k for k in second if k not in first]
     if only_first or only_second:
         raise InputError(
-            f"A paired comparison needs the same episodes in both runs. Only in the first: {_some(only_first)}. "
-            f"Only in the second: {_some(only_second)}."
+            f"A paired comparison needs the same episodes in both runs. Only in the first: {some_of(only_first)}. "
+            f"Only in the second: {some_of(only_second)}."
         )
     if not first:
         raise InputError("The runs have no episodes.")
 
 
-def _some(names: Sequence[str], most: int = 5) -> str:
-    if not names:
-        return "none"
+def some_of(names: Sequence[str], most: int = 5) -> str:
+    """The first ``most`` names for an error text: ``e0, e1 and 3 more``; ``none`` of none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return ", ".join(names[:most]) + more or "none"

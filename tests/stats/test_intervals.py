@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 from h3data.errors import InputError
-from h3data.stats.statistics import adjust_p_values, bootstrap_interval, over_seeds, t_interval, wilson_interval
+from h3data.stats import adjust_p_values, bootstrap_interval, over_seeds, t_interval, wilson_interval
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 20), (20, 20), (3, 7), (451, 500), (702, 1000)])
@@ -43,7 +43,7 @@ def test_the_bootstrap_is_seeded_and_in_blocks_equal_to_itself(monkeypatch):
     assert bootstrap_interval(values, seed=3) == bootstrap_interval(values, seed=3)
     assert bootstrap_interval(values, seed=3) != bootstrap_interval(values, seed=4)
     whole = bootstrap_interval(values, resamples=2000)
-    monkeypatch.setattr("h3data.stats.statistics._BLOCK", 777)
+    monkeypatch.setattr("h3data.stats.intervals._BLOCK", 777)
     assert bootstrap_interval(values, resamples=2000) == whole
 
 
