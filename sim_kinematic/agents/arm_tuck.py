@@ -20,40 +20,50 @@ from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.motion.spec import ArmRoomSpec
 from sim_kinematic.motion.state import HumanState
 
+ROUNDING = 1e-9
+"""Far more than rounding can make of a comparison in `_draw_in_worlds`."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """In the order of `HumanState.arms`."""
 
 
 @kernel(error_model="numpy")
-def arm_need(sdf, origin, cell, x, z, heading, side, aside, free, tight, within, fade, step):
-    """How far the arm of one ``side`` (1 right, -1 left) should be drawn in, 0..1; see `ArmRoomSpec`.
-
-    Distances differ by no more than the way between two points: where there is room it goes on by as much.
-    """
-    c, s = math.cos(heading), math.sin(heading)
-    line_x, line_z = x + s * side * aside, z + c * side * aside
-    end = within + fade
-    along, most = -end, 0.0
-    while along <= end:
-        room = sample_sdf(sdf, origin, cell, line_x + c * along, line_z - s * along)
-        if room < free:
-            need = min((free - room) / (free - tight), 1.0)
-            most = max(most, need - max(abs(along) - within, 0.0) / fade)
-        along += max(room - free, step)
-    return most
-
-
-@kernel(error_model="numpy")
 def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, free, tight, within, fade, step):
-    for w in range(len(heading)):
+    """One step of all arms [W, 2], in place: each goes by at most ``rate`` towards how far its line asks for, 0..1.
+
+    Distances differ by no more than the path between two points, so where there is room a line is followed by as much. What
+    it asks for is the most of its looks. A line is left as soon as no further look can change the arm.
+
+    All lines advance by one look in turn: on a line each look has to wait for the one before, so one line after the other
+    takes 1.7 times as long.
+    """
+    worlds, end = len(heading), within + fade
+    x, z, c, s = np.empty(2 * worlds), np.empty(2 * worlds), np.empty(worlds), np.empty(worlds)
+    along, most, enough = np.full(2 * worlds, -end), np.zeros(2 * worlds), np.empty(2 * worlds)
+    lines, count = np.empty(2 * worlds, np.intp), 0
+    for w in range(worlds):
+        c[w], s[w] = math.cos(heading[w]), math.sin(heading[w])
         for k in range(2):
-            need = 0.0
-            if k != busy:
-                need = arm_need(
-                    sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], 2.0 * k - 1.0, aside, free, tight, within, fade,
-                    step,
-                )  # fmt: skip
-            arms[w, k] += min(max(need - arms[w, k], -rate), rate)
+            line, side = 2 * w + k, 2.0 * k - 1.0
+            x[line], z[line] = xz[w, 0] + s[w] * side * aside, xz[w, 1] + c[w] * side * aside
+            enough[line] = min(arms[w, k] + rate + ROUNDING, 1.0)
+            lines[count] = line
+            count += k != busy
+    while count > 0:
+        left = 0
+        for n in range(count):
+            line = lines[n]
+            w, at, before = line >> 1, along[line], most[line]
+            room = sample_sdf(sdf, origin, cell, x[line] + c[w] * at, z[line] - s[w] * at)
+            need = min((free - room) / (free - tight), 1.0) - max(abs(at) - within, 0.0) / fade
+            need = max(need, before)
+            at += max(room - free, step)
+            along[line], most[line] = at, need
+            lines[left] = line
+            left += (at <= end) & (need < enough[line]) & (at - within < (1.0 - need) * fade + ROUNDING)
+        count = left
+    for w in range(worlds):
+        for k in range(2):
+            arms[w, k] += min(max(most[2 * w + k] - arms[w, k], -rate), rate)
 
 
 def draw_arms(

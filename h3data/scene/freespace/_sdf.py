@@ -8,6 +8,7 @@ floor, positive on free floor, negative off it. They are not inflated: a disc of
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
@@ -19,28 +20,37 @@ SLACK_M = 0.004
 surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
-@kernel()
+@njit(nogil=True, inline="always")
+def _clipped(value: float, most: float) -> float:
+    """The value in 0..most; as `min` and `max` of numba, which look for NaN too, but a tenth of a look-up faster."""
+    value = value if value > 0.0 else 0.0
+    return value if value < most else most
+
+
+@kernel(inline="always")  # called, it would count references to its arrays: stepping takes a quarter longer
 def sample_sdf(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> float:
-    """Signed distance [m] at the floor point (x, z), bilinear; off the grid the border value minus the way to it."""
+    """Signed distance [m] at the floor point (x, z), bilinear; off the grid the border value minus the distance to it."""
     fx = (x - origin[0]) / cell - 0.5
     fz = (z - origin[1]) / cell - 0.5
-    cx = min(max(fx, 0.0), sdf.shape[0] - 1.0)
-    cz = min(max(fz, 0.0), sdf.shape[1] - 1.0)
+    cx, cz = _clipped(fx, sdf.shape[0] - 1.0), _clipped(fz, sdf.shape[1] - 1.0)
     i = min(int(cx), sdf.shape[0] - 2)
     j = min(int(cz), sdf.shape[1] - 2)
     a = cx - i
     b = cz - j
     near = (1.0 - a) * ((1.0 - b) * sdf[i, j] + b * sdf[i, j + 1])
     far = a * ((1.0 - b) * sdf[i + 1, j] + b * sdf[i + 1, j + 1])
-    return near + far - cell * np.hypot(fx - cx, fz - cz)
+    distance = near + far
+    if cx != fx or cz != fz:  # a branch, because hypot costs as much as all the rest
+        distance -= cell * np.hypot(fx - cx, fz - cz)
+    return distance
 
 
-@kernel()
+@kernel(inline="always")
 def sdf_gradient(sdf: NDArray, origin: NDArray, cell: float, x: float, z: float) -> tuple[float, float]:
     """Gradient (d/dx, d/dz) of the bilinear distance at (x, z): points away from the nearest obstacle, length about 1
     (shorter on the ridges half-way between obstacles)."""
-    cx = min(max((x - origin[0]) / cell - 0.5, 0.0), sdf.shape[0] - 1.0)
-    cz = min(max((z - origin[1]) / cell - 0.5, 0.0), sdf.shape[1] - 1.0)
+    cx = _clipped((x - origin[0]) / cell - 0.5, sdf.shape[0] - 1.0)
+    cz = _clipped((z - origin[1]) / cell - 0.5, sdf.shape[1] - 1.0)
     i = min(int(cx), sdf.shape[0] - 2)
     j = min(int(cz), sdf.shape[1] - 2)
     a = cx - i
