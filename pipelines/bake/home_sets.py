@@ -21,7 +21,7 @@ from h3data.errors import SceneError
 from h3data.files import part_file
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.scene import HomeSpec
-from h3data.scene.homes.spec import MOST_BATHROOMS, MOST_BEDROOMS, Preset, least_area_m2
+from h3data.scene.homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_scene_set
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
 from sim_kinematic.tasks.social_nav_episodes import set_episode
@@ -66,9 +66,9 @@ def wishes(split: Split) -> list[HomeSpec]:
     areas = [*(LEAST_M2 * (MOST_M2 / LEAST_M2) ** steps), LARGEST_M2]
     found = []
     for k, area in enumerate(areas):
-        bedrooms = int(np.clip(round(area / 55 + rng.uniform(-0.6, 0.8)), 1, MOST_BEDROOMS - 2))
-        bathrooms = int(np.clip(round(bedrooms * rng.uniform(0.5, 0.8)), 1, MOST_BATHROOMS - 2))
-        while area < least_area_m2(bedrooms, bathrooms):
+        bedrooms = int(np.clip(round(area / 55 + rng.uniform(-0.6, 0.8)), 1, MAX_BEDROOMS - 2))
+        bathrooms = int(np.clip(round(bedrooms * rng.uniform(0.5, 0.8)), 1, MAX_BATHROOMS - 2))
+        while area < min_area_m2(bedrooms, bathrooms):
             bedrooms, bathrooms = (bedrooms - 1, bathrooms) if bedrooms > 1 else (1, bathrooms - 1)
         preset: Preset = "small" if area < 110 else "medium" if area < 300 else "large"
         clutter = float(rng.choice([0.6, 1.0, 1.0, 1.5]))

@@ -1,8 +1,10 @@
-"""Procedural homes: `build_home(HomeSpec(seed=7))` gives a furnished `Scene`, the same for the same spec.
+"""Procedural homes: `build_home(HomeSpec(seed=7))` returns a furnished `Scene`, identical for identical specs.
 
-``zoning``, ``zoning_large`` and ``layout`` plan rooms, doors and windows; ``structure`` builds them; ``furniture*`` and
-``objects`` are the parametric things; ``place``, ``search``, ``groups`` and ``rooms`` put them in; ``check`` proves that
-one can walk; ``build`` drives it all.
+- `spec`: presets, categories, random streams; `build` runs the stages below
+- plan: `zoning`, `zoning_large` (rooms), `layout` (doors and windows)
+- construction: `structure` (walls, ceiling, windows), `floors`; looks: `style`, `materials`; meshes: `solids`, `primitives`
+- furnishing: `rooms` (contents of each kind of room), `furnishing/` (furniture, objects, placement)
+- `check`: every room and receptacle is reachable
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def build_home(spec: HomeSpec) -> Scene:
-    """A furnished home; see `h3data.scene.homes.build.build_home` (imported at the first call, for light imports)."""
+    """A furnished home; see `h3data.scene.homes.build.build_home`, which is imported at the first call."""
     from h3data.scene.homes.build import build_home as build
 
     return build(spec)

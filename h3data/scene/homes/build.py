@@ -1,4 +1,4 @@
-"""`build_home`: plan, structure, furniture and small things put together into one `Scene`."""
+"""`build_home`: plan, structure, furniture and small objects assembled into one `Scene`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from h3data.scene.homes.layout import WALL_HEIGHT, Layout, RoomPlan, plan_layout
 from h3data.scene.homes.rooms import FURNISH
 from h3data.scene.homes.solids import subdivided
 from h3data.scene.homes.spec import CATEGORIES, HomeSpec, stage_rng
-from h3data.scene.homes.style import Style, draw_style
+from h3data.scene.homes.style import Style, sample_style
 from h3data.scene.records import Asset, Instance, Room, Scene
 
 _log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ _LAMP_EVERY_M = 4.5
 
 
 class _Collector:
-    """Assets and instances of a home that is being put together; names are given in order of appearance."""
+    """Assets and instances of a home under construction; names are numbered in order of appearance."""
 
     def __init__(self) -> None:
         self.assets: dict[str, Asset] = {}
@@ -73,11 +73,14 @@ class _Collector:
 
 
 def build_home(spec: HomeSpec) -> Scene:
-    """A furnished home: rooms, walls with doors and windows, furniture, small things to carry.
+    """A furnished home: rooms, walls with doors and windows, furniture, small objects to carry.
 
-    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z). The ceiling and its lamps
-    are in the layer ``ceiling``. The same spec gives the same bytes. Every room and every receptacle can be reached by
-    a disc of 0.30 m radius; plans for which that fails are drawn again, at most 12 times.
+    World frame, +Y up, floor at y = 0, footprint from (0, 0) to (width, depth) in (x, z). The ceiling and its lamps are in
+    the layer ``ceiling``. The same spec gives the same bytes. A disc of 0.30 m radius can reach every room and every
+    receptacle; plans that fail this are sampled anew, up to 12 times.
+
+    Raises:
+        SceneError: no attempt succeeded.
     """
     reasons = []
     for attempt in range(_ATTEMPTS):
@@ -87,11 +90,11 @@ def build_home(spec: HomeSpec) -> Scene:
             reasons.append(str(error))
             _log.debug("%s, attempt %d: %s", spec, attempt, error)
             continue
-        found = faults(scene)
-        if not found:
+        scene_faults = faults(scene)
+        if not scene_faults:
             return scene
-        reasons += found
-        _log.debug("%s, attempt %d: %s", spec, attempt, "; ".join(found))
+        reasons += scene_faults
+        _log.debug("%s, attempt %d: %s", spec, attempt, "; ".join(scene_faults))
     raise SceneError(
         f"No home found for {spec} in {_ATTEMPTS} attempts; last reason: {reasons[-1]} Hint: use another seed."
     )
@@ -99,7 +102,7 @@ def build_home(spec: HomeSpec) -> Scene:
 
 def _attempt(spec: HomeSpec, attempt: int) -> Scene:
     layout = plan_layout(spec, attempt)
-    style = draw_style(stage_rng(spec, "style", attempt), layout)
+    style = sample_style(stage_rng(spec, "style", attempt), layout)
     states = _furnish(spec, attempt, layout, style)
     home = _Collector()
     _add_structure(home, layout, style, spec, attempt)
@@ -141,7 +144,11 @@ def _name(spec: HomeSpec) -> str:
 
 
 def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list[RoomState]:
-    """All rooms with their furniture. The dining table stands in a dining room, else in the kitchen, else in the living."""
+    """All rooms with their furniture.
+
+    The dining table stands in the dining room if there is one, else in a kitchen above 10.5 m2 or in the living room; the
+    other of the two is the fallback.
+    """
     kinds = [r.category for r in layout.rooms]
     kitchen = layout.rooms[kinds.index("kitchen")]
     hosts = ["kitchen", "living"] if kitchen.area > 10.5 else ["living", "kitchen"]
@@ -150,7 +157,7 @@ def _furnish(spec: HomeSpec, attempt: int, layout: Layout, style: Style) -> list
     for last in (False, True):
         host = layout.rooms[kinds.index(hosts[-1] if last else hosts[0])]
         try:
-            # The host comes first: if it has no place for the table, the others need not be tried.
+            # The host comes first: if the table does not fit, furnishing the other rooms would be wasted.
             rooms = sorted(layout.rooms, key=lambda r: r is not host)
             states = {r.name: _furnish_room(spec, attempt, layout, style, r, dining=r is host) for r in rooms}
             return [states[r.name] for r in layout.rooms]

@@ -1,4 +1,4 @@
-"""The last word on a home, from its collision shapes alone: everybody can walk everywhere."""
+"""Final acceptance test of a home, from its collision shapes alone: an agent can walk everywhere and reach everything."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 _HAND_M = 1.1
-"""How far the middle of a receptacle may be from where one can walk [m]."""
+"""Greatest distance from the centre of a receptacle to walkable floor [m]."""
 _REACH_SLACK = 0.01
-"""Rounding of the circles that shapes and discs are made of [m]."""
+"""Error of the polygons that stand for circles [m]."""
 
 
 def open_floor(scene: Scene) -> BaseGeometry:
-    """The floor of all rooms without what stands on it, as a (multi)polygon in (x, z), not shrunk by any disc."""
+    """The floor of all rooms minus obstacles, as a (multi)polygon in (x, z), not shrunk by any disc."""
     import shapely
 
     from h3data.scene.freespace._footprints import scene_obstacles
@@ -31,12 +31,12 @@ def open_floor(scene: Scene) -> BaseGeometry:
 
 
 def walkable_area(scene: Scene, radius: float = WALK_RADIUS) -> BaseGeometry:
-    """Where the middle of a disc can be on the floor of all rooms, as a (multi)polygon in (x, z)."""
+    """Positions that the centre of a disc can take on the floor of all rooms, as a (multi)polygon in (x, z)."""
     return open_floor(scene).buffer(-radius, quad_segs=8)
 
 
 def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]:
-    """Of all furniture with receptacles: its name, the edge or outline from which it is used, how near one must come."""
+    """Furniture with receptacles: names, the edges or outlines from which it is used, required distances to them [m]."""
     import shapely
 
     from h3data.scene.freespace._footprints import shape_footprint
@@ -58,32 +58,32 @@ def use_edges(scene: Scene) -> tuple[list[str], list[BaseGeometry], list[float]]
 
 
 def faults(scene: Scene) -> list[str]:
-    """What keeps a walker of `WALK_RADIUS` from rooms or furniture, and gaps of the wrong width; empty if all is well."""
+    """Rooms and furniture that a walker of `WALK_RADIUS` cannot reach, and gaps of ambiguous width; empty if there are none."""
     import shapely
 
     floor = open_floor(scene)
     parts = shapely.get_parts(floor.buffer(-WALK_RADIUS, quad_segs=8))
     if not len(parts):
-        return ["nobody can stand anywhere"]
+        return ["there is no room to stand anywhere"]
     main = max(parts, key=lambda part: part.area)
-    found = []
+    problems = []
     total = sum(part.area for part in parts)
     if total - main.area > CRUMB_M2:
-        found.append(f"{total - main.area:.3f} m2 of walkable floor are cut off")
+        problems.append(f"{total - main.area:.3f} m2 of walkable floor are cut off")
     for room in scene.rooms:
         area = shapely.union_all([shapely.box(*r) for r in room.rectangles])
         if main.intersection(area).area < 0.1 * area.area:
-            found.append(f"{room.name} cannot be entered")
-    names, edges, near = use_edges(scene)
-    away = shapely.distance(main, edges)
-    for name, distance, limit in zip(names, away.tolist(), near, strict=True):
+            problems.append(f"{room.name} cannot be entered")
+    names, edges, limits = use_edges(scene)
+    distances = shapely.distance(main, edges)
+    for name, distance, limit in zip(names, distances.tolist(), limits, strict=True):
         if distance > limit:
-            found.append(f"the front of {name} is {distance:.2f} m away from where one can walk")
+            problems.append(f"the front of {name} is {distance:.2f} m away from walkable floor")
     for instance, receptacle in scene.receptacles():
         x, _, z = transform_points(instance_matrix(instance), receptacle.center[None])[0]
         if main.distance(shapely.Point(x, z)) > _HAND_M:
-            found.append(f"{instance.name}|{receptacle.name} is out of reach")
+            problems.append(f"{instance.name}|{receptacle.name} is out of reach")
     for pocket in pockets(floor, main):
-        at = pocket.representative_point()
-        found.append(f"a tight gap of {pocket.area:.3f} m2 at ({at.x:.2f}, {at.y:.2f})")
-    return found
+        point = pocket.representative_point()
+        problems.append(f"a tight gap of {pocket.area:.3f} m2 at ({point.x:.2f}, {point.y:.2f})")
+    return problems

@@ -1,4 +1,4 @@
-"""Floors of rooms: boards and tiles, one quad for each."""
+"""Floors of rooms: boards and tiles, one quad each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _flat(rects: np.ndarray, y: float = 0.0) -> np.ndarray:
 
 
 def _planks(rect: Rect, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Plan rectangles [Q, 4] of staggered floor boards along the longer side, and their places on "boards" [Q, 4, 2]."""
+    """Plan rectangles [Q, 4] of staggered floor boards along the longer side, and texture places on "boards" [Q, 4, 2]."""
     x0, z0, x1, z1 = rect
     swap = (z1 - z0) > (x1 - x0)
     a0, b0, a1, b1 = (z0, x0, z1, x1) if swap else rect
@@ -37,7 +37,7 @@ def _planks(rect: Rect, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
         ends = np.concatenate([[a0], cuts[(cuts > a0 + 0.08) & (cuts < a1 - 0.08)], [a1]])
         for k, (s, e) in enumerate(pairwise(ends.tolist())):
             boards.append((s, low, e, high))
-            top = len(boards) % BOARDS * _PLANK_WIDTH  # neighbours show different ones of the boards drawn
+            top = len(boards) % BOARDS * _PLANK_WIDTH  # neighbours show different boards of the texture
             left = s - float(cuts[0]) if k == 0 else 0.0
             places.append((left, top, left + e - s, top + min(high - low, _PLANK_WIDTH)))
     out = np.array(boards)
@@ -45,14 +45,14 @@ def _planks(rect: Rect, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 def _place(rects: np.ndarray, swap: bool = False) -> np.ndarray:
-    """Places on a material [Q, 4, 2] of the corners that `_flat` gives, from rectangles on it [Q, 4]."""
+    """Texture places [Q, 4, 2] of the corners that `_flat` returns, from rectangles on the material [Q, 4]."""
     a0, b0, a1, b1 = rects.T
     ring = [(a1, b0), (a1, b1), (a0, b1), (a0, b0)] if swap else [(a0, b1), (a1, b1), (a1, b0), (a0, b0)]
     return np.stack([np.stack(p, -1) for p in ring], 1)
 
 
 def floor_mesh(room: RoomPlan, style: Style, rng: np.random.Generator) -> Mesh:
-    """Boards or, in kitchens and bathrooms, tiles, with a tint each."""
+    """A floor of boards or, in kitchens and bathrooms, of tiles, each with a tint of its own."""
     mesh = MeshBuilder()
     if room.category not in style.floor_tile:
         boards, places = _planks(room.rect, rng)

@@ -1,12 +1,12 @@
-"""The plan of a home: rooms that tile its footprint, doors by room-type rules, windows.
+"""The plan of a home: rooms that tile its footprint, doors by rules for pairs of room types, windows.
 
-Plan coordinates are the world's floor points (x, z) [m]. Rooms reach to the middle of inner walls and to the inner face
-of outer walls, so their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.
+Plan coordinates are floor points (x, z) of the world [m]. Rooms extend to the middle of inner walls and to the inner face
+of outer walls, so that their areas add up to the area of the home. Algorithm: research/navigation-and-stepping.md 6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -30,9 +30,9 @@ class RoomPlan:
     name: str
     category: str
     rect: Rect
-    """To the middle of inner walls and to the inner face of outer walls."""
+    """Extent to the middle of inner walls and to the inner face of outer walls."""
     interior: Rect
-    """The floor between the wall faces."""
+    """Floor between the wall faces."""
 
     @property
     def area(self) -> float:
@@ -48,27 +48,27 @@ class Opening:
 
     kind: OpeningKind
     axis: Literal[0, 1]
-    """The plan axis along which the wall runs: 0 = x, 1 = z."""
+    """Plan axis along which the wall runs: 0 = x, 1 = z."""
     line: float
-    """Where the wall's line cuts the other axis: its middle if inner, its inner face if outer [m]."""
+    """Coordinate of the wall on the other axis: the middle of an inner wall, the inner face of an outer one [m]."""
     span: tuple[float, float]
     """Clear opening along the axis [m]."""
     height: tuple[float, float]
     """Bottom and top of the clear opening [m]."""
     rooms: tuple[str, ...]
-    """The room or the two rooms it belongs to."""
+    """The one or two rooms that it belongs to."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """A whole plan; its footprint is ``0 0 width depth`` without the notches."""
+    """A complete plan; the footprint is ``0 0 width depth`` minus the notches."""
 
     width: float
     depth: float
     rooms: tuple[RoomPlan, ...]
     openings: tuple[Opening, ...]
     notches: tuple[Rect, ...] = ()
-    """Corners of the bounding box that lie outside. Walls towards them stand on the line, as inner walls do."""
+    """Corners of the bounding box that lie outdoors. Walls facing them are centred on their line, like inner walls."""
 
     def room(self, name: str) -> RoomPlan:
         return next(r for r in self.rooms if r.name == name)
@@ -76,7 +76,7 @@ class Layout:
 
 # --- rooms ------------------------------------------------------------------------------------------------------------
 def _oriented(rng: np.random.Generator, plan: Zoning) -> Zoning:
-    """The plan mirrored and turned at random."""
+    """The plan, mirrored and rotated at random."""
     flip_x, flip_z, swap = (rng.random(3) < 0.5).tolist()
 
     def moved(rect: Rect) -> Rect:
@@ -97,12 +97,12 @@ def _oriented(rng: np.random.Generator, plan: Zoning) -> Zoning:
 
 def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan, ...]:
     kinds = [kind for kind, _ in tiles]
-    seen: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     rooms = []
     half = WALL_THICKNESS / 2
     for kind, rect in tiles:
-        seen[kind] = seen.get(kind, 0) + 1
-        name = f"{kind}_{seen[kind]}" if kinds.count(kind) > 1 else kind
+        numbers[kind] = numbers.get(kind, 0) + 1
+        name = f"{kind}_{numbers[kind]}" if kinds.count(kind) > 1 else kind
         x0, z0, x1, z1 = rect
         interior = (
             x0 + (half if x0 > 0 else 0),
@@ -115,26 +115,51 @@ def _named(tiles: Sequence[Tile], width: float, depth: float) -> tuple[RoomPlan,
 
 
 # --- doors ------------------------------------------------------------------------------------------------------------
-_DOOR_COST = {  # which rooms would rather be joined; missing pairs are never joined
-    frozenset(pair.split("-")): cost
-    for pair, cost in {
-        "living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0, "hall": 0, "living-hall": 1, "hall-dining": 2,
-        "hall-bedroom": 2, "hall-bathroom": 2, "hall-den": 2, "hall-office": 2, "hall-library": 2, "kitchen-pantry": 3,
-        "kitchen-laundry": 3, "hall-laundry": 4, "hall-pantry": 5, "hall-kitchen": 5, "living-den": 6,
-        "living-library": 6, "living-office": 6, "bedroom-bathroom": 7,
-    }.items()
-}  # fmt: skip
-_EXTRA_DOORS = {
-    frozenset(pair.split("-")): chance
-    for pair, chance in {
-        "hall-kitchen": 0.3, "hall-dining": 0.5, "living-den": 0.3, "living-library": 0.3, "dining-kitchen": 0.8,
+def _pairs(values: Mapping[str, float]) -> dict[frozenset[str], float]:
+    """Values by pair of room types, from keys such as ``living-kitchen``; ``hall`` alone stands for two halls."""
+    return {frozenset(pair.split("-")): value for pair, value in values.items()}
+
+
+_DOOR_COST = _pairs(
+    {
+        "living-kitchen": 0,
+        "living-dining": 0,
+        "dining-kitchen": 0,
+        "hall": 0,
+        "living-hall": 1,
+        "hall-dining": 2,
+        "hall-bedroom": 2,
+        "hall-bathroom": 2,
+        "hall-den": 2,
+        "hall-office": 2,
+        "hall-library": 2,
+        "kitchen-pantry": 3,
+        "kitchen-laundry": 3,
+        "hall-laundry": 4,
+        "hall-pantry": 5,
+        "hall-kitchen": 5,
+        "living-den": 6,
+        "living-library": 6,
+        "living-office": 6,
+        "bedroom-bathroom": 7,
+    }
+)
+"""Preference for a door between two types of rooms, lower is better; other pairs never get one."""
+_EXTRA_DOORS = _pairs(
+    {
+        "hall-kitchen": 0.3,
+        "hall-dining": 0.5,
+        "living-den": 0.3,
+        "living-library": 0.3,
+        "dining-kitchen": 0.8,
         "living-dining": 1.0,
-    }.items()
-}  # fmt: skip
-"""Chance of a door that closes a loop, beside the spanning tree."""
-_WIDE = tuple(frozenset(pair.split("-")) for pair in ("living-kitchen", "living-dining", "dining-kitchen"))
+    }
+)
+"""Probability of a door that closes a loop, in addition to the spanning tree."""
+_WIDE = tuple(_pairs({"living-kitchen": 0, "living-dining": 0, "dining-kitchen": 0}))
+"""Pairs joined by a wide opening without a door leaf."""
 _DEAD_ENDS = ("bathroom", "bedroom", "pantry")
-"""Nobody has to go through these to get elsewhere, but for a bathroom behind its bedroom."""
+"""Private rooms, which never lead to other rooms, except a bedroom to its own bathroom."""
 
 
 def _narrow(room: RoomPlan) -> float:
@@ -155,11 +180,11 @@ def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, f
         kind = "wide"
     else:
         kind, width, top = "door", 0.95, DOOR_HEIGHT
-        room = high - low - width
-        if room < 0:
-            width, room = high - low, 0.0
-        start = low + room * float(rng.choice([0.0, 1.0]) if room > 0.4 else 0.5)
-        start += (0.04 if start <= low + 0.01 else -0.04) if room > 0.4 else 0.0
+        slack = high - low - width
+        if slack < 0:
+            width, slack = high - low, 0.0
+        start = low + slack * float(rng.choice([0.0, 1.0]) if slack > 0.4 else 0.5)
+        start += (0.04 if start <= low + 0.01 else -0.04) if slack > 0.4 else 0.0
     return Opening(
         kind=kind,
         axis=0 if axis == 0 else 1,
@@ -171,7 +196,7 @@ def _door(rng: np.random.Generator, a: RoomPlan, b: RoomPlan, wall: tuple[int, f
 
 
 def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[Opening]:
-    """A spanning tree of doors, cheapest pairs of room types first, and now and then one more."""
+    """A minimum spanning tree of doors by `_DOOR_COST` (Kruskal), plus occasional `_EXTRA_DOORS`."""
     links = []
     for a, b in combinations(rooms, 2):
         wall = shared_wall(a.rect, b.rect)
@@ -201,7 +226,7 @@ def _plan_doors(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[O
 
 
 # --- windows and the entrance -----------------------------------------------------------------------------------------
-_WINDOWS = {  # on how many sides at most, width, bottom, top
+_WINDOWS = {
     "living": (2, (1.5, 2.2), 0.85, 2.2),
     "dining": (2, (1.4, 2.0), 0.85, 2.2),
     "kitchen": (1, (1.0, 1.4), 1.1, 2.15),
@@ -214,13 +239,15 @@ _WINDOWS = {  # on how many sides at most, width, bottom, top
     "pantry": (0, (0.5, 0.6), 1.5, 2.15),
     "hall": (1, (0.6, 0.8), 1.2, 2.15),
 }
-"""In the order in which rooms are listed."""
+"""Windows per kind of room: largest number of sides, range of widths, bottom, top [m]. Its order is also that of a plan's
+rooms."""
 _NEED_LIGHT = ("living", "bedroom", "dining")
+"""Kinds of rooms that must have an outer wall long enough for a window."""
 
 
 @dataclass(frozen=True)
 class _Outer:
-    """A stretch of a room's wall with the open air behind it, between the faces of its ends."""
+    """A stretch of a room's wall that faces outdoors, between the wall faces at its ends."""
 
     axis: Literal[0, 1]
     line: float
@@ -230,23 +257,24 @@ class _Outer:
 
 def _outer(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
     walls = [w for r in rooms if r is not room and (w := shared_wall(room.rect, r.rect)) is not None]
-    found = []
+    stretches = []
     axes: tuple[Literal[0, 1], ...] = (1, 0)
     for axis in axes:
         across = 1 - axis
         for end in (across, across + 2):
             line, at = room.rect[end], room.interior[axis]
             shared = sorted((w[2], w[3]) for w in walls if w[0] == axis and abs(w[1] - line) < 1e-9)
-            # A neighbour that only touches at this line but lies beyond a corner of the room is no wall of it.
+            # A neighbour that only touches this line beyond a corner of the room must not cut the wall.
             for low, high in [*shared, (room.interior[axis + 2] + WALL_THICKNESS / 2, np.inf)]:
                 stop = min(low - WALL_THICKNESS / 2, room.interior[axis + 2])
                 if stop - at > 0.9:
-                    found.append(_Outer(axis, line, at, stop))
+                    stretches.append(_Outer(axis, line, at, stop))
                 at = max(at, high + WALL_THICKNESS / 2)
-    return found
+    return stretches
 
 
 def _plan_outer(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> list[Opening]:
+    """The entrance and the windows."""
     openings: list[Opening] = []
     halls = sorted((r for r in rooms if r.category == "hall"), key=lambda r: -_narrow(r))
     host = next((r for r in (*halls, *rooms) if _entrances(r, rooms)), None)
@@ -293,13 +321,17 @@ def _entrances(room: RoomPlan, rooms: Sequence[RoomPlan]) -> list[_Outer]:
 
 
 def plan_layout(spec: HomeSpec, attempt: int = 0) -> Layout:
-    """Rooms, doors and windows of a home; ``attempt`` gives other random numbers for the same spec."""
+    """Rooms, doors and windows of a home; each ``attempt`` has random numbers of its own.
+
+    Raises:
+        SceneError: no acceptable plan was found.
+    """
     program = spec.program
     large = program.area_m2 >= LARGE_FROM_M2 or program.bedrooms >= LARGE_FROM_BEDROOMS
     try:
         plan = plan_large_zoning(spec, attempt, _sound) if large else plan_zoning(spec, attempt)
     except SceneError:
-        # Uncommon numbers of rooms: the other way may do.
+        # Unusual numbers of rooms: the other planner may still succeed.
         plan = plan_zoning(spec, attempt) if large else plan_large_zoning(spec, attempt, _sound)
     plan = _oriented(stage_rng(spec, "orientation", attempt), plan)
     rooms = _rooms(plan)
@@ -314,7 +346,7 @@ def _rooms(plan: Zoning) -> tuple[RoomPlan, ...]:
 
 
 def _sound(plan: Zoning) -> bool:
-    """Whether doors can be had between the rooms of a plan, and windows for those that need them."""
+    """Whether a plan allows a door for every room and a window for every room that needs light."""
     rooms = _rooms(plan)
     try:
         _plan_doors(np.random.Generator(np.random.Philox(key=0)), rooms)

@@ -1,6 +1,6 @@
-"""What surfaces are made of: near-white patterns that repeat and are multiplied with the colours of a home's style.
+"""Materials of surfaces: near-white, repeating patterns that are multiplied with the colours of a home's style.
 
-All homes share them. They are drawn from fixed seeds with sums, products and whole-number means only, so that every
+All homes share them. They are generated from fixed seeds with sums, products and means of integers only, so that every
 machine gets the same bytes.
 """
 
@@ -20,26 +20,26 @@ from h3data.srgb import linear_to_bytes
 
 _PX = 128
 _STEPS = 256
-"""Texels take multiples of this part of full light: none lies on the border of two sRGB bytes, and files stay small."""
+"""Light is quantised to 1 / _STEPS: no texel lies on the border between two sRGB bytes, and files stay small."""
 
 BOARDS, TILES = 4, 2
-"""Boards in the height of "boards", tiles along either side of "tiles": so floors cut their pieces along the joints."""
+"""Boards in the height of "boards" and tiles along each side of "tiles"; floors cut their pieces along these joints."""
 
 Pattern = NDArray[np.float64]
-"""How much darker than white each texel is, in any unit, shape [H, W]."""
+"""Darkness of each texel in arbitrary units, shape [H, W]."""
 
 
 class Finish(tuple[int, int, int]):
-    """An sRGB colour 0-255 that also says of what it is: ``Finish((186, 140, 92), "wood")``.
+    """An sRGB colour 0-255 with a material, e.g. ``Finish((186, 140, 92), "wood")``.
 
-    It is a plain colour for all who only want that; `shade` and `vary` keep the material.
+    Usable wherever a plain colour is; `shade` and `vary` keep the material.
     """
 
     material: str
 
     def __new__(cls, color: Sequence[int], material: str) -> Finish:
         if material not in MATERIALS:
-            raise InputError(f"Unknown material {material!r}. There are: {', '.join(MATERIALS)}.")
+            raise InputError(f"Unknown material {material!r}. Available: {', '.join(MATERIALS)}.")
         finish = super().__new__(cls, color)
         finish.material = material
         return finish
@@ -55,15 +55,15 @@ class Finish(tuple[int, int, int]):
 class Material:
     """A pattern and the area over which it repeats."""
 
-    draw: Callable[[np.random.Generator], Pattern]
+    make_pattern: Callable[[np.random.Generator], Pattern]
     size_m: tuple[float, float]
     """Width and height of one repetition; the grain runs along the width [m]."""
     darkening: float
-    """Mean loss of light, 0..1: what a surface loses of its colour's brightness."""
+    """Mean share of light, 0..1, by which the pattern darkens a surface's colour."""
 
 
 def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
-    """Smooth random values 0..1 that repeat, from ``across`` x ``down`` random points (powers of two)."""
+    """Smooth, periodic noise 0..1, interpolated between ``across`` x ``down`` random points (powers of two)."""
     values = rng.integers(0, 1 << 16, (down, across)) / (1 << 16)
     for axis, count in enumerate((down, across)):
         steps = _PX // count
@@ -77,7 +77,7 @@ def _noise(rng: np.random.Generator, across: int, down: int) -> Pattern:
 
 
 def _speckle(rng: np.random.Generator, share: float) -> Pattern:
-    """1 at a random share of the texels, else 0."""
+    """1 at a random ``share`` of the texels, 0 elsewhere."""
     return (rng.integers(0, 1 << 16, (_PX, _PX)) < share * (1 << 16)).astype(float)
 
 
@@ -92,7 +92,7 @@ def _wave(x: Pattern) -> Pattern:
 
 
 def _grain(rng: np.random.Generator) -> Pattern:
-    """Streaks along the width, with growth rings that bend a little."""
+    """Streaks along the width, with slightly wavy growth rings."""
     rows, _ = _rows_columns()
     rings = _wave(rows * (6 / _PX) + 1.1 * _noise(rng, 2, 4))
     fine = 0.5 * _noise(rng, 4, 64) + 0.5 * _noise(rng, 8, 128)
@@ -101,11 +101,11 @@ def _grain(rng: np.random.Generator) -> Pattern:
 
 
 def _boards(rng: np.random.Generator) -> Pattern:
-    """Four floor boards one above the other, each with its grain; a joint round every one."""
+    """Four floor boards, one above the other, each with its own grain and a joint around it."""
     rows, columns = _rows_columns()
     tall = _PX // BOARDS
     grain = _grain(rng)
-    for k in range(BOARDS):  # neighbours come from different places of the tree
+    for k in range(BOARDS):  # shifted, as if neighbours came from different parts of the tree
         part = slice(k * tall, (k + 1) * tall)
         grain[part] = np.roll(grain[part], 37 * k, axis=1)
     joint = (rows % tall == 0) | (columns == 0)
@@ -114,7 +114,7 @@ def _boards(rng: np.random.Generator) -> Pattern:
 
 
 def _tiles(rng: np.random.Generator) -> Pattern:
-    """Two by two glazed tiles with the grout between them."""
+    """Two by two glazed tiles with grout between them."""
     rows, columns = _rows_columns()
     tall = _PX // TILES
     y, x = rows % tall, columns % tall
@@ -124,7 +124,7 @@ def _tiles(rng: np.random.Generator) -> Pattern:
 
 
 def _weave(rng: np.random.Generator) -> Pattern:
-    """Plain weave: every thread passes over one and under the next; some are thicker and darker."""
+    """Plain weave: every thread passes over one and under the next; some threads are darker."""
     rows, columns = _rows_columns()
     over = (rows // 4 + columns // 4) % 2 == 0
     along = np.where(over, columns % 4, rows % 4)
@@ -135,7 +135,7 @@ def _weave(rng: np.random.Generator) -> Pattern:
 
 
 def _quilt(rng: np.random.Generator) -> Pattern:
-    """Stitched diamonds, puffed between the seams."""
+    """Stitched diamonds, padded between the seams."""
     rows, columns = _rows_columns()
     a, b = _wave((rows + columns) / 64), _wave((rows - columns) / 64)
     seam = np.maximum(a, b)
@@ -143,7 +143,7 @@ def _quilt(rng: np.random.Generator) -> Pattern:
 
 
 def _rug(rng: np.random.Generator) -> Pattern:
-    """Rows of knots with a woven zigzag."""
+    """Rows of knots with a zigzag woven in."""
     rows, columns = _rows_columns()
     zigzag = _wave(rows / 32 + _wave(columns / 32))
     knots = 0.5 * (rows % 2) + 0.7 * _noise(rng, 64, 64)
@@ -151,13 +151,13 @@ def _rug(rng: np.random.Generator) -> Pattern:
 
 
 def _carpet(rng: np.random.Generator) -> Pattern:
-    """Tufts without direction."""
+    """Tufts without a preferred direction."""
     tufts = _noise(rng, 64, 64)
     return 1.4 * tufts * tufts + 0.6 * _noise(rng, 128, 128) + 0.5 * _noise(rng, 8, 8)
 
 
 def _plaster(rng: np.random.Generator) -> Pattern:
-    """Painted wall: faint clouds and the mark of a roller."""
+    """A painted wall: faint clouds and roller marks."""
     return 0.5 * _noise(rng, 4, 4) + 0.4 * _noise(rng, 16, 8) + 0.6 * _noise(rng, 64, 64)
 
 
@@ -169,7 +169,7 @@ def _stone(rng: np.random.Generator) -> Pattern:
 
 
 def _brick(rng: np.random.Generator) -> Pattern:
-    """Four bricks by eight courses, each course moved by half a brick; the joints are lighter."""
+    """Four bricks by eight courses, every other course offset by half a brick; the joints are lighter."""
     rows, columns = _rows_columns()
     course = rows // 16
     x = (columns + 16 * (course % 2)) % _PX
@@ -180,7 +180,7 @@ def _brick(rng: np.random.Generator) -> Pattern:
 
 
 def _render(rng: np.random.Generator) -> Pattern:
-    """Rough render of an outer wall."""
+    """Rough render (plaster) of an outer wall."""
     grains = _noise(rng, 64, 64)
     return grains * grains + 0.5 * _noise(rng, 128, 128) + 0.6 * _noise(rng, 4, 4)
 
@@ -211,12 +211,12 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
 
 @cache
 def texture(material: str) -> Texture:
-    """The image of a material: the same object whenever it is asked for, so that meshes share it."""
-    made = MATERIALS[material]
+    """The image of a material; always the same object, so that meshes share it."""
+    record = MATERIALS[material]
     seed = np.frombuffer(material.encode().ljust(16, b"\0")[:16], "<u8").astype(np.uint64)
-    darker = np.rint(made.draw(np.random.Generator(np.random.Philox(key=seed))) * 65536).astype(np.int64)
+    darker = np.rint(record.make_pattern(np.random.Generator(np.random.Philox(key=seed))) * 65536).astype(np.int64)
     darker -= darker.min()
-    light = 1 - darker * (made.darkening * darker.size / int(darker.sum()))
+    light = 1 - darker * (record.darkening * darker.size / int(darker.sum()))
     grey = linear_to_bytes(np.rint(np.clip(light, 0, 1) * _STEPS) / _STEPS)
     pixels = np.full((*grey.shape, 4), 255, np.uint8)
     pixels[..., :3] = grey[..., None]

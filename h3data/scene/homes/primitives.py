@@ -1,4 +1,4 @@
-"""The solids that furniture and walls are made of: vertices, shading normals, triangles and places on a material."""
+"""Solids that furniture and walls are made of: vertices, shading normals, triangles and texture places."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CREASE_COS = float(np.cos(np.radians(50)))
 
 @cache
 def _box_template() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 of the sides, then 32 of the bevels."""
+    """Signs and normals of the 24 corner vertices [24, 3], and 44 triangles: 12 for the sides, then 32 for the bevels."""
     corners: list[tuple[int, int, int]] = [(x, y, z) for x, y, z in product((-1, 1), repeat=3)]
     index: dict[tuple[tuple[int, int, int], int], int] = {
         (c, a): 3 * i + a for i, c in enumerate(corners) for a in range(3)
@@ -75,13 +75,13 @@ class Solid(NamedTuple):
     faces: NDArray[np.int32]
     """Shape [F, 3]."""
     place: NDArray[np.float64]
-    """Where each vertex lies on its material: along the grain and across it, shape [V, 2] [m]."""
+    """Position of each vertex on its material, along and across the grain, shape [V, 2] [m]."""
 
 
 def _side_places(vertices: NDArray[np.float64], side: NDArray[np.intp], order: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Box projection: places of vertices [V, 3] on the sides that look along the axes ``side`` [V].
+    """Box projection: texture places [V, 2] of vertices [V, 3] on the sides that face along the axes ``side`` [V].
 
-    ``order`` [V, 3] or [3] are the axes from long to short; the grain runs along the longest that a side has.
+    ``order`` [V, 3] or [3] lists the axes from long to short; the grain runs along the longest axis of a side.
     """
     order = np.broadcast_to(order, (len(side), 3))
     along = np.where(order[:, 0] == side, order[:, 1], order[:, 0])
@@ -94,9 +94,10 @@ def _longest_first(size: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid, NDArray[np.intp], NDArray[np.bool_]]:
-    """Boxes of whole sizes [N, 3], edges cut by bevels [N], all in one go, as there are many; 24 vertices for each.
+    """Boxes of full sizes [N, 3] with edges cut by bevels [N], 24 vertices each; also the box of each vertex [V] and
+    whether each triangle belongs to a bevel [F].
 
-    Also the box of each vertex [V], and which triangles are bevels [F].
+    Batched, because a home has thousands of boxes.
     """
     signs, normals, faces = _box_template()
     half = size[:, None] / 2
@@ -112,7 +113,7 @@ def boxes(size: NDArray[np.float64], bevel: NDArray[np.float64]) -> tuple[Solid,
 
 
 def cushion(size: NDArray[np.float64], radius: float) -> Solid:
-    """A box of whole size [3] with round edges."""
+    """A box of full size [3] with rounded edges."""
     index, faces = _grid_cube(3)
     half = size / 2
     r = min(radius, 0.98 * float(half.min()))
@@ -143,7 +144,7 @@ def _pillow_template() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 
 
 def pillow(size: NDArray[np.float64]) -> Solid:
-    """A puffed sheet of whole size [3], thick in its middle."""
+    """A puffed sheet of full size [3], thickest in the middle."""
     unit, faces = _pillow_template()
     vertices = unit * (size / 2)
     return Solid(vertices, _smooth_normals(vertices, faces), faces, vertices[:, ::2])
@@ -152,10 +153,10 @@ def pillow(size: NDArray[np.float64]) -> Solid:
 def lathe(
     profile: Sequence[tuple[float, float]], segments: int, stretch: tuple[float, float], repeat_m: float = 0.0
 ) -> Solid:
-    """A profile of (radius, height) turned about y and widened in x and z.
+    """A profile of (radius, height) revolved about y and stretched in x and z.
 
-    With ``repeat_m``, the width after which a material repeats, there is a seam, so that it goes round a whole number of
-    times; pieces that lie flatter than 45 degrees show it as seen from above.
+    With ``repeat_m``, the width after which a material repeats, the surface has a seam, so that the material goes around
+    a whole number of times; parts flatter than 45 degrees are textured from above.
     """
     p = np.array(profile, float)
     along = np.diff(p, axis=0)
@@ -166,7 +167,7 @@ def lathe(
     mean = flat[:-1] + flat[1:]
     mean /= np.maximum(np.sqrt((mean * mean).sum(1, keepdims=True)), 1e-12)
     start[1:][joined], end[:-1][joined] = mean[joined], mean[joined]
-    rings = np.stack([p[:-1], p[1:]], 1).reshape(-1, 2)  # two for each piece of the profile
+    rings = np.stack([p[:-1], p[1:]], 1).reshape(-1, 2)  # two per segment of the profile: kinks keep two normals
     slopes = np.stack([start, end], 1).reshape(-1, 2)
     points = segments + (repeat_m > 0)
     turn = np.arange(points) / segments
@@ -200,9 +201,10 @@ def lathe(
 
 
 def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid:
-    """Flat quads [Q, 4, 3], on their material where ``place`` [Q, 4, 2] says.
+    """Flat quads [Q, 4, 3] with texture places [Q, 4, 2].
 
-    Without it by their place in the mesh's frame, upright ones with the material's top up: parts of one wall fit together.
+    Without ``place``, coordinates in the mesh's frame are used, with the material upright on vertical quads: the pattern
+    continues across the parts of one wall.
     """
     c = np.asarray(corners, float).reshape(-1, 4, 3)
     normal = _cross(c[:, 1] - c[:, 0], c[:, 3] - c[:, 0])
@@ -223,7 +225,7 @@ def quads(corners: ArrayLike, place: NDArray[np.float64] | None = None) -> Solid
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`numpy.cross` of [N, 3], without its overhead for small N."""
+    """`numpy.cross` of [N, 3] without its overhead for small N."""
     x, y, z = a.T
     u, v, w = b.T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)

@@ -1,4 +1,7 @@
-"""What belongs into each kind of room, and in what order it is placed."""
+"""Furniture of each kind of room, in the order in which it is placed: the pieces that are hardest to place come first.
+
+Every `furnish_*` function raises `NoRoomError` if a necessary piece does not fit; `dining` asks for the dining table.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +34,12 @@ from h3data.scene.homes.furnishing.search import place_at_wall, place_free
 from h3data.scene.homes.style import Style
 
 _LARGE_M2 = 45.0
-"""Living rooms above this need more than one group of seats."""
+"""Living rooms above this area get more than one seating group."""
 
 
-# --- living room ------------------------------------------------------------------------------------------------------
-
-
+# --- living room, den, library, office --------------------------------------------------------------------------------
 def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Sofa group with tv, perhaps the dining table, shelves, lamp and plants."""
+    """Sofa group with a TV, the dining table if asked for, shelves, lamp and plants."""
     sides = rng.permutation(4).tolist()
     group = None
     for with_chair in (True, False):
@@ -67,7 +68,7 @@ def furnish_living(rng: np.random.Generator, style: Style, state: RoomState, din
 
 
 def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """Further seats in a large room: groups in the open, and corners to read in."""
+    """More seats in a large room: free-standing groups and reading corners."""
     for _ in range(count):
         place_free(rng, state, talk_group(rng, style, int(rng.choice([0, 2]))))
     for _ in range(2):
@@ -78,13 +79,13 @@ def _more_groups(rng: np.random.Generator, style: Style, state: RoomState, count
 
 
 def furnish_den(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A second sofa group with tv, shelves, a desk."""
+    """A second sofa group with a TV, shelves and a desk."""
     furnish_living(rng, style, state, dining)
     place_shelves(rng, style, state, 2)
 
 
 def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Shelves along the walls, seats in the middle."""
+    """Shelves along the walls, seats in the middle, a desk."""
     del dining
     need(place_at_wall(rng, state, in_a_row([living.shelf(rng, style)] * 2), middle=True), "shelves", state)
     place_talk(rng, style, state)
@@ -98,7 +99,7 @@ def furnish_library(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Desks, shelves, a seat for visitors."""
+    """Desks, shelves and seats for visitors."""
     del dining
     need(place_desk(rng, style, state), "desk", state)
     if state.room.area > 20:
@@ -115,7 +116,7 @@ def furnish_office(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- dining room ------------------------------------------------------------------------------------------------------
 def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """One long table, or two, sideboards, a shelf for the dishes."""
+    """A long table, sideboards, and shelves for the dishes."""
     del dining
     need(place_dining(rng, style, state, seats=(8, 6, 4)), "dining table", state)
     for _ in range(2):
@@ -130,7 +131,7 @@ def furnish_dining(rng: np.random.Generator, style: Style, state: RoomState, din
 
 # --- laundry, pantry --------------------------------------------------------------------------------------------------
 def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Machines and a counter in a row, shelves."""
+    """Machines, a sink and a counter in a row; shelves."""
     del dining
     machine, sink = bath.washer(rng, style), kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     side = kitchen.counter(rng, style, 0.6)
@@ -143,17 +144,15 @@ def furnish_laundry(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def furnish_pantry(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Shelves on all walls."""
+    """Shelves along the walls."""
     del dining
     for count in (3, 3, 2):
         place_shelves(rng, style, state, count)
 
 
 # --- kitchen ----------------------------------------------------------------------------------------------------------
-
-
 def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """A row of fridge, counters, sink and stove with cabinets above; the table if it is eaten here."""
+    """A row of fridge, counters, sink and stove with cabinets above; the dining table if asked for."""
     fridge, stove = kitchen.fridge(rng, style), kitchen.stove(rng, style)
     sink = kitchen.counter(rng, style, kitchen.SINK_WIDTH, "sink")
     drawers, doors = kitchen.counter(rng, style, 0.6, "drawers"), kitchen.counter(rng, style, 0.6)
@@ -194,7 +193,7 @@ def furnish_kitchen(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """A free-standing counter with stools at its back; without them where they find no room."""
+    """A free-standing counter with up to three stools behind it, or none if they do not fit."""
     block, seat = kitchen.island(rng, style), kitchen.stool(rng, style)
     for count in (3, 2, 0):
         z = -block.size[2] / 2 - 0.02
@@ -204,7 +203,7 @@ def _island(rng: np.random.Generator, style: Style, state: RoomState) -> None:
 
 
 def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, row: Sequence[Placed]) -> None:
-    """Cabinets over the counters and a hood over the stove, where there is no window."""
+    """Cabinets above the counters and a hood above the stove, except in front of windows and doors."""
     cabinets: dict[float, Furniture] = {}
     for p in row:
         if p.piece.category not in ("kitchen_counter", "stove"):
@@ -224,6 +223,7 @@ def _upper_cabinets(rng: np.random.Generator, style: Style, state: RoomState, ro
 
 # --- bedrooms ---------------------------------------------------------------------------------------------------------
 def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int) -> list[Member]:
+    """A bed with nightstands on ``tables`` sides."""
     bed, table = sleeping.bed(rng, style, width), sleeping.nightstand(rng, style)
     members = [backed(bed)]
     aside = bed.size[0] / 2 + table.size[0] / 2 + 0.03
@@ -232,7 +232,7 @@ def _bed_group(rng: np.random.Generator, style: Style, width: float, tables: int
 
 
 def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Bed with nightstands, wardrobe, desk with chair, and what else fits."""
+    """Bed with nightstands, wardrobe, and, space permitting, desk with chair, shelf and plant."""
     del dining
     large = state.room.area > 26
     main = large or not state.room.name.endswith(("_2", "_3"))
@@ -254,7 +254,7 @@ def furnish_bedroom(rng: np.random.Generator, style: Style, state: RoomState, di
 
 
 def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) -> None:
-    """What makes a large bedroom a place to stay in by day: more wardrobes, a tv, seats."""
+    """Daytime furniture of a large bedroom: another wardrobe, a TV, seats."""
     place_single(rng, state, sleeping.wardrobe(rng, style), corner=True)
     stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
     back = stand.wall_gap_m + stand.size[2] / 2
@@ -267,7 +267,7 @@ def _bedroom_extras(rng: np.random.Generator, style: Style, state: RoomState) ->
 
 # --- bathrooms, hall --------------------------------------------------------------------------------------------------
 def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Bath or shower first (they are hardest to place), basin with mirror, toilet, mat."""
+    """Bathtub or shower, basin with mirror, toilet, mat."""
     del dining
     first = rng.random() < 0.6 or state.room.area > 6.5
     done = place_single(rng, state, bath.bathtub(rng, style), corner=True) if first else None
@@ -292,13 +292,13 @@ def furnish_bathroom(rng: np.random.Generator, style: Style, state: RoomState, d
 
 
 def _mirror(rng: np.random.Generator, style: Style, state: RoomState, basin: Placed, width: float) -> None:
-    """A mirror over a basin, narrower where a door or window is near."""
+    """A mirror above a basin, narrower next to a door or window."""
     u = basin.x if basin.quarter % 2 == 0 else basin.z
     any(hang(state, bath.mirror(rng, style, w), basin.quarter, u, 1.52) for w in (width, 0.45, 0.35))
 
 
 def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dining: bool) -> None:
-    """Narrow: a shoe cabinet, a plant, pictures; galleries get more of it."""
+    """A shoe cabinet, a plant, pictures and a runner; long galleries get several of each."""
     del dining
     _runner(rng, style, state, least_m=1.3)
     for _ in range(int(state.room.area // 20)):
@@ -313,7 +313,7 @@ def furnish_hall(rng: np.random.Generator, style: Style, state: RoomState, dinin
 
 
 def _runner(rng: np.random.Generator, style: Style, state: RoomState, least_m: float) -> None:
-    """A long narrow carpet down the middle of a hall of some width."""
+    """A long, narrow carpet down the middle of a hall at least ``least_m`` wide."""
     x0, z0, x1, z1 = state.interior
     wide, long = sorted((x1 - x0, z1 - z0))
     if wide < least_m or long < 4:

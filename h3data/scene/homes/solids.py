@@ -1,4 +1,4 @@
-"""Solids with colours, materials and shading normals, collected into one mesh: the clay of walls, furniture and objects."""
+"""`MeshBuilder`, which collects coloured and textured solids into one mesh, and operations on colours and meshes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from h3data.scene.homes.materials import MATERIALS, Finish, texture
 from h3data.scene.homes.primitives import Solid
 
 Color = tuple[int, int, int]
-"""sRGB, 0-255; a `Finish` says of what material the part is, too."""
+"""sRGB, 0-255; a `Finish` also names the material."""
 
 
 def material_of(color: object) -> str:
@@ -23,15 +23,14 @@ def material_of(color: object) -> str:
 
 
 def shade(color: Sequence[int], factor: float) -> Color:
-    """The colour made darker (factor < 1) or lighter; a finish stays of its material."""
+    """The colour made darker (factor < 1) or lighter; a finish keeps its material."""
     return _scaled(color, (factor, factor, factor))
 
 
 def vary(rng: np.random.Generator, color: Sequence[int], amount: float = 0.06) -> Color:
-    """The colour with its brightness changed by up to ``amount`` either way, and its hue a little; see `shade`."""
-    draws = (2 * rng.random(4) - 1) * amount
-    common, *hue = draws.tolist()
-    return _scaled(color, [1 + common + h / 4 for h in hue])
+    """The colour with its brightness changed at random by up to +-``amount``, and its hue slightly; see `shade`."""
+    brightness, *hue = ((2 * rng.random(4) - 1) * amount).tolist()
+    return _scaled(color, [1 + brightness + h / 4 for h in hue])
 
 
 def _scaled(color: Sequence[int], factors: Sequence[float]) -> Color:
@@ -55,11 +54,10 @@ _Turn = NDArray[np.float64] | None
 
 
 class MeshBuilder:
-    """Collects solids and gives them back as one `Mesh`.
+    """Collects solids and returns them as one `Mesh`.
 
     A part whose colour is a `Finish` shows that material, its grain along the part's longest side; every part is cut from
-    another place of it.
-    It only notes what is wanted until `mesh` is called, because most pieces of furniture are tried and not used.
+    a different place of the pattern. Meshes are built lazily, by `mesh`, because most furniture is tried and discarded.
     """
 
     def __init__(self) -> None:
@@ -76,7 +74,7 @@ class MeshBuilder:
         bevel: float = 0.0,
         turn: _Turn = None,
     ) -> None:
-        """A box; with a bevel its edges are cut and shaded round (24 vertices either way)."""
+        """A box; a bevel cuts its edges and shades them round (24 vertices with or without)."""
         self._boxes.append((center, size, color, bevel, turn))
 
     def span(self, low: Sequence[float], high: Sequence[float], color: Color, *, bevel: float = 0.0) -> None:
@@ -93,11 +91,11 @@ class MeshBuilder:
         radius: float = 0.05,
         turn: _Turn = None,
     ) -> None:
-        """A box with round edges (108 triangles): upholstery."""
+        """A box with rounded edges (108 triangles), for upholstery."""
         self._add(primitives.cushion, (np.asarray(size, float), radius), color, center, turn)
 
     def pillow(self, center: ArrayLike, size: ArrayLike, color: Color, *, turn: _Turn = None) -> None:
-        """A puffed sheet, thick in the middle and thin at its rim: a pillow lying flat (144 triangles)."""
+        """A pillow lying flat, thick in the middle and thin at its rim (144 triangles)."""
         self._add(primitives.pillow, (np.asarray(size, float),), color, center, turn)
 
     def lathe(
@@ -110,9 +108,9 @@ class MeshBuilder:
         stretch: tuple[float, float] = (1.0, 1.0),
         turn: _Turn = None,
     ) -> None:
-        """A profile of (radius, height) turned about y; going up gives an outer skin. ``stretch`` widens x and z.
+        """A profile of (radius, height) revolved about y; an ascending profile faces outwards. ``stretch`` scales x and z.
 
-        Kinks sharper than 50 degrees stay sharp; the rest is shaded smooth.
+        Kinks above 50 degrees stay sharp; the rest is shaded smooth.
         """
         material = material_of(color)
         repeat_m = MATERIALS[material].size_m[0] if material else 0.0
@@ -130,7 +128,7 @@ class MeshBuilder:
         bevel: float = 0.0,
         turn: _Turn = None,
     ) -> None:
-        """A closed cylinder or cone frustum about y, given by its middle."""
+        """A closed cylinder or cone frustum about y, given by its centre."""
         top, h = radius if top_radius is None else top_radius, height / 2
         if bevel > 0:
             rim = [(radius - bevel, -h), (radius, bevel - h), (top, h - bevel), (top - bevel, h)]
@@ -150,9 +148,9 @@ class MeshBuilder:
         self.lathe(profile, color, center=center, segments=segments, stretch=(radii[0], radii[2]))
 
     def quads(self, corners: ArrayLike, colors: Sequence, *, place: NDArray[np.float64] | None = None) -> None:
-        """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one for each.
+        """Flat quads [Q, 4, 3], counter-clockwise from the visible side, in one colour or one colour each.
 
-        All are of the first one's material; ``place`` [Q, 4, 2] says where on it they are [m], else their coordinates do.
+        All have the material of the first. ``place`` [Q, 4, 2] holds positions on it [m]; by default the coordinates count.
         """
         material = material_of(colors) or material_of(colors[0])
         self._solids.append((primitives.quads, (corners, place), colors, material, 0.0, None))
@@ -161,7 +159,7 @@ class MeshBuilder:
         self._solids.append((make, arguments, color, material_of(color), center, turn))
 
     def mesh(self) -> Mesh:
-        """Everything collected so far; the same mesh again if it is asked again."""
+        """Everything collected so far, built once."""
         if self._mesh is None:
             self._mesh = self._build()
         return self._mesh
@@ -169,9 +167,9 @@ class MeshBuilder:
     def _build(self) -> Mesh:
         solids: list[Solid] = []
         colors: list[NDArray[np.uint8]] = []
-        kinds: list[NDArray[np.intp]] = []  # of material, of each vertex; -1 = none
-        cuts: list[NDArray[np.float64]] = []  # where on the material a part is cut from, of each vertex
-        bevels: list[NDArray[np.bool_]] = []  # of each triangle
+        kinds: list[NDArray[np.intp]] = []  # index of the material per vertex; -1 = none
+        cuts: list[NDArray[np.float64]] = []  # offset of its part on the material per vertex
+        bevels: list[NDArray[np.bool_]] = []  # per triangle
         if self._boxes:
             center, size, color, bevel, turn = zip(*self._boxes, strict=True)
             (v, n, f, place), owner, narrow = primitives.boxes(np.array(size, float), np.array(bevel, float))
@@ -212,7 +210,8 @@ _SIZE_M = np.array([m.size_m for m in MATERIALS.values()])
 
 
 def _cut(number: NDArray[np.intp] | int) -> NDArray[np.float64]:
-    """Where the part of a number begins on its material, in repetitions: spread evenly, part 0 at 0, shape [..., 2]."""
+    """Offsets of numbered parts on their material, in repetitions, shape [..., 2]; part 0 has offset 0."""
+    # Multiples of irrational numbers (golden ratio, plastic number) spread evenly without random numbers.
     return np.multiply.outer(number, (0.6180339887, 0.7548776662)) % 1
 
 
@@ -223,12 +222,12 @@ def _textured(
     kinds: NDArray[np.intp],
     bevels: NDArray[np.bool_],
 ) -> Mesh:
-    """The mesh with the textures of its materials; bevels have none, as they lie between two sides of a box."""
+    """The mesh with the textures of its materials. Bevels get none: they lie between two sides, so their uv is distorted."""
     used = np.unique(kinds[kinds >= 0])
     if not len(used):
         return mesh
     uv = np.where(kinds[:, None] >= 0, places / _SIZE_M[kinds] + cuts, 0.0)
-    index = np.full(len(MATERIALS) + 1, -1, np.int16)  # the last one answers -1
+    index = np.full(len(MATERIALS) + 1, -1, np.int16)  # the extra last entry serves kind -1
     index[used] = np.arange(len(used))
     return replace(
         mesh,
@@ -239,9 +238,9 @@ def _textured(
 
 
 def subdivided(mesh: Mesh, parts: int) -> Mesh:
-    """The same surface with every edge cut into ``parts``: triangles x parts^2, on the old ones' planes.
+    """The same surface with every edge cut into ``parts``, so parts^2 times as many triangles, on the same planes.
 
-    Neighbours share the points on their common edge, so no cracks open. Normals, colours and uv are interpolated.
+    Neighbours share the points on their common edge, so no cracks appear. Normals, colours and uv are interpolated.
     """
     if parts == 1 or not len(mesh.faces):
         return mesh
@@ -253,7 +252,7 @@ def subdivided(mesh: Mesh, parts: int) -> Mesh:
         small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
         if i + j < parts - 1:
             small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
-    weights = np.column_stack([parts - ij.sum(1), ij]) / parts  # of the three corners
+    weights = np.column_stack([parts - ij.sum(1), ij]) / parts  # barycentric
 
     def spread(values: NDArray) -> NDArray[np.float64]:
         corners = values.astype(np.float64)[mesh.faces]

@@ -1,4 +1,4 @@
-"""What kind of home is wanted: presets, the table of categories, and the random numbers of each stage."""
+"""`HomeSpec` and presets, the table of semantic categories, and the random numbers of each stage of generation."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Preset = Literal["small", "medium", "large"]
 
 @dataclass(frozen=True, kw_only=True)
 class HomePreset:
-    """Size and rooms of one kind of home; every home has a living room, a kitchen and a hall besides."""
+    """Size and rooms of one kind of home, in addition to the living room, kitchen and hall that every home has."""
 
     area_m2: float
     """Floor area, to the middle of inner walls and to the inner face of outer walls [m2]."""
     bedrooms: int
     bathrooms: int
     extra: tuple[str, ...] = ()
-    """Further rooms that it must have."""
+    """Other required rooms."""
 
 
 HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
@@ -36,50 +36,50 @@ HOME_PRESETS: Mapping[str, HomePreset] = MappingProxyType(
 )
 """Areas and rooms of the Habitat 3.0 paper's benchmark homes (research/navigation-and-stepping.md 6)."""
 
-MOST_AREA_M2, MOST_BEDROOMS, MOST_BATHROOMS = 1200.0, 8, 6
-MOST_CLUTTER, MOST_DENSITY = 4.0, 12
+MAX_AREA_M2, MAX_BEDROOMS, MAX_BATHROOMS = 1200.0, 8, 6
+MAX_CLUTTER, MAX_DENSITY = 4.0, 12
 
 
-def least_area_m2(bedrooms: int, bathrooms: int) -> float:
-    """The smallest home that is planned for so many rooms [m2]."""
+def min_area_m2(bedrooms: int, bathrooms: int) -> float:
+    """Smallest floor area for a home with this many rooms [m2]."""
     return 24.0 + 23.0 * bedrooms + 15.0 * bathrooms
 
 
 @dataclass(frozen=True, kw_only=True)
 class HomeSpec:
-    """Everything that decides a procedural home: the same spec gives the same scene, byte for byte."""
+    """Complete description of a procedural home: the same spec gives the same scene, byte for byte."""
 
     seed: int = 0
     preset: Preset = "small"
     area_m2: float | None = None
-    """Floor area instead of the preset's [m2]."""
+    """Floor area [m2]; None = the preset's."""
     bedrooms: int | None = None
-    """Instead of the preset's."""
+    """None = the preset's."""
     bathrooms: int | None = None
-    """Instead of the preset's."""
+    """None = the preset's."""
     clutter: float = 1.0
     """Amount of small objects: 0 leaves them out, 2 gives about twice as many. The furniture stays the same."""
     density: int = 1
-    """Parts into which every edge of every triangle is cut, so triangles x density^2 at the same look: a load for
-    renderers. Collision shapes stay the same."""
+    """Parts into which every triangle edge is cut: density^2 times as many triangles with the same look, to load renderers.
+    Collision shapes stay the same."""
 
     def __post_init__(self) -> None:
         if self.preset not in get_args(Preset):
-            raise InputError(f"Unknown home preset {self.preset!r}. There are: {', '.join(get_args(Preset))}.")
+            raise InputError(f"Unknown home preset {self.preset!r}. Available: {', '.join(get_args(Preset))}.")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise InputError(f"The seed of a home must be a whole number >= 0, got {self.seed!r}.")
-        _check_whole("bedrooms", self.bedrooms, 1, MOST_BEDROOMS)
-        _check_whole("bathrooms", self.bathrooms, 1, MOST_BATHROOMS)
-        _check_whole("density", self.density, 1, MOST_DENSITY)
-        _check_number("clutter", self.clutter, 0.0, MOST_CLUTTER)
+        _check_whole("bedrooms", self.bedrooms, 1, MAX_BEDROOMS)
+        _check_whole("bathrooms", self.bathrooms, 1, MAX_BATHROOMS)
+        _check_whole("density", self.density, 1, MAX_DENSITY)
+        _check_number("clutter", self.clutter, 0.0, MAX_CLUTTER)
         program = self.program
-        least = least_area_m2(program.bedrooms, program.bathrooms)
+        smallest = min_area_m2(program.bedrooms, program.bathrooms)
         rooms = f" for {program.bedrooms} bedrooms and {program.bathrooms} bathrooms"
-        _check_number("area_m2", program.area_m2, least, MOST_AREA_M2, rooms)
+        _check_number("area_m2", program.area_m2, smallest, MAX_AREA_M2, rooms)
 
     @property
     def program(self) -> HomePreset:
-        """The preset with what is given here instead."""
+        """The preset with this spec's overrides applied."""
         preset = HOME_PRESETS[self.preset]
         return HomePreset(
             area_m2=preset.area_m2 if self.area_m2 is None else self.area_m2,
@@ -90,7 +90,7 @@ class HomeSpec:
 
     @property
     def changes(self) -> dict[str, float | int]:
-        """The options that differ from those of the preset, in a fixed order."""
+        """Options that differ from the preset's, in a fixed order."""
         program, preset = self.program, HOME_PRESETS[self.preset]
         rooms = {name: getattr(program, name) for name in ("area_m2", "bedrooms", "bathrooms")}
         changed = {name: value for name, value in rooms.items() if value != getattr(preset, name)}
@@ -113,15 +113,42 @@ def _check_whole(name: str, value: object, low: int, high: int) -> None:
 
 _STRUCTURE = ("wall", "floor", "ceiling", "door", "window", "trim")
 _FURNITURE = (
-    "sofa", "armchair", "coffee_table", "tv_stand", "tv", "shelf", "dining_table", "chair", "kitchen_counter",
-    "stove", "fridge", "kitchen_cabinet", "bed", "nightstand", "wardrobe", "desk", "toilet", "bathroom_sink",
-    "bathtub", "shower", "rug", "floor_lamp", "plant", "picture", "mirror", "ceiling_lamp", "console",
-    "kitchen_island", "washer", "bench", "blind"
-)  # fmt: skip
+    "sofa",
+    "armchair",
+    "coffee_table",
+    "tv_stand",
+    "tv",
+    "shelf",
+    "dining_table",
+    "chair",
+    "kitchen_counter",
+    "stove",
+    "fridge",
+    "kitchen_cabinet",
+    "bed",
+    "nightstand",
+    "wardrobe",
+    "desk",
+    "toilet",
+    "bathroom_sink",
+    "bathtub",
+    "shower",
+    "rug",
+    "floor_lamp",
+    "plant",
+    "picture",
+    "mirror",
+    "ceiling_lamp",
+    "console",
+    "kitchen_island",
+    "washer",
+    "bench",
+    "blind",
+)
 _OBJECTS = ("can", "mug", "bowl", "box", "bottle", "book", "apple", "orange")
 
 OBJECT_CATEGORIES: tuple[str, ...] = _OBJECTS
-"""Small things that stand on receptacles and may be carried away (``motion="kinematic"``)."""
+"""Small objects that stand on receptacles and may be carried (``motion="kinematic"``)."""
 
 CATEGORIES: Mapping[str, int] = MappingProxyType(
     {
@@ -130,16 +157,17 @@ CATEGORIES: Mapping[str, int] = MappingProxyType(
         **{name: 60 + i for i, name in enumerate(_OBJECTS)},
     }
 )
-"""Semantic id of every category: 1-9 the building, 10-59 furniture, 60-99 small objects; 0 stays "unlabelled".
+"""Semantic id of every category: 1-9 the building, 10-59 furniture, 60-99 small objects; 0 is "unlabelled".
 
-Stable: append to a block, never reorder, because recorded pictures refer to these numbers.
+Stable: append to a block, never reorder, because recorded semantic images contain these numbers.
 """
 
 
 def stage_rng(spec: HomeSpec, stage: str, attempt: int = 0) -> np.random.Generator:
-    """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt): a change in one stage leaves the others.
+    """Random numbers of one stage, keyed by (seed, preset, rooms, stage, attempt).
 
-    `HomeSpec.clutter` and `HomeSpec.density` are no part of the key: they leave the home itself as it is.
+    A stage that samples more or fewer numbers therefore leaves the other stages unchanged. `HomeSpec.clutter` and
+    `HomeSpec.density` are not part of the key: they leave rooms and furniture unchanged.
     """
     rooms = "".join(f"{k}={v!r}/" for k, v in spec.changes.items() if k not in ("clutter", "density"))
     text = f"h3data.homes/1/{spec.preset}/{rooms}{int(spec.seed)}/{stage}/{attempt}"

@@ -1,4 +1,4 @@
-"""Walls, ceiling, windows and trim of a plan, as assets in world coordinates (their instances stand at 0)."""
+"""Walls, ceiling, windows and trim of a plan, as assets in world coordinates (their instances have identity poses)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BASEBOARD_HEIGHT, _BASEBOARD_DEPTH, _CASING_WIDTH = 0.09, 0.012, 0.07
 
 @dataclass(frozen=True)
 class WallBox:
-    """A solid piece of wall: plan rectangle and heights."""
+    """A solid piece of wall: plan rectangle and heights [m]."""
 
     rect: Rect
     bottom: float
@@ -28,7 +28,7 @@ class WallBox:
 
 
 def plan_box(axis: int, along: tuple[float, float], across: tuple[float, float]) -> Rect:
-    """Plan rectangle of a span along an axis (0 = x, 1 = z) and one across it."""
+    """Plan rectangle of a span along an axis (0 = x, 1 = z) and a span across it."""
     if axis == 0:
         return along[0], across[0], along[1], across[1]
     return across[0], along[0], across[1], along[1]
@@ -42,9 +42,9 @@ def wall_thickness_span(layout: Layout, opening: Opening) -> tuple[float, float]
 
 
 def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
-    """(axis, line, low, high) of inner walls and of those towards notches, which stand like them.
+    """(axis, line, low, high) of inner walls and of walls facing notches, which are centred on their line as well.
 
-    Neighbours on one line are merged; ends are cut where another wall passes.
+    Neighbours on one line are merged; ends stop at walls that cross them.
     """
     pieces: dict[tuple[int, float], list[tuple[float, float]]] = {}
     rects = [*(r.rect for r in layout.rooms), *layout.notches]
@@ -69,7 +69,7 @@ def _inner_walls(layout: Layout) -> list[tuple[int, float, float, float]]:
 
 
 def _wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tuple[float, float]]]:
-    """(axis, line, span along, span across) of every wall; outer walls along x take the corners."""
+    """(axis, line, span along, span across) of every wall; outer walls along x include the corners."""
     t = WALL_THICKNESS
     runs = [(axis, line, (low, high), (line - t / 2, line + t / 2)) for axis, line, low, high in _inner_walls(layout)]
     for axis, line, span in _outer_walls(layout):
@@ -78,13 +78,13 @@ def _wall_runs(layout: Layout) -> list[tuple[int, float, tuple[float, float], tu
 
 
 def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]:
-    """(axis, line, span) of the walls on the bounding box; those along x take its corners."""
+    """(axis, line, span) of the walls on the bounding box; those along x include its corners."""
     t, walls = WALL_THICKNESS, []
     for axis, line in ((0, 0.0), (0, layout.depth), (1, 0.0), (1, layout.width)):
         end = (layout.width, layout.depth)[axis]
-        gone = sorted((n[axis], n[axis + 2]) for n in layout.notches if line in (n[1 - axis], n[3 - axis]))
+        missing = sorted((n[axis], n[axis + 2]) for n in layout.notches if line in (n[1 - axis], n[3 - axis]))
         at = 0.0
-        for low, high in [*gone, (end, end)]:
+        for low, high in [*missing, (end, end)]:
             if low > at:
                 corner = t if axis == 0 else 0.0
                 walls.append((axis, line, (at - (t / 2 if at else corner), low + (t / 2 if low < end else corner))))
@@ -93,7 +93,7 @@ def _outer_walls(layout: Layout) -> list[tuple[int, float, tuple[float, float]]]
 
 
 def wall_boxes(layout: Layout) -> list[WallBox]:
-    """Solid boxes of all walls, with lintels over doors and windows and parapets under windows."""
+    """Solid boxes of all walls, with lintels above doors and windows and parapets below windows."""
     boxes = []
     for axis, line, along, across in _wall_runs(layout):
         cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9]
@@ -121,7 +121,7 @@ _Piece = tuple[float, float, float, float]  # u0 y0 u1 y1 on a wall's face
 
 
 def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece]:
-    """Rectangles of a wall face between two ends, without its openings."""
+    """Rectangles of a wall face between two ends, minus its openings."""
     out, at = [], low
     for o in sorted(openings, key=lambda o: o.span):
         out += [(at, 0.0, o.span[0], WALL_HEIGHT), (o.span[0], o.height[1], o.span[1], WALL_HEIGHT)]
@@ -133,7 +133,7 @@ def _pieces(low: float, high: float, openings: Iterable[Opening]) -> list[_Piece
 
 
 def _face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[float, float, float]]:
-    """Corners of a wall-face piece; ``outward`` is the sign of its normal on the axis across."""
+    """Corners of a wall-face piece; ``outward`` is the sign of its normal along the axis across the wall."""
     u0, y0, u1, y1 = piece
     ring = [(u0, y0), (u1, y0), (u1, y1), (u0, y1)]
     if (outward > 0) == (axis == 1):
@@ -142,14 +142,14 @@ def _face_quad(axis: int, at: float, outward: int, piece: _Piece) -> list[tuple[
 
 
 def room_sides(layout: Layout, room: RoomPlan) -> list[tuple[int, float, int, float, float, list[Opening]]]:
-    """(axis, face, inward sign, low, high, openings) of the four wall faces that look into a room."""
+    """(axis, face, inward sign, low, high, openings) of the four wall faces of a room."""
     sides = []
     for axis in (0, 1):
         across = 1 - axis
         for end, sign in ((across, 1), (across + 2, -1)):
             line, face = room.rect[end], room.interior[end]
-            own = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9 and room.name in o.rooms]
-            sides.append((axis, face, sign, room.interior[axis], room.interior[axis + 2], own))
+            cuts = [o for o in layout.openings if o.axis == axis and abs(o.line - line) < 1e-9 and room.name in o.rooms]
+            sides.append((axis, face, sign, room.interior[axis], room.interior[axis + 2], cuts))
     return sides
 
 
@@ -185,15 +185,15 @@ def walls_asset(layout: Layout, style: Style) -> Asset:
 
 
 def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
-    """The outer faces of the walls on the bounding box and round the notches."""
+    """The outdoor faces of the walls on the bounding box and around the notches."""
     t = WALL_THICKNESS
     outside = [o for o in layout.openings if len(o.rooms) == 1]
     for axis, line, span in _outer_walls(layout):
         corner = t if axis == 1 else 0.0
         end = (layout.width, layout.depth)[axis]
         low, high = span[0] - (corner if span[0] == 0 else 0), span[1] + (corner if span[1] == end else 0)
-        own = [o for o in outside if o.axis == axis and o.line == line and low < o.span[0] < high]
-        pieces = _pieces(low, high, own)
+        cuts = [o for o in outside if o.axis == axis and o.line == line and low < o.span[0] < high]
+        pieces = _pieces(low, high, cuts)
         mesh.quads([_face_quad(axis, line + t if line else -t, 1 if line else -1, p) for p in pieces], style.facade)
     for notch in layout.notches:
         for axis in (0, 1):
@@ -204,13 +204,13 @@ def _facade(mesh: MeshBuilder, layout: Layout, style: Style) -> None:
             for line, sign in ((notch[1 - axis], 1), (notch[3 - axis], -1)):
                 if line in (0.0, (layout.depth, layout.width)[axis]):
                     continue
-                own = [o for o in outside if o.axis == axis and abs(o.line - line) < 1e-9 and low < o.span[0] < high]
-                pieces = _pieces(low, high, own)
+                cuts = [o for o in outside if o.axis == axis and abs(o.line - line) < 1e-9 and low < o.span[0] < high]
+                pieces = _pieces(low, high, cuts)
                 mesh.quads([_face_quad(axis, line + sign * t / 2, sign, p) for p in pieces], style.facade)
 
 
 def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -> None:
-    """The inner faces of an opening, through the thickness of the wall."""
+    """The faces of an opening through the thickness of the wall."""
     c0, c1 = wall_thickness_span(layout, opening)
     (u0, u1), (y0, y1) = opening.span, opening.height
     across = 1 - opening.axis
@@ -222,7 +222,7 @@ def _reveal(mesh: MeshBuilder, layout: Layout, opening: Opening, color: Color) -
 
 
 def ceiling_asset(layout: Layout, style: Style) -> Asset:
-    """A slab over the whole home, by rooms if it has corners to go round; hide its layer to look in from above."""
+    """A slab over the whole home, or one per room if the footprint has notches; hide its layer in views from above."""
     mesh = MeshBuilder()
     whole = (0.0, 0.0, layout.width, layout.depth)
     for rect in [r.rect for r in layout.rooms] if layout.notches else [whole]:
@@ -233,7 +233,7 @@ def ceiling_asset(layout: Layout, style: Style) -> Asset:
 
 
 def trim_asset(layout: Layout, style: Style) -> Asset:
-    """Baseboards along the walls and casings round the doors."""
+    """Baseboards along the walls and casings around the doors."""
     mesh = MeshBuilder()
     for room in layout.rooms:
         for axis, face, sign, low, high, openings in room_sides(layout, room):
@@ -270,7 +270,7 @@ def _casing(mesh: MeshBuilder, axis: int, o: Opening, across: tuple[float, float
 
 
 def window_asset(layout: Layout, opening: Opening, index: int, style: Style) -> Asset:
-    """Frame, panes of sky and an inner sill."""
+    """A window: frame, sky-coloured panes and an inner sill."""
     mesh = MeshBuilder()
     c0, c1 = wall_thickness_span(layout, opening)
     into = 1 if layout.room(opening.rooms[0]).rect[1 - opening.axis] == opening.line else -1
@@ -307,13 +307,15 @@ def entrance_asset(layout: Layout, opening: Opening, style: Style) -> Asset:
             shade(style.front_door, 1.12),
         )
     _bar(mesh, opening.axis, (u0 + 0.05, u0 + 0.09), (middle - 0.075, middle + 0.075), (0.98, 1.06), style.metal)
-    _bar(mesh, opening.axis, (u0, u1), (c0, c1), (-0.02, 0.004), style.metal)  # threshold: no view under the door
+    _bar(
+        mesh, opening.axis, (u0, u1), (c0, c1), (-0.02, 0.004), style.metal
+    )  # threshold: closes the gap under the door
     x0, z0, x1, z1 = plan_box(opening.axis, opening.span, (c0, c1))
     return Asset(name="front_door", mesh=mesh.mesh(), category="door", shapes=(box_shape((x0, 0, z0), (x1, y1, z1)),))
 
 
 def blind_asset(layout: Layout, opening: Opening, index: int, style: Style, rng: np.random.Generator) -> Asset:
-    """A roller blind over a window, drawn down a part of the way."""
+    """A roller blind over a window, partly lowered."""
     mesh = MeshBuilder()
     room = layout.room(opening.rooms[0])
     across = 1 - opening.axis

@@ -1,4 +1,4 @@
-"""Colours and materials of one home, drawn once so that its rooms and furniture go together."""
+"""Colours and materials of one home, sampled once so that its rooms and furniture match."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _CEILING = Finish((246, 246, 243), "plaster")
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """sRGB colours; those that are a `Finish` say of what material a thing is as well."""
+    """Palette of a home: sRGB colours, some of them a `Finish` with a material."""
 
     paint: Mapping[str, Color]
-    """Wall paint per room name."""
+    """Wall paint by room name."""
     floor_wood: Color
     floor_tile: Mapping[str, Color]
-    """Per room category."""
+    """Floor tiles by room category; other rooms have boards."""
     wall_tile: Color
     wood: Color
     wood_dark: Color
@@ -33,7 +33,7 @@ class Style:
     fabric_2: Color
     accent: Color
     front: Color
-    """Fronts of kitchen and wardrobe."""
+    """Fronts of kitchen cabinets and wardrobes."""
     worktop: Color
     front_door: Color
     facade: Color
@@ -56,22 +56,23 @@ _FABRICS = [(98, 112, 128), (142, 126, 108), (84, 108, 96), (156, 92, 78), (176,
 _ACCENTS = [(204, 120, 62), (62, 122, 142), (192, 160, 70), (150, 66, 74), (96, 138, 92)]
 _FRONTS = [(238, 236, 230), (120, 138, 128), (92, 106, 124), (208, 196, 176), (214, 218, 220)]
 _FACADES = [
-    Finish((222, 214, 200), "render"), Finish((206, 196, 178), "render"), Finish((172, 104, 82), "brick"),
-    Finish((198, 168, 138), "brick"), Finish((224, 222, 216), "render")
-]  # fmt: skip
+    Finish((222, 214, 200), "render"),
+    Finish((206, 196, 178), "render"),
+    Finish((172, 104, 82), "brick"),
+    Finish((198, 168, 138), "brick"),
+    Finish((224, 222, 216), "render"),
+]
 _WORKTOPS = [(86, 84, 82), (200, 194, 184), (140, 104, 70), (58, 60, 64)]
-
-
 _OPEN = ("living", "hall", "kitchen", "dining")
-"""Rooms that open into each other and have one paint."""
+"""Rooms that open into each other and share one paint."""
 
 
 def _floor_tiles(kitchen: Color, bathroom: Color) -> dict[str, Color]:
     return {"kitchen": kitchen, "pantry": kitchen, "bathroom": bathroom, "laundry": bathroom}
 
 
-def draw_style(rng: np.random.Generator, layout: Layout) -> Style:
-    """One harmonious set of colours."""
+def sample_style(rng: np.random.Generator, layout: Layout) -> Style:
+    """A random, matching set of colours for a home."""
 
     def pick(colors: Sequence[Color], material: str = "", amount: float = 0.04) -> Color:
         color = vary(rng, colors[int(rng.integers(len(colors)))], amount)

@@ -1,6 +1,6 @@
-"""Rooms that tile a footprint: the templates of small and medium homes, and what makes a plan good.
+"""Zonings, i.e. rooms that tile a footprint: templates for small and medium homes, and penalties for bad plans.
 
-Public rooms on one side, private ones along a corridor on the other. L- and T-shaped footprints lack rectangles at the
+Public rooms lie on one side, private ones along a corridor on the other. L- and T-shaped footprints lack rectangles at
 corners of their bounding box (notches). Large homes: `zoning_large`.
 """
 
@@ -16,15 +16,16 @@ from h3data.scene.homes.spec import HomePreset, HomeSpec, stage_rng
 
 CORRIDOR_WIDTH = (1.3, 1.42)
 NOTCH_SHARE = (0.15, 0.30)
-"""How much of its bounding box an L- or T-shaped footprint leaves out."""
+"""Share of its bounding box that an L- or T-shaped footprint leaves out."""
 _SQUARE_BELOW_M2 = 90.0
-"""Smaller homes are rectangles: their rooms are too few to go round a corner."""
+"""Smaller homes are rectangles: they have too few rooms to go around a corner."""
 _SHAPES, _TRIALS, _WORST = 4, 100, 2.0
+"""Footprint shapes tried, plans tried per shape, and the largest acceptable penalty."""
 
 Rect = tuple[float, float, float, float]
 """x0 z0 x1 z1 [m]."""
 Tile = tuple[str, Rect]
-"""Kind of room and where it is."""
+"""Kind of room and its rectangle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ def rect_area(rect: Rect) -> float:
 
 
 def rounded(rect: Rect) -> Rect:
-    """To whole centimetres, so that neighbours keep exactly the same line."""
+    """The rectangle rounded to centimetres, so that neighbours share exactly the same line."""
     a, b, c, d = (round(v, 2) for v in rect)
     return a, b, c, d
 
@@ -59,9 +60,9 @@ def shared_wall(a: Rect, b: Rect) -> tuple[int, float, float, float] | None:
     return None
 
 
-# --- what makes a plan good -------------------------------------------------------------------------------------------
+# --- penalties --------------------------------------------------------------------------------------------------------
 Limits = Mapping[str, tuple[float, float, float, float]]
-"""Per kind of room: smallest side, smallest and largest area, longest aspect."""
+"""Smallest side [m], smallest and largest area [m2] and largest aspect ratio, by kind of room."""
 
 _LIMITS: Limits = {
     "living": (3.5, 15.0, 38.0, 1.9),
@@ -70,16 +71,17 @@ _LIMITS: Limits = {
     "bathroom": (1.85, 4.2, 10.5, 2.3),
     "hall": (1.3, 2.0, 18.0, 9.0),
 }
-_MUST_TOUCH = {  # metres of shared wall, for every room of the second kind
+_MUST_TOUCH = {
     ("living", "kitchen"): 2.0,
     ("living", "hall"): 1.3,
     ("hall", "bedroom"): 1.3,
     ("hall", "bathroom"): 1.3,
 }
+"""Length of wall [m] that every room of the second kind must share with one of the first."""
 
 
 def size_penalty(tiles: Sequence[Tile], limits: Limits, roomy: float = 1.0) -> float:
-    """0 if all rooms are of good size and shape; ``roomy`` widens the largest areas."""
+    """Penalty for rooms outside their limits, 0 if there are none; ``roomy`` scales the largest areas."""
     total = 0.0
     for kind, rect in tiles:
         side, least, most, aspect = limits[kind]
@@ -132,7 +134,7 @@ def _private(rng: np.random.Generator, program: HomePreset) -> list[str]:
 
 
 def _wing(rng: np.random.Generator, shape: str, part: float, depth: float, share: float) -> tuple[float, float]:
-    """Both ends in z of the public wing, ``part`` of the width: shorter than the home if that is L- or T-shaped."""
+    """Both ends in z of the public wing, which takes ``part`` of the width; shorter than the home in L and T shapes."""
     missing = share * depth / part if shape in ("L", "T") else 0.0
     below = missing * {"L": float(rng.integers(2)), "T": rng.uniform(0.4, 0.6)}.get(shape, 0.0)
     return below, depth - (missing - below)
@@ -146,7 +148,7 @@ def _notches(ends: tuple[float, float], cut: float, depth: float) -> list[Rect]:
 def _spine_along(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms | corridor running away from them, with private rooms on both of its sides."""
+    """Public rooms on one side; a corridor leads away from them, with private rooms on both of its sides."""
     part = rng.uniform(0.40, 0.62)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)
@@ -172,7 +174,7 @@ def _spine_along(
 def _spine_across(
     rng: np.random.Generator, width: float, depth: float, program: HomePreset, shape: str, share: float
 ) -> tuple[list[Tile], list[Rect]]:
-    """Public rooms | corridor between | one row of private rooms."""
+    """Public rooms, a corridor alongside them, and one row of private rooms behind it."""
     part = rng.uniform(0.42, 0.56)
     cut = width * part
     ends = _wing(rng, shape, part, depth, share)
@@ -183,11 +185,15 @@ def _spine_across(
 
 
 def plan_zoning(spec: HomeSpec, attempt: int) -> Zoning:
-    """The best of up to 400 plans of a home of one corridor."""
+    """The best of up to 400 plans of a home with one corridor.
+
+    Raises:
+        SceneError: no plan was acceptable.
+    """
     rng = stage_rng(spec, "rooms", attempt)
     shapes = ("rectangle", "rectangle", "rectangle", "L", "T", "hook")
     for _ in range(_SHAPES):
-        # The shape is drawn before the plans, so that those that are easier do not crowd out the others.
+        # The shape is sampled before the plans: choosing the best plan of all shapes would favour the easy ones.
         shape = shapes[int(rng.integers(len(shapes)))] if spec.program.area_m2 >= _SQUARE_BELOW_M2 else "rectangle"
         plan = _best_of(rng, spec.program, shape)
         if plan is not None:
@@ -205,8 +211,8 @@ def _best_of(rng: np.random.Generator, program: HomePreset, shape: str) -> Zonin
         width = round(float(np.sqrt(box * rng.uniform(1.15, 1.6))), 2)
         depth = round(box / width, 2)
         across = program.bedrooms == 1 and shape != "hook" and rng.random() < 0.5
-        found, notches = (_spine_across if across else _spine_along)(rng, width, depth, program, shape, share)
-        tiles = tuple((kind, rounded(rect)) for kind, rect in found)
+        raw_tiles, notches = (_spine_across if across else _spine_along)(rng, width, depth, program, shape, share)
+        tiles = tuple((kind, rounded(rect)) for kind, rect in raw_tiles)
         penalty = size_penalty(tiles, _LIMITS, roomy) + _touch_penalty(tiles)
         penalty += 50 * max(0.0, abs(sum(rect_area(r) for _, r in tiles) / program.area_m2 - 1) - 0.004)
         if best is None or penalty < best[0]:

@@ -1,8 +1,8 @@
-"""Rooms of large homes by recursive zoning: a gallery, rows of rooms on both of its sides, branch corridors in the rows.
+"""Zoning of large homes: a gallery with rows of rooms on both sides, and branch corridors within the rows.
 
 A row is a list of cells: single rooms, suites (a bedroom with its bathroom behind it), a kitchen with its pantry and
-laundry. Cells too small to reach through the whole depth of a row are put along a branch corridor at right angles to
-it, and so on. The rows may differ in length, which gives L- and T-shaped footprints.
+laundry. Cells too small to span the depth of a row are arranged along a branch corridor at right angles to it. The rows
+may differ in length, which gives L- and T-shaped footprints.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from h3data.scene.homes.zoning import NOTCH_SHARE, Limits, Rect, Tile, Zoning, r
 LARGE_FROM_M2, LARGE_FROM_BEDROOMS = 215.0, 6
 _GALLERY, _BRANCH, _NARROW = (2.0, 2.5), (1.5, 1.7), (1.4, 1.6)
 _SERVICE_FROM_M2 = 420.0
-"""From here on kitchens have a pantry and a laundry, and galleries are wide."""
+"""Above this area, kitchens have a pantry and a laundry, and galleries are wide."""
 _TRIALS, _WORST = 250, 3.0
+"""Plans tried per footprint shape, and the largest acceptable penalty."""
 
 _LIMITS: Limits = {
     "living": (4.5, 24.0, 125.0, 2.1),
@@ -37,17 +38,26 @@ _LIMITS: Limits = {
     "pantry": (1.7, 3.5, 24.0, 2.8),
     "hall": (1.3, 2.0, 200.0, 40.0),
 }
-_AREA = {  # what a room would like, before all are scaled to fill the home [m2]
-    "living": 80.0, "dining": 42.0, "kitchen": 40.0, "bedroom": 33.0, "bathroom": 13.5, "den": 42.0, "office": 32.0,
-    "library": 40.0, "laundry": 10.0, "pantry": 9.0,
-}  # fmt: skip
+_AREA = {
+    "living": 80.0,
+    "dining": 42.0,
+    "kitchen": 40.0,
+    "bedroom": 33.0,
+    "bathroom": 13.5,
+    "den": 42.0,
+    "office": 32.0,
+    "library": 40.0,
+    "laundry": 10.0,
+    "pantry": 9.0,
+}
+"""Desired area of each kind of room [m2], before all are scaled together to fill the home."""
 _FILL = ("dining", "office", "living", "den", "library", "living", "office", "den", "library", "living", "office")
-"""Rooms added, in this order, while a home has area left."""
+"""Rooms added, in this order, while area is left."""
 
 
 @dataclass(frozen=True)
 class _Cell:
-    """One or more rooms of which the first is entered from the corridor."""
+    """One or more rooms, of which the first is entered from the corridor."""
 
     rooms: tuple[str, ...]
 
@@ -58,9 +68,9 @@ class _Cell:
 
 @dataclass(frozen=True)
 class _Zone:
-    """A rectangle and the side at which its corridor lies: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
+    """A rectangle and the side on which its corridor lies: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
 
-    Its own frame: u along the corridor (always rising with x or z), v away from it.
+    The zone's own frame has u along the corridor (increasing with x or z) and v away from it.
     """
 
     rect: Rect
@@ -72,7 +82,7 @@ class _Zone:
         return (a, b) if self.side % 2 == 0 else (b, a)
 
     def part(self, u0: float, v0: float, u1: float, v1: float) -> Rect:
-        """A rectangle of the zone's own frame in the plan."""
+        """Plan rectangle of a rectangle in the zone's own frame."""
         x0, z0, x1, z1 = self.rect
         if self.side == 0:
             return x0 + u0, z0 + v0, x0 + u1, z0 + v1
@@ -83,18 +93,19 @@ class _Zone:
         return x1 - v1, z0 + u0, x1 - v0, z0 + u1
 
 
-def _stretch(a: float, b: float) -> float:
+def _aspect(a: float, b: float) -> float:
     return max(a, b) / max(min(a, b), 1e-6)
 
 
-def _two(rng: np.random.Generator, zone: _Zone, share: float) -> tuple[Rect, Rect]:
-    """The zone cut into one part for the corridor and one behind or beside it, so that the second is not too long.
+def _cut_in_two(rng: np.random.Generator, zone: _Zone, share: float) -> tuple[Rect, Rect]:
+    """The zone cut into a part at the corridor and a second part, of ``share`` of the area, behind or beside it.
 
-    Behind, it takes the outer wall and its windows from the first; so beside is good too.
+    Behind only if the second part is less elongated there, and even then by a coin toss (unless beside would be longer
+    than 2.9:1), because a part behind takes the outer wall, and with it the windows, from the first.
     """
     length, depth = zone.size
     cut = depth * (1 - share)
-    behind, beside = _stretch(length, depth - cut), _stretch(length * share, depth)
+    behind, beside = _aspect(length, depth - cut), _aspect(length * share, depth)
     if behind < beside and (beside > 2.9 or rng.random() < 0.5):
         return zone.part(0, 0, length, cut), zone.part(0, cut, length, depth)
     cut = length * (1 - share)
@@ -102,10 +113,11 @@ def _two(rng: np.random.Generator, zone: _Zone, share: float) -> tuple[Rect, Rec
 
 
 def _fill_cell(rng: np.random.Generator, zone: _Zone, cell: _Cell) -> list[Tile]:
+    """The zone divided among the one to three rooms of a cell."""
     first, *rest = cell.rooms
     if not rest:
         return [(first, zone.rect)]
-    front, back = _two(rng, zone, sum(_AREA[r] for r in rest) / cell.area)
+    front, back = _cut_in_two(rng, zone, sum(_AREA[r] for r in rest) / cell.area)
     tiles: list[Tile] = [(first, front)]
     if len(rest) == 1:
         return [*tiles, (rest[0], back)]
@@ -119,15 +131,16 @@ def _fill_cell(rng: np.random.Generator, zone: _Zone, cell: _Cell) -> list[Tile]
 
 
 _Unit = _Cell | tuple["_Cell", ...]
-"""What stands in a row: a cell, or cells round a branch corridor."""
+"""Element of a row: a cell, or several cells around a branch corridor."""
 
 
 def _unit_area(unit: _Unit) -> float:
+    """Area of a unit [m2]; a branch corridor takes about 17% of its cells' area in addition."""
     return unit.area if isinstance(unit, _Cell) else 1.17 * sum(c.area for c in unit)
 
 
 def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> list[Tile]:
-    """Units side by side along the corridor of a zone, which they fill."""
+    """A zone filled with units side by side along its corridor."""
     length, depth = zone.size
     areas = np.array([_unit_area(u) for u in units]) * rng.uniform(0.92, 1.08, len(units))
     cuts = np.concatenate([[0.0], np.cumsum(areas) / areas.sum()]) * length
@@ -139,7 +152,7 @@ def _fill_row(rng: np.random.Generator, zone: _Zone, units: Sequence[_Unit]) -> 
 
 
 def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) -> list[Tile]:
-    """A corridor into the middle of a zone, with a row on each of its sides."""
+    """A zone with a corridor into its middle and a row of cells on each side of that corridor."""
     length, depth = zone.size
     order = [cells[i] for i in rng.permutation(len(cells)).tolist()]
     halves: tuple[list[_Cell], list[_Cell]] = ([], [])
@@ -158,7 +171,7 @@ def _fill_branch(rng: np.random.Generator, zone: _Zone, cells: Sequence[_Cell]) 
 
 
 def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
-    """The public cells, which stay together in this order, and all others."""
+    """The public cells, which stay adjacent and in order, and all other cells."""
     rooms = list(program.extra)
     private = [_Cell(("bedroom",))] * max(0, program.bedrooms - program.bathrooms + 1)
     suites = program.bedrooms - len(private)
@@ -170,7 +183,7 @@ def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
     needed = {room: rooms.count(room) for room in set(rooms)}
     for room in _FILL:
         if needed.get(room, 0):
-            needed[room] -= 1  # it is among those that the program asks for
+            needed[room] -= 1  # already among the rooms that the program requires
             continue
         if 1.33 * (used + _AREA[room]) > program.area_m2:
             break
@@ -183,7 +196,7 @@ def _cells(program: HomePreset) -> tuple[list[_Cell], list[_Cell]]:
 
 
 def _grouped(rng: np.random.Generator, cells: Sequence[_Cell], depth: float, scale: float) -> list[_Unit]:
-    """Cells that reach through a row of a depth by themselves; the others in groups round branch corridors."""
+    """Cells large enough to span the depth of a row, and the others in groups around branch corridors."""
     deep = [c for c in cells if c.area * scale / depth >= 0.52 * depth]
     small = [c for c in cells if c not in deep]
     if not small:
@@ -199,23 +212,23 @@ Shape = Literal["rectangle", "L", "T"]
 
 
 def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -> tuple[float, Zoning]:
-    """One trial: its penalty and the plan."""
+    """One random plan and its penalty."""
     public, others = _cells(program)
     wide = program.area_m2 > _SERVICE_FROM_M2
     corridor = round(float(rng.uniform(*(_GALLERY if wide else _NARROW))), 2)
     share = float(rng.uniform(NOTCH_SHARE[0] + 0.01, 0.26)) if shape != "rectangle" else 0.0
     width = round(float(np.sqrt(program.area_m2 / (1 - share) * rng.uniform(1.25, 1.8))), 2)
     short = 1.0 if shape == "rectangle" else float(rng.uniform(0.42, 0.66))
-    # The row above the gallery may be shorter than the one below; cells go where area is left.
+    # The row above the gallery may be shorter than the one below; each cell goes where more area is left.
     total = sum(c.area for c in (*public, *others))
     scale = 0.93 * (program.area_m2 - width * corridor) / total
     depth = (program.area_m2 / (1 - share) / width - corridor) / 2
     rows: list[list[_Cell]] = [[], []]
-    room = [total * short / (1 + short), total / (1 + short)]
+    capacity = [total * short / (1 + short), total / (1 + short)]
     home = int(rng.random() < (0.8 if short < 1 else 0.5))
     rows[home] += public
     for i in sorted(rng.permutation(len(others)).tolist(), key=lambda i: -others[i].area + rng.uniform(0, 12)):
-        free = [room[k] - sum(c.area for c in rows[k]) for k in (0, 1)]
+        free = [capacity[k] - sum(c.area for c in rows[k]) for k in (0, 1)]
         rows[int(free[1] > free[0])].append(others[i])
     units: list[list[_Unit]] = []
     for k in (0, 1):
@@ -251,24 +264,28 @@ def _gallery_plan(rng: np.random.Generator, program: HomePreset, shape: Shape) -
 
 
 def _gallery(rng: np.random.Generator, rect: Rect) -> list[Tile]:
-    """The long corridor, in two or three halls that open into each other."""
+    """The gallery as one to three halls, depending on its length, that open into each other."""
     x0, z0, x1, z1 = rect
     count = 1 if x1 - x0 < 12 else 2 if x1 - x0 < 26 else 3
     cuts = [x0, *(x0 + (x1 - x0) * (k + rng.uniform(-0.15, 0.15)) / count for k in range(1, count)), x1]
     return [("hall", (round(a, 2), z0, round(b, 2), z1)) for a, b in pairwise(cuts)]
 
 
-def plan_large_zoning(spec: HomeSpec, attempt: int, fine: Callable[[Zoning], bool]) -> Zoning:
-    """The best of up to 250 plans of a home round a gallery; ``fine`` says whether it can have its doors and windows.
+def plan_large_zoning(spec: HomeSpec, attempt: int, sound: Callable[[Zoning], bool]) -> Zoning:
+    """The best of up to 250 plans of a home around a gallery for which ``sound`` confirms doors and windows.
 
-    L, T and rectangle are tried in an order drawn by the seed."""
+    Rectangles, L and T shapes are tried in random order; the first shape with an acceptable plan is taken.
+
+    Raises:
+        SceneError: no plan was acceptable.
+    """
     rng = stage_rng(spec, "rooms", attempt)
     shapes: tuple[Shape, ...] = ("rectangle", "L", "T")
     for k in rng.permutation(3).tolist():
         best: tuple[float, Zoning] | None = None
         for _ in range(_TRIALS):
             penalty, plan = _gallery_plan(rng, spec.program, shapes[k])
-            if (best is None or penalty < best[0]) and penalty < _WORST and fine(plan):
+            if (best is None or penalty < best[0]) and penalty < _WORST and sound(plan):
                 best = (penalty, plan)
                 if penalty == 0:
                     break

@@ -1,4 +1,4 @@
-"""Small things on receptacles: which, how many, where."""
+"""Random small objects on the receptacles of furniture."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from h3data.scene.records import Asset, Instance
 
 _VARIANTS = 3
 _CHANCE = {"dining_table": 1.0, "kitchen_counter": 0.85, "coffee_table": 0.9, "bed": 0.3, "sofa": 0.35, "armchair": 0.3}
-_MOST = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3, "kitchen_island": 4}
+"""Probability that a receptacle holds anything; 0.8 for other furniture."""
+_MAX_COUNT = {"dining_table": 4, "kitchen_counter": 2, "shelf": 2, "coffee_table": 3, "kitchen_island": 4}
+"""Largest number of objects per receptacle; 1 for other furniture."""
 _LIFT = 0.001
-"""Things float this much over their surface, so that a collision check does not call them stuck in it [m]."""
+"""Height at which objects hover above their surface, so that collision checks do not report contact [m]."""
 
 
 def object_assets(rng: np.random.Generator, style: Style) -> dict[str, list[Asset]]:
-    """A few variants of each small thing, by category."""
+    """A few variants of each small object, by category."""
     return {
         category: [renamed(make(rng, style), f"{category}_{i}") for i in range(_VARIANTS)]
         for category, make in OBJECT_MAKERS.items()
@@ -33,32 +35,32 @@ def clutter(
     furniture: Sequence[tuple[Instance, Asset]],
     amount: float = 1.0,
 ) -> list[Instance]:
-    """Small things on the receptacles of ``furniture``, none overlapping, as kinematic instances.
+    """Small objects on the receptacles of ``furniture`` as kinematic instances, none overlapping.
 
-    Every one stands inside its receptacle and below its clearance; discs round them keep them apart. ``amount`` scales
-    how many receptacles hold things at all, and when that is all of them, how many things each holds.
+    Every object stands inside its receptacle and fits under its clearance; bounding discs keep objects apart. ``amount``
+    scales the probability that a receptacle holds anything and, beyond 1, the largest number of objects on it.
     """
     out: list[Instance] = []
     count: dict[str, int] = {}
     for instance, asset in furniture:
-        fitting = AFFINITY.get(asset.category)
-        if fitting is None:
+        categories = AFFINITY.get(asset.category)
+        if categories is None:
             continue
         for receptacle in asset.receptacles:
             chance = _CHANCE.get(asset.category, 0.8) * amount
             if rng.random() > chance:
                 continue
-            most = round(_MOST.get(asset.category, 1) * max(1.0, chance if amount > 1 else 1.0))
+            most = round(_MAX_COUNT.get(asset.category, 1) * max(1.0, chance if amount > 1 else 1.0))
             discs: list[tuple[float, float, float]] = []
             for _ in range(int(rng.integers(1, most + 1))):
-                category = fitting[int(rng.integers(len(fitting)))]
+                category = categories[int(rng.integers(len(categories)))]
                 thing = assets[category][int(rng.integers(_VARIANTS))]
                 low, high = thing.mesh.bounds.astype(float)
                 radius = float(np.hypot(*np.maximum(-low, high)[[0, 2]]))
-                room = receptacle.half_size - radius
-                if room.min() < 0 or high[1] - low[1] + 0.02 > receptacle.clearance_m:
+                margin = receptacle.half_size - radius
+                if margin.min() < 0 or high[1] - low[1] + 0.02 > receptacle.clearance_m:
                     continue
-                spot = _free_spot(rng, room, radius, discs)
+                spot = _free_spot(rng, margin, radius, discs)
                 if spot is None:
                     continue
                 discs.append((*spot, radius))
@@ -80,10 +82,11 @@ def clutter(
 
 
 def _free_spot(
-    rng: np.random.Generator, room: np.ndarray, radius: float, discs: Sequence[tuple[float, float, float]]
+    rng: np.random.Generator, margin: np.ndarray, radius: float, discs: Sequence[tuple[float, float, float]]
 ) -> tuple[float, float] | None:
+    """A random centre within +-``margin`` of a disc that meets no other disc (x, z, radius); None after 8 attempts."""
     for _ in range(8):
-        x, z = (rng.uniform(-1, 1, 2) * room).tolist()
+        x, z = (rng.uniform(-1, 1, 2) * margin).tolist()
         if all(np.hypot(x - a, z - b) > radius + r + 0.01 for a, b, r in discs):
             return x, z
     return None

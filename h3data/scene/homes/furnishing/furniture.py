@@ -1,6 +1,6 @@
-"""What a piece of furniture is, and the helpers that all of them are built with.
+"""`Furniture`, one parametric piece, and the helpers that all pieces are built with.
 
-Asset frame: origin on the floor under the middle of the footprint, +Y up, the front looks along +Z.
+Asset frame: origin on the floor below the centre of the footprint, +Y up, front facing +Z.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 HEAD_BAND = (0.05, 1.8)
-"""Heights that stand in a walker's way [m]."""
+"""Range of heights in which shapes obstruct walkers, ankle to head [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Furniture:
-    """One parametric piece with what the placement has to know about it."""
+    """One piece of furniture with the data that placement needs."""
 
     category: str
     builder: MeshBuilder
-    """What it looks like; triangles are made by `asset`, when the piece has found its place."""
+    """Its appearance; triangles are built only by `asset`, once the piece is placed."""
     shapes: tuple[Shape, ...]
     receptacles: tuple[Receptacle, ...]
     size: tuple[float, float, float]
     """Footprint and height: x, y, z [m]."""
     front_m: float = 0.0
-    """Depth of the strip along the front that stays free for its users [m]."""
+    """Depth of the strip along the front that stays free for users [m]."""
     wall_gap_m: float = 0.02
-    """Distance of its back from the wall [m]."""
+    """Distance from its back to the wall [m]."""
 
     @property
     def solid(self) -> bool:
@@ -46,7 +46,7 @@ class Furniture:
 
     @cached_property
     def outline(self) -> BaseGeometry:
-        """What its collision shapes take of the floor between ankle and head, in its own frame (x, z)."""
+        """Footprint of its collision shapes within `HEAD_BAND`, in its own frame (x, z)."""
         import shapely
 
         from h3data.scene.freespace._footprints import shape_footprint
@@ -55,7 +55,7 @@ class Furniture:
         return shapely.union_all([p for p in parts if p is not None])
 
     def asset(self, name: str) -> Asset:
-        """The asset under a name of its own."""
+        """The piece as an asset of a scene."""
         return Asset(
             name=name,
             mesh=self.builder.mesh(),
@@ -66,7 +66,7 @@ class Furniture:
 
 
 def _upright_box(shape: Shape) -> BaseGeometry | None:
-    """Footprint of a box that is not turned and stands in the way of walkers, which most are; None for others."""
+    """Footprint of an axis-aligned box that obstructs walkers, the common case; None for other shapes."""
     if not isinstance(shape, Box) or shape.pose[6] != 1:
         return None
     import shapely
@@ -80,21 +80,21 @@ Maker = Callable[[np.random.Generator, Style], Furniture]
 
 
 def box_part(center: Sequence[float], size: Sequence[float]) -> Box:
-    """Collision box by its middle and whole size."""
+    """Collision box by its centre and full size."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Box(pose=pose, half_extents=np.asarray(size, float) / 2)
 
 
 def cylinder_part(center: Sequence[float], radius: float, height: float) -> Cylinder:
-    """Upright collision cylinder by its middle."""
+    """Upright collision cylinder by its centre."""
     pose = IDENTITY_POSE.copy()
     pose[:3] = center
     return Cylinder(pose=pose, radius=radius, half_height=height / 2)
 
 
 def surface(name: str, center: Sequence[float], size: Sequence[float], clearance: float) -> Receptacle:
-    """A place to put things on: middle of the surface, whole size along x and z, free height above."""
+    """Receptacle by the centre of its surface, the full size along x and z, and the free height above it."""
     return Receptacle(
         name=name, center=np.asarray(center, float), half_size=np.asarray(size, float) / 2, clearance_m=clearance
     )
@@ -110,7 +110,7 @@ def finish(
     front: float = 0.0,
     wall_gap: float = 0.02,
 ) -> Furniture:
-    """The record of a piece just modelled."""
+    """The `Furniture` record of a finished model."""
     return Furniture(
         category=category,
         builder=mesh,
@@ -123,7 +123,7 @@ def finish(
 
 
 def legs(mesh: MeshBuilder, half_x: float, half_z: float, top: float, color: Color, thick: float = 0.05) -> list[Shape]:
-    """Four square legs under a top; gives back their collision boxes."""
+    """Adds four square legs below a top; returns their collision boxes."""
     shapes: list[Shape] = []
     for sx in (-1, 1):
         for sz in (-1, 1):
@@ -143,9 +143,9 @@ def cabinet_front(
     *,
     knob: str = "top",
 ) -> None:
-    """A door or drawer front with a thin shadow gap round it and a bar handle; ``z`` is the carcass front."""
+    """Adds a door or drawer front with a thin shadow gap around it and a bar handle; ``z`` is the front of the carcass."""
     (x0, x1), (y0, y1), gap = x, y, 0.004
-    # It reaches 2 mm into the carcass: coincident faces would flicker for a camera that gets inside.
+    # The front extends 2 mm into the carcass: coincident faces would flicker for a camera that gets inside.
     mesh.span((x0 + gap, y0 + gap, z - 0.002), (x1 - gap, y1 - gap, z + 0.018), color, bevel=0.003)
     middle = (x0 + x1) / 2
     if knob == "none":
@@ -159,14 +159,22 @@ def cabinet_front(
 
 
 _SPINES: tuple[Color, ...] = (
-    (150, 52, 44), (44, 74, 112), (58, 96, 74), (196, 160, 84), (222, 214, 196), (88, 66, 54), (110, 118, 128), (122, 72, 96)
-)  # fmt: skip
+    (150, 52, 44),
+    (44, 74, 112),
+    (58, 96, 74),
+    (196, 160, 84),
+    (222, 214, 196),
+    (88, 66, 54),
+    (110, 118, 128),
+    (122, 72, 96),
+)
+"""Colours of book spines."""
 
 
 def books(
     mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
 ) -> None:
-    """A row of upright books between two x, standing at height y."""
+    """Adds a row of upright books in the range ``x``, standing at height ``y``."""
     at = x[0]
     while at < x[1] - 0.05:
         thick = rng.uniform(0.018, 0.045)
@@ -179,7 +187,7 @@ def books(
 def stacks(
     mesh: MeshBuilder, rng: np.random.Generator, x: tuple[float, float], y: float, z: tuple[float, float], tall: float
 ) -> None:
-    """A row of boxes and jars between two x, standing at height y."""
+    """Adds a row of boxes and jars in the range ``x``, standing at height ``y``."""
     at, middle = x[0], (z[0] + z[1]) / 2
     while True:
         wide = float(rng.uniform(0.08, 0.22))

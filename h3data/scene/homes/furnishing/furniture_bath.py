@@ -66,7 +66,7 @@ def bathroom_sink(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def mirror(rng: np.random.Generator, style: Style, width: float = 0.6) -> Furniture:
-    """Hangs on a wall: origin at its middle, back at z = 0."""
+    """A wall mirror: origin at its centre, back at z = 0."""
     mesh, h = MeshBuilder(), 0.75
     mesh.span((-width / 2, -h / 2, 0.002), (width / 2, h / 2, 0.022), style.metal, bevel=0.004)
     mesh.span((-width / 2 + 0.02, -h / 2 + 0.02, 0.022), (width / 2 - 0.02, h / 2 - 0.02, 0.024), (206, 220, 226))
@@ -74,7 +74,7 @@ def mirror(rng: np.random.Generator, style: Style, width: float = 0.6) -> Furnit
 
 
 def mat(rng: np.random.Generator, style: Style) -> Furniture:
-    """A bath mat; it lies flat and does not collide."""
+    """A bath mat: flat, without collision shapes."""
     mesh, w, d, y = MeshBuilder(), 0.8, 0.5, 0.012
     pile = Finish(vary(rng, shade(style.accent, 1.15), 0.05), "carpet")
     mesh.span((-w / 2, 0, -d / 2), (w / 2, y, d / 2), pile, bevel=0.004)
@@ -114,7 +114,7 @@ def _at(point: tuple[float, float], y: float) -> tuple[float, float, float]:
 
 
 def shower(rng: np.random.Generator, style: Style) -> Furniture:
-    """A corner shower: walls at its back and left, a glass screen at its right, open to the front."""
+    """A corner shower: walls behind and on the left, a glass screen on the right, open at the front."""
     mesh, w, d, h = MeshBuilder(), 0.9, 0.9, 2.0
     mesh.span((-w / 2, 0, -d / 2), (w / 2, 0.06, d / 2), _PORCELAIN, bevel=0.01)
     mesh.cylinder((0, 0.0615, 0), 0.05, 0.004, style.metal, segments=14)
@@ -124,12 +124,12 @@ def shower(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.cylinder((0, 2.05, -d / 2 + 0.17), 0.01, 0.26, style.metal, segments=8, turn=turn_x(np.pi / 2))
     mesh.cylinder((0, 2.03, -d / 2 + 0.3), 0.09, 0.02, style.metal, segments=18, top_radius=0.05)
     mesh.box((0, 1.05, -d / 2 + 0.05), (0.2, 0.05, 0.06), style.metal, bevel=0.01)
-    shape = box_part((0, h / 2, 0), (w, h, d))  # nobody walks into the tray: the whole cabin is an obstacle
+    shape = box_part((0, h / 2, 0), (w, h, d))  # the whole cabin is an obstacle: agents do not walk into the tray
     return finish("shower", mesh, (w, h + 0.1, d), shapes=[shape], front=0.5)
 
 
 def washer(rng: np.random.Generator, style: Style) -> Furniture:
-    """A washing machine, or a dryer: the panel differs."""
+    """A washing machine or dryer; the position of the knob varies."""
     mesh, w, d, h = MeshBuilder(), 0.6, 0.6, 0.86
     z = d / 2 - 0.03
     mesh.span((-w / 2, 0.02, -d / 2), (w / 2, h, z), _PORCELAIN, bevel=0.012)

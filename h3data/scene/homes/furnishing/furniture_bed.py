@@ -19,11 +19,11 @@ from h3data.scene.homes.style import Style
 from h3data.scene.records import Shape
 
 DESK_DRAWERS = 0.4
-"""Width of the drawers at a desk's right; a chair fits beside them [m]."""
+"""Width of the drawers on the right of a desk; a chair fits beside them [m]."""
 
 
 def bed(rng: np.random.Generator, style: Style, width: float = 1.6) -> Furniture:
-    """Head at the back (-z); mattress top at 0.53 m."""
+    """A bed with its head at the back (-z); top of the mattress at 0.53 m."""
     mesh, length, frame = MeshBuilder(), 2.12, style.wood
     z0 = -length / 2
     mesh.span((-width / 2, 0.0, z0), (width / 2, 1.02, z0 + 0.06), frame, bevel=0.012)
@@ -58,7 +58,7 @@ def nightstand(rng: np.random.Generator, style: Style) -> Furniture:
     middle = (0.1 + h) / 2
     for a, b in ((0.11, middle), (middle, h - 0.025)):
         cabinet_front(mesh, (-w / 2, w / 2), (a, b), d / 2 - 0.02, vary(rng, style.wood, 0.02), style.metal)
-    # A small lamp stands at the back; things go in front of it.
+    # A small lamp at the back; the receptacle is in front of it.
     mesh.cylinder((0, h + 0.01, -d / 2 + 0.1), 0.055, 0.02, style.metal, segments=14)
     mesh.cylinder((0, h + 0.12, -d / 2 + 0.1), 0.01, 0.22, style.metal, segments=8)
     mesh.lathe(
@@ -118,10 +118,10 @@ def desk(rng: np.random.Generator, style: Style) -> Furniture:
     mesh.span((x - 0.2, h, 0.02), (x + 0.2, h + 0.018, 0.15), (58, 58, 62), bevel=0.004)
     shapes.append(box_part((x, h + 0.23, -d / 2 + 0.14), (0.54, 0.46, 0.05)))
     top = surface("top", (w / 2 - 0.24, h, 0.0), (0.36, d - 0.12), 1.0)
-    # Its height is that of the top: a desk may stand before a window, screen and all.
+    # The height is that of the top, without the screen: a desk may stand in front of a window.
     return finish("desk", mesh, (w, h, d), shapes=shapes, receptacles=[top], front=0.0)
 
 
 def chair_reach(rng: np.random.Generator) -> float:
-    """How far a desk or dining chair is pulled out beyond the table's edge [m]."""
+    """Random distance by which a desk or dining chair is pulled out beyond the table's edge [m]."""
     return float(np.clip(rng.normal(0.30, 0.02), 0.26, 0.34))

@@ -1,4 +1,4 @@
-"""Kitchen modules (600 mm deep, one worktop height, so that they stand in a row) and the dining set."""
+"""Kitchen modules (600 mm deep with one worktop height, so that they line up) and the dining set."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _base(mesh: MeshBuilder, width: float, style: Style) -> None:
 def counter(
     rng: np.random.Generator, style: Style, width: float, kind: Literal["drawers", "doors", "sink"] = "doors"
 ) -> Furniture:
-    """A base cabinet with its piece of worktop; ``sink`` has a basin and a tap."""
+    """A base cabinet with its section of worktop; ``sink`` has a basin and a tap."""
     mesh, half = MeshBuilder(), width / 2
     _base(mesh, width, style)
     low, high = 0.1, WORKTOP_HEIGHT - 0.04
@@ -84,7 +84,7 @@ def counter(
     mesh.box((middle + 0.035, y + 0.05, -0.22), (0.06, 0.014, 0.014), steel)
     left = x0 + half
     top = surface("top", ((-half + x0) / 2, y, 0.02), (left - 0.06, MODULE_DEPTH - 0.12), 0.5)
-    # The basin is part of the solid cabinet: collision treats it as filled up to the worktop.
+    # For collision, the cabinet is solid and the basin filled up to the worktop.
     return finish("kitchen_counter", mesh, (width, y, MODULE_DEPTH), shapes=shapes, receptacles=[top], front=0.75)
 
 
@@ -123,7 +123,7 @@ def fridge(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furniture:
-    """Hangs on the wall; the origin is still on the floor."""
+    """A wall cabinet; its origin is on the floor, as for all furniture."""
     mesh, d, y0, y1 = MeshBuilder(), 0.34, 1.45, 2.15
     mesh.span((-width / 2, y0, -d / 2), (width / 2, y1, d / 2 - 0.02), shade(style.front, 0.92))
     _splashback(mesh, width, -d / 2, y0, style)
@@ -136,13 +136,13 @@ def upper_cabinet(rng: np.random.Generator, style: Style, width: float) -> Furni
 
 
 def _splashback(mesh: MeshBuilder, width: float, z: float, top: float, style: Style) -> None:
-    """Tiles on the wall from the worktop up; ``z`` is the back of what hangs above."""
+    """Adds tiles on the wall above the worktop; ``z`` is the back of the cabinet that hangs above."""
     x, y = width / 2, WORKTOP_HEIGHT
     mesh.quads([[(-x, y, z), (x, y, z), (x, top, z), (-x, top, z)]], style.wall_tile)
 
 
 def hood(rng: np.random.Generator, style: Style) -> Furniture:
-    """An extractor over the stove, up to the ceiling; the origin is still on the floor."""
+    """An extractor hood above the stove, up to the ceiling; its origin is on the floor, as for all furniture."""
     mesh, w, d, y0, y1 = MeshBuilder(), STOVE_WIDTH - 0.01, 0.48, 1.58, 1.64
     _splashback(mesh, STOVE_WIDTH, -d / 2, y0, style)
     steel = style.metal
@@ -203,7 +203,7 @@ def chair(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def island(rng: np.random.Generator, style: Style) -> Furniture:
-    """A free-standing block of cabinets; the worktop reaches out at the back, where stools stand."""
+    """A free-standing block of cabinets; the worktop overhangs at the back, where stools stand."""
     mesh, w, d, over = MeshBuilder(), rng.uniform(1.7, 2.2), 0.9, 0.26
     y, z0, z1 = WORKTOP_HEIGHT, -d / 2 + over, d / 2 - 0.03
     mesh.span((-w / 2, 0.1, z0), (w / 2, y - 0.04, z1 - 0.02), shade(style.front, 0.92), bevel=0.003)

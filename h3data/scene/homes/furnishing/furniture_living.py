@@ -24,6 +24,7 @@ from h3data.scene.records import Shape
 
 
 def _seat(width: float, depth: float, seats: int, rng: np.random.Generator, style: Style, category: str) -> Furniture:
+    """An upholstered sofa or armchair with ``seats`` cushions."""
     mesh, fabric = MeshBuilder(), style.fabric if category == "sofa" else style.fabric_2
     arm, high, back = 0.17, 0.8, 0.2
     inner = width - 2 * arm
@@ -92,7 +93,7 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
     for i in range(3):
         a, b = -w / 2 + i * w / 3, -w / 2 + (i + 1) * w / 3
         cabinet_front(mesh, (a, b), (0.07, h - 0.03), d / 2 - 0.02, vary(rng, style.wood, 0.03), style.metal)
-    side = 0.5 * w - 0.23  # beside the foot and in front of the screen of the tv
+    side = 0.5 * w - 0.23  # beside the TV's foot and in front of its screen
     ends = [
         surface(f"top_{name}", (s * (0.2 + side / 2), h, 0.085), (side, 0.19), 0.5)
         for name, s in (("left", -1), ("right", 1))
@@ -102,7 +103,7 @@ def tv_stand(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def tv(rng: np.random.Generator, style: Style) -> Furniture:
-    """Stands on the tv stand: its origin is the foot."""
+    """A TV that stands on the TV stand: its origin is at the foot."""
     mesh = MeshBuilder()
     w = rng.uniform(1.0, 1.22)
     h = w * 9 / 16
@@ -154,7 +155,7 @@ def _shelf_shapes(w: float, h: float, d: float, t: float, levels: np.ndarray) ->
 
 
 def rug(rng: np.random.Generator, style: Style, size: tuple[float, float] | None = None) -> Furniture:
-    """Lies flat and does not collide; three borders woven as geometry."""
+    """A rug: flat, without collision shapes; its three borders are geometry."""
     mesh = MeshBuilder()
     w, d = size if size is not None else (rng.uniform(1.9, 2.3), rng.uniform(1.4, 1.7))
     yarn, yarn_2 = Finish(style.accent, "carpet"), Finish(style.fabric_2, "carpet")
@@ -214,7 +215,7 @@ def plant(rng: np.random.Generator, style: Style) -> Furniture:
 def _leaf(
     mesh: MeshBuilder, base: tuple, around: float, lean: float, length: float, reach: float, color: tuple
 ) -> None:
-    """A long leaf that rises and bends outwards by at most ``reach``; both sides are drawn."""
+    """Adds a long leaf that rises and bends outwards by at most ``reach``, with two visible sides."""
     s = np.linspace(0, 1, 5)
     out = np.minimum(length * np.sin(lean), reach) * s**1.6
     rise = np.sqrt(np.maximum(length**2 * s**2 - out**2, 0)) * (1 - 0.18 * lean * s**2)
@@ -230,7 +231,7 @@ def _leaf(
 
 
 def picture(rng: np.random.Generator, style: Style) -> Furniture:
-    """Hangs on a wall: origin at its middle, back at z = 0."""
+    """A framed picture: origin at its centre, back at z = 0."""
     mesh = MeshBuilder()
     w, h = (rng.uniform(0.5, 0.8), rng.uniform(0.4, 0.6))[:: int(rng.choice([1, -1]))]
     mesh.span(
@@ -254,7 +255,7 @@ _Motif = tuple[Color, Color, Color]
 
 
 def _landscape(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """A sun over the land; ``half`` is half the size of the sheet."""
+    """Adds a sun above a plain; ``half`` is half the size of the sheet."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, horizon, 0.0235), (a, b, 0.0245), sky)
     mesh.span((-a, -b, 0.0235), (a, horizon, 0.0245), land)
@@ -263,7 +264,7 @@ def _landscape(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: 
 
 
 def _shapes(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """An abstract: a disc and bars that cross."""
+    """Adds an abstract: a disc and crossing bars."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(light, 0.98))
     r = 0.5 * min(a, b)
@@ -273,7 +274,7 @@ def _shapes(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: flo
 
 
 def _mountains(mesh: MeshBuilder, half: tuple[float, float], horizon: float, x: float, colors: _Motif) -> None:
-    """Two ridges one behind the other."""
+    """Adds two mountain ridges, one behind the other."""
     (a, b), (sky, land, light) = half, colors
     mesh.span((-a, -b, 0.0235), (a, b, 0.0242), shade(sky, 1.1))
     mesh.cylinder((-x, 0.6 * b, 0.0244), 0.14 * min(a, b), 0.001, light, segments=18, turn=turn_x(np.pi / 2))
@@ -300,7 +301,7 @@ def console(rng: np.random.Generator, style: Style) -> Furniture:
 
 
 def ceiling_lamp(rng: np.random.Generator, style: Style) -> Furniture:
-    """Hangs from the ceiling: its origin is the fixing point."""
+    """A ceiling lamp: its origin is the point where it is fixed."""
     mesh = MeshBuilder()
     r = rng.uniform(0.16, 0.22)
     mesh.cylinder((0, -0.012, 0), 0.06, 0.024, style.metal, segments=12)

@@ -1,4 +1,4 @@
-"""Groups of furniture that several kinds of rooms have, and pictures on walls."""
+"""Groups of furniture shared by several kinds of rooms, and pictures on walls."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from h3data.scene.homes.style import Style
 
 
 class NoRoomError(SceneError):
-    """A necessary piece of furniture found no place: another plan has to be tried."""
+    """A necessary piece of furniture does not fit: another plan has to be tried."""
 
 
 def backed(piece: Furniture, x: float = 0.0) -> Member:
-    """A piece with its back at the wall."""
+    """A piece with its back against the wall."""
     return Member(piece=piece, x=x, z=piece.wall_gap_m + piece.size[2] / 2)
 
 
@@ -48,18 +48,18 @@ def place_single(
     only_corner: bool = False,
     left_corner: bool = False,
 ) -> list[Placed] | None:
-    """One piece against a wall, or None; the options are those of `place_at_wall`."""
+    """Places one piece against a wall; see `place_at_wall` for the options and the result."""
     members = [backed(piece)]
     return place_at_wall(
         rng, state, members, corner=corner, middle=middle, only_corner=only_corner, left_corner=left_corner
     )
 
 
-def need(found: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
-    """What was placed; `NoRoomError` if that is nothing."""
-    if found is None:
+def need(group: list[Placed] | None, what: str, state: RoomState) -> list[Placed]:
+    """The placed group; raises `NoRoomError` if it is None."""
+    if group is None:
         raise NoRoomError(f"No place for the {what} in {state.room.name}.")
-    return found
+    return group
 
 
 def in_a_row(pieces: Sequence[Furniture]) -> list[Member]:
@@ -72,15 +72,19 @@ def in_a_row(pieces: Sequence[Furniture]) -> list[Member]:
     return members
 
 
-def _other(rng: np.random.Generator, style: Style) -> Style:
-    """The style with its fabrics changed about, so that not all seats of a home are of one set."""
+def _with_other_fabrics(rng: np.random.Generator, style: Style) -> Style:
+    """The style with its fabrics permuted, so that not all seats of a home look the same."""
     fabrics = [style.fabric, style.fabric_2, style.accent, shade(style.fabric, 1.35), shade(style.fabric_2, 0.7)]
     a, b, c = (fabrics[i] for i in rng.permutation(len(fabrics))[:3].tolist())
     return replace(style, fabric=a, fabric_2=b, accent=c)
 
 
 def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bool) -> list[list[Member]]:
-    """Variants of tv stand, tv, rug, coffee table, sofa and armchair that span from the tv's wall to the sofa."""
+    """Variants of a group of TV stand, TV, rug, coffee table, sofa and, unless ``small``, an armchair.
+
+    ``depth`` is that of the room [m]: the sofa either stands at the opposite wall or leaves room to walk behind it. Empty
+    if the room is too shallow.
+    """
     stand, screen = living.tv_stand(rng, style), living.tv(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
     chair = living.armchair(rng, style)
@@ -114,8 +118,8 @@ def media_groups(rng: np.random.Generator, style: Style, depth: float, small: bo
 
 
 def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Member]:
-    """Two sofas that face each other over a table, or a sofa and two armchairs, about the middle of a rug."""
-    style = _other(rng, style)
+    """Two sofas facing each other across a table, or a sofa and up to two armchairs, centred on a rug."""
+    style = _with_other_fabrics(rng, style)
     table, sofa = living.coffee_table(rng, style), living.sofa(rng, style)
     knee = float(rng.uniform(0.36, 0.42))
     away = table.size[2] / 2 + knee
@@ -134,17 +138,18 @@ def talk_group(rng: np.random.Generator, style: Style, chairs: int) -> list[Memb
 
 
 def place_talk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
-    """A sofa with armchairs in the open; searched for longer than other groups, as a large room is empty without it."""
+    """Places a free-standing sofa with armchairs; tries more often than for other groups, as large rooms look empty
+    without one."""
     for chairs in (2, 2, 2, 1, 1):
-        found = place_free(rng, state, talk_group(rng, style, chairs))
-        if found:
-            return found
+        group = place_free(rng, state, talk_group(rng, style, chairs))
+        if group:
+            return group
     return None
 
 
-def place_rug(state: RoomState, rug: Furniture, by: Placed, away: float) -> None:
-    """A rug before a piece of furniture, its middle that far from the piece's; moved aside as far as walls ask for."""
-    dx, dz = turned(by.quarter, 0.0, away)
+def place_rug(state: RoomState, rug: Furniture, by: Placed, distance: float) -> None:
+    """Places a rug in front of a piece of furniture, ``distance`` between their centres, shifted away from walls if needed."""
+    dx, dz = turned(by.quarter, 0.0, distance)
     x, z = by.x + dx, by.z + dz
     x0, z0, x1, z1 = around(0.0, 0.0, rug.size[0] + 0.04, rug.size[2] + 0.04, by.quarter)
     a0, b0, a1, b1 = state.interior
@@ -153,7 +158,7 @@ def place_rug(state: RoomState, rug: Furniture, by: Placed, away: float) -> None
 
 
 def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, count: int) -> None:
-    """Up to ``count`` equal shelves side by side, with books or, where things are kept, with stores."""
+    """Places up to ``count`` equal shelves side by side, filled with books or, in kitchens and the like, with supplies."""
     shelf = living.shelf(rng, style, stores=state.room.category in ("pantry", "laundry", "kitchen", "bathroom"))
     for n in range(count, 0, -1):
         if place_at_wall(rng, state, in_a_row([shelf] * n), middle=True):
@@ -161,7 +166,7 @@ def place_shelves(rng: np.random.Generator, style: Style, state: RoomState, coun
 
 
 def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats: Sequence[int]) -> list[Placed] | None:
-    """A table with chairs for the first number of seats that fits, in the open or with its end at a wall."""
+    """Places a table with chairs, for the first number of ``seats`` that fits, free-standing or with its end at a wall."""
     for count in seats:
         table, chair = kitchen.dining_table(rng, style, count), kitchen.chair(rng, style)
         w, _, d = table.size
@@ -176,19 +181,19 @@ def place_dining(rng: np.random.Generator, style: Style, state: RoomState, seats
                 z = s * (d / 2 + reach - chair.size[2] / 2)
                 yaw = float(rng.uniform(-0.05, 0.05))
                 members.append(Member(piece=chair, x=x, z=z, quarter=2 if s > 0 else 0, yaw=yaw))
-        found = place_free(rng, state, members)
-        if found is None:
+        group = place_free(rng, state, members)
+        if group is None:
             shifted = [
                 Member(piece=m.piece, x=m.z, z=m.x + 0.02 + w / 2, quarter=m.quarter + 1, yaw=m.yaw) for m in members
             ]
-            found = place_at_wall(rng, state, shifted, middle=True)
-        if found:
-            return found
+            group = place_at_wall(rng, state, shifted, middle=True)
+        if group:
+            return group
     return None
 
 
 def place_desk(rng: np.random.Generator, style: Style, state: RoomState) -> list[Placed] | None:
-    """A desk with a chair that is pulled out a little."""
+    """Places a desk with a chair that is slightly pulled out."""
     desk, chair = sleeping.desk(rng, style), kitchen.chair(rng, style)
     edge = desk.wall_gap_m + desk.size[2]
     seat = Member(
@@ -202,7 +207,7 @@ def place_desk(rng: np.random.Generator, style: Style, state: RoomState) -> list
 
 
 def hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> bool:
-    """Hangs a flat thing with its middle at height y, unless an opening, a tall piece or another one is there."""
+    """Hangs a flat piece with its centre at height ``y``; False if an opening, tall furniture or another one is there."""
     half = piece.size[0] / 2 + 0.1
     low, high = side_span(state.interior, side)
     if u - half < low or u + half > high:
@@ -224,7 +229,7 @@ def hang(state: RoomState, piece: Furniture, side: int, u: float, y: float) -> b
 
 
 def hang_pictures(rng: np.random.Generator, style: Style, state: RoomState, most: int) -> None:
-    """Up to ``most`` pictures on free stretches of wall."""
+    """Hangs up to ``most`` pictures on free stretches of wall."""
     hung = 0
     for _ in range(12 + 4 * max(0, most - 3)):
         if hung == most:

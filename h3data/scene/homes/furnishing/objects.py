@@ -1,4 +1,4 @@
-"""Small things that stand on receptacles. Asset frame: origin in the middle of the bounding box, +Y up."""
+"""Small objects that stand on receptacles. Asset frame: origin at the centre of the bounding box, +Y up."""
 
 from __future__ import annotations
 
@@ -13,8 +13,14 @@ from h3data.scene.homes.style import Style
 from h3data.scene.records import Asset, Hull, Shape
 
 _BRIGHT: tuple[Color, ...] = (
-    (198, 58, 48), (222, 160, 52), (64, 122, 74), (52, 96, 160), (230, 226, 214), (132, 78, 140), (40, 150, 150)
-)  # fmt: skip
+    (198, 58, 48),
+    (222, 160, 52),
+    (64, 122, 74),
+    (52, 96, 160),
+    (230, 226, 214),
+    (132, 78, 140),
+    (40, 150, 150),
+)
 
 
 def _bright(rng: np.random.Generator) -> Color:
@@ -22,7 +28,7 @@ def _bright(rng: np.random.Generator) -> Color:
 
 
 def _centered(category: str, mesh: MeshBuilder, shapes: tuple[Shape, ...], height: float) -> Asset:
-    """The asset of a thing modelled standing at y = 0, moved so that the origin is half its height up."""
+    """The asset of a model that stands at y = 0, shifted so that the origin is at half its height."""
     m = mesh.mesh()
     vertices = m.vertices - np.array([0, height / 2, 0], np.float32)
     return Asset(name=category, mesh=replace(m, vertices=vertices), category=category, shapes=shapes)
@@ -132,8 +138,15 @@ def orange(rng: np.random.Generator, style: Style) -> Asset:
 
 
 OBJECT_MAKERS: Mapping[str, Callable[[np.random.Generator, Style], Asset]] = {
-    "can": can, "mug": mug, "bowl": bowl, "box": box, "bottle": bottle, "book": book, "apple": apple, "orange": orange
-}  # fmt: skip
+    "can": can,
+    "mug": mug,
+    "bowl": bowl,
+    "box": box,
+    "bottle": bottle,
+    "book": book,
+    "apple": apple,
+    "orange": orange,
+}
 
 AFFINITY: Mapping[str, tuple[str, ...]] = {
     "dining_table": ("bowl", "mug", "apple", "orange", "bottle", "can"),
@@ -154,9 +167,9 @@ AFFINITY: Mapping[str, tuple[str, ...]] = {
     "washer": ("box", "bottle"),
     "bench": ("book", "box"),
 }
-"""Which small things are found on which furniture, by category."""
+"""Categories of small objects by category of the furniture they are placed on."""
 
 
 def renamed(asset: Asset, name: str) -> Asset:
-    """The same asset under another name."""
+    """The same asset with another name."""
     return replace(asset, name=name)

@@ -1,7 +1,7 @@
-"""Furniture in one room: where it may stand, so that everybody can still walk. The search for places is in `search`.
+"""Rules for placing furniture in one room such that agents can still walk everywhere. Positions come from `search`.
 
-A group is given in a frame with z = 0 at the wall behind it, +z into the room and x = 0 in its middle. Side k of a room
-is the wall that a piece turned by k quarters (about +y) backs onto: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
+A group is given in a frame with z = 0 at the wall behind it, +z into the room and x = 0 at its centre. Side k of a room is
+the wall behind a piece turned by k quarters about +y: 0 = low z, 1 = low x, 2 = high z, 3 = high x.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 WALK_RADIUS = 0.30
-"""A person's disc (spec/habitat.md: humanoid radius 0.3): free space is judged with it [m]."""
+"""Radius of the disc for which free space is checked: Habitat's humanoid (spec/habitat.md) [m]."""
 PLAN_RADIUS = 0.305
-"""The disc that furniture is placed by: a passage for `WALK_RADIUS` is then a little wider than it must be [m]."""
+"""Radius used while placing furniture; the margin over `WALK_RADIUS` keeps passages clear of rounding [m]."""
 GAP_BAND = (0.45, 0.60)
-"""Gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (navigation-and-stepping.md 2.4) [m]."""
+"""Widths of gaps to avoid: 2 r - 5 cm to 2 r + 10 cm for r = 0.25 (research/navigation-and-stepping.md 2.4) [m]."""
 CRUMB_M2 = 0.002
-"""Cut-off floor and pockets below this are rounding [m2]."""
+"""Smaller areas of cut-off floor or pockets are rounding errors [m2]."""
 _DOOR_DEPTH = 0.8
 _TALL = 0.88
-"""Higher things do not stand before windows [m]."""
+"""Taller furniture does not stand in front of windows [m]."""
 _REACH = {"desk": 0.85, "dining_table": 0.65, "kitchen_island": 0.65}
-"""How far off the walkable area may end, where a chair stands in between; 0.38 m otherwise."""
+"""Greatest distance from walkable floor to furniture with chairs in between; 0.38 m for other furniture [m]."""
 _FROM_ANYWHERE = ("dining_table", "coffee_table", "bed", "kitchen_island")
-"""Used from any side; all else that has a surface is used from its front."""
+"""Furniture used from any side; all other furniture with a surface is used from its front."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +45,13 @@ class Member:
     z: float = 0.0
     quarter: int = 0
     yaw: float = 0.0
-    """A small extra turn, for chairs that people left as they are [rad]."""
+    """A small additional rotation, for chairs that are not quite straight [rad]."""
     y: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """One piece where it stands in the world."""
+    """One piece at its place in the world."""
 
     piece: Furniture
     room: str
@@ -65,20 +65,20 @@ class Placed:
 
 @dataclass
 class RoomState:
-    """What stands in a room so far; the search adds to it."""
+    """The furniture placed in a room so far, and the constraints on further pieces."""
 
     room: RoomPlan
     doors: list[tuple[int, Opening]]
-    """(side, opening) of doors and wide openings that people walk through."""
+    """(side, opening) of doors and wide openings."""
     windows: list[tuple[int, Opening]]
     keep: list[Rect]
-    """Floor that stays free before doors."""
+    """Floor that stays free in front of doors."""
     placed: list[Placed] = field(default_factory=list)
     solids: list[Rect] = field(default_factory=list)
     fronts: list[Rect] = field(default_factory=list)
     rugs: list[Rect] = field(default_factory=list)
     goals: list[tuple[Rect, float]] = field(default_factory=list)
-    """Edges (flat rectangles) that a walker has to come near, and how near [m]."""
+    """Edges (flat rectangles) that walkers must be able to approach, and to what distance [m]."""
     _free: BaseGeometry | None = None
 
     @property
@@ -87,7 +87,7 @@ class RoomState:
 
     @property
     def free(self) -> BaseGeometry:
-        """Floor without obstacles, and the doorways; for a disc it has to be shrunk yet."""
+        """Floor minus obstacles, plus the doorways; not yet shrunk by a disc's radius."""
         if self._free is None:
             self._free = _bare_floor(self)
         return self._free
@@ -115,7 +115,7 @@ def room_state(layout: Layout, room: RoomPlan) -> RoomState:
 
 
 def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> Rect:
-    """Rectangle along a wall, ``depth`` into the room."""
+    """Rectangle along a wall that extends ``depth`` into the room."""
     x0, z0, x1, z1 = interior
     if side == 0:
         return low, z0, high, z0 + depth
@@ -127,17 +127,17 @@ def strip(interior: Rect, side: int, low: float, high: float, depth: float) -> R
 
 
 def side_span(interior: Rect, side: int) -> tuple[float, float]:
-    """Both ends of a wall along its axis."""
+    """The two ends of a wall along its axis."""
     return (interior[0], interior[2]) if side % 2 == 0 else (interior[1], interior[3])
 
 
 def side_depth(interior: Rect, side: int) -> float:
-    """Distance from a wall to the one opposite."""
+    """Distance from a wall to the opposite wall."""
     return interior[3] - interior[1] if side % 2 == 0 else interior[2] - interior[0]
 
 
 def turned(quarter: int, x: float, z: float) -> tuple[float, float]:
-    """(x, z) turned by quarters about +y: +z goes to +x."""
+    """(x, z) rotated by quarter turns about +y, which take +z to +x."""
     return ((x, z), (z, -x), (-x, -z), (-z, x))[quarter % 4]
 
 
@@ -147,18 +147,18 @@ def wall_point(interior: Rect, side: int, u: float) -> tuple[float, float]:
 
 
 def around(x: float, z: float, width: float, depth: float, quarter: int) -> Rect:
-    """Plan rectangle of a piece by its middle, size and quarter turns."""
+    """Plan rectangle of a piece by its centre, size and quarter turns."""
     a, b = (width / 2, depth / 2) if quarter % 2 == 0 else (depth / 2, width / 2)
     return x - a, z - b, x + a, z + b
 
 
 def footprint(p: Placed) -> Rect:
-    """Plan rectangle of a piece; small extra turns are not counted."""
+    """Plan rectangle of a piece, without its yaw."""
     return around(p.x, p.z, p.piece.size[0], p.piece.size[2], p.quarter)
 
 
 def front_strip(p: Placed, depth: float) -> Rect:
-    """Plan rectangle before a piece's front."""
+    """Plan rectangle in front of a piece."""
     dx, dz = turned(p.quarter, 0.0, p.piece.size[2] / 2 + depth / 2)
     return around(p.x + dx, p.z + dz, p.piece.size[0], depth, p.quarter)
 
@@ -172,7 +172,7 @@ def _inside(a: Rect, b: Rect, slack: float = 1e-6) -> bool:
 
 
 def gap(a: Rect, b: Rect) -> float:
-    """Free distance between two rectangles, 0 if they meet [m]."""
+    """Distance between two rectangles, 0 if they meet [m]."""
     dx = max(b[0] - a[2], a[0] - b[2], 0.0)
     dz = max(b[1] - a[3], a[1] - b[3], 0.0)
     return float(np.hypot(dx, dz))
@@ -183,7 +183,7 @@ def _gap_refused(value: float) -> bool:
 
 
 def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float], side: int) -> list[Placed]:
-    """The group's pieces in the world, with its frame at ``origin`` turned by ``side`` quarters."""
+    """The group's pieces in the world, with its frame at ``origin`` and turned by ``side`` quarters."""
     out = []
     for m in members:
         dx, dz = turned(side, m.x, m.z)
@@ -202,7 +202,7 @@ def at(state: RoomState, members: Sequence[Member], origin: tuple[float, float],
 
 
 def fits(state: RoomState, group: Sequence[Placed]) -> bool:
-    """The cheap tests: inside, apart from everything, doors and windows free, no gap that is neither open nor shut."""
+    """The cheap tests: inside the room, clear of other furniture, doors and windows, no gap of ambiguous width."""
     interior = state.interior
     for p in group:
         if not p.piece.solid:
@@ -228,7 +228,7 @@ def fits(state: RoomState, group: Sequence[Placed]) -> bool:
 
 
 def _filled(rect: Rect, interior: Rect, end: int, group: Sequence[Placed]) -> bool:
-    """Whether another piece of the group stands between a rectangle and one wall: a chair's desk, a table's chair."""
+    """Whether another piece of the group stands between a rectangle and one wall, as a desk does for its chair."""
     between = list(rect)
     between[(end + 2) % 4], between[end] = rect[end], interior[end]
     strip = (between[0], between[1], between[2], between[3])
@@ -240,16 +240,17 @@ def _window_strips(state: RoomState) -> list[Rect]:
 
 
 def reach_m(category: str) -> float:
-    """How near a walker has to come to the edge from which a piece of furniture is used [m]."""
+    """Distance to which a walker must be able to approach the edge from which furniture is used [m]."""
     return _REACH.get(category, PLAN_RADIUS + 0.075)
 
 
 def used_from_front(category: str) -> bool:
-    """Whether a piece of furniture is used from its front, not from any side."""
+    """Whether furniture is used from its front only."""
     return category not in _FROM_ANYWHERE
 
 
 def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
+    """The edges of a group that walkers must be able to approach, see `RoomState.goals`."""
     goals = []
     for p in group:
         if p.y > 0 or not p.piece.solid:
@@ -262,22 +263,22 @@ def _goals(group: Iterable[Placed]) -> list[tuple[Rect, float]]:
 
 
 def _outline(p: Placed) -> BaseGeometry:
-    """What a piece takes of the floor, from its collision shapes."""
+    """Footprint of a piece's collision shapes on the floor."""
     import shapely
 
     heading = p.quarter * np.pi / 2 + p.yaw
     c, s = np.cos(heading), np.sin(heading)
-    turn = np.array([[c, -s], [s, c]])  # rows x, z: +z goes to +x, as everywhere
+    turn = np.array([[c, -s], [s, c]])  # row vectors (x, z); +z turns towards +x, as in `turned`
     return shapely.transform(p.piece.outline, lambda xz: xz @ turn + (p.x, p.z))
 
 
 def _bare_floor(state: RoomState) -> BaseGeometry:
-    """The floor between the walls, and doorways as far as a disc in them needs."""
+    """The floor between the walls, extended through the doorways."""
     import shapely
 
     floor = [shapely.box(*state.interior)]
     for side, o in state.doors:
-        # The disc must stand in the doorway: widen the floor through it by more than the disc.
+        # The disc must be able to stand in the doorway, so the floor extends through it by more than the radius.
         along = np.array(strip(state.interior, side, *o.span, 0.1))
         out = np.array([(0, -1, 0, 0), (-1, 0, 0, 0), (0, 0, 0, 1), (0, 0, 1, 0)][side]) * 0.5
         floor.append(shapely.box(*(along + out)))
@@ -285,23 +286,23 @@ def _bare_floor(state: RoomState) -> BaseGeometry:
 
 
 def pockets(free: BaseGeometry, wide: BaseGeometry) -> list[BaseGeometry]:
-    """Where a disc of 2 r - 5 cm gets and one of 2 r + 10 cm does not: passages and niches that some agents fit into.
+    """Parts of the free floor that a disc of width 2 r - 5 cm can enter and one of width 2 r + 10 cm cannot.
 
     ``wide`` is ``free`` shrunk by the radius of the wider disc.
     """
     import shapely
 
     narrow = free.buffer(-GAP_BAND[0] / 2, quad_segs=8)
-    # Mitred, so that right corners of rooms count as reached; the limit keeps it from bridging a tight passage.
+    # Mitred, so that right-angled corners count as reached; the limit prevents it from bridging a tight passage.
     step = (GAP_BAND[1] - GAP_BAND[0]) / 2 + 0.008
-    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS tries parallel edges for a mitre, and falls back
+    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS divides by zero for parallel edges, then falls back
         reached = wide.buffer(step, quad_segs=8, join_style="mitre", mitre_limit=1.45)
     return [part for part in shapely.get_parts(narrow.difference(reached)) if part.area > CRUMB_M2]
 
 
 def walkable(state: RoomState, extra: Sequence[Placed] = ()) -> bool:
-    """Whether one island of the free floor, for a disc of `PLAN_RADIUS`, joins all doors and comes near all goals,
-    and nowhere a gap is left that is open for one agent and shut for the next."""
+    """Whether the room can be walked with ``extra`` added: for a disc of `PLAN_RADIUS`, one island of free floor connects
+    all doors and comes close enough to all goals, and no gap of ambiguous width is left."""
     import shapely
 
     free = _without(state.free, extra)
@@ -332,7 +333,7 @@ def _without(free: BaseGeometry, group: Sequence[Placed]) -> BaseGeometry:
 
 
 def commit(state: RoomState, group: Sequence[Placed]) -> None:
-    """Takes a group into the room. Rugs that would leave the room or cover another rug are left out."""
+    """Adds a group to the room, except rugs that would leave the room or cover another rug."""
     state.free = _without(state.free, group)
     for p in group:
         if p.piece.category == "rug":

@@ -1,4 +1,4 @@
-"""The search for places: along walls, in corners, free in a room; the first good one of some is taken."""
+"""Search for positions of furniture groups: candidates along walls, in corners or free-standing; the first good one wins."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from h3data.scene.homes.furnishing.place import (
 from h3data.scene.homes.zoning import Rect
 
 _SLACK = 1e-6
-"""Of overlaps and of the walls, as in `fits` [m]."""
+"""Tolerance of overlaps, as in `fits` [m]."""
 
 
 def _extent(members: Sequence[Member]) -> tuple[float, float]:
@@ -36,7 +36,7 @@ def _extent(members: Sequence[Member]) -> tuple[float, float]:
 
 
 def _floor_rects(members: Sequence[Member]) -> list[list[Rect]]:
-    """Plan rectangles of a group's solid pieces on the floor about its origin, for each quarter turn."""
+    """Plan rectangles of a group's solid pieces relative to its origin, for each quarter turn."""
     pieces = [m for m in members if m.piece.solid and m.y == 0]
     return [
         [around(*turned(side, m.x, m.z), m.piece.size[0], m.piece.size[2], side + m.quarter) for m in pieces]
@@ -45,7 +45,7 @@ def _floor_rects(members: Sequence[Member]) -> list[list[Rect]]:
 
 
 def _blocked(state: RoomState, origin: tuple[float, float], rects: Sequence[Rect], taken: Sequence[Rect]) -> bool:
-    """The first tests of `fits`, before a group is made: whether it leaves the room or overlaps what is taken."""
+    """Whether a group leaves the room or overlaps taken floor: the first tests of `fits`, before the group is built."""
     (x, z), (a0, b0, a1, b1) = origin, state.interior
     for low_x, low_z, high_x, high_z in rects:
         x0, z0, x1, z1 = x + low_x + _SLACK, z + low_z + _SLACK, x + high_x - _SLACK, z + high_z - _SLACK
@@ -68,26 +68,26 @@ def _positions(
     middle: bool,
     only_corner: bool,
 ) -> list[tuple[float, float]]:
-    """(cost, u) of promising places of a group's origin along a wall; ``low`` and ``high`` are its ends about u."""
+    """(cost, u) of promising positions of a group's origin along a wall; ``low`` and ``high`` are its ends relative to u."""
     a, b = side_span(state.interior, side)
     first, last = a - low + 0.02, b - high - 0.02
     if last < first:
         return []
-    found = [(0.0 if corner else 0.5, first), (0.0 if corner else 0.5, last)]
+    positions = [(0.0 if corner else 0.5, first), (0.0 if corner else 0.5, last)]
     if only_corner:
-        return found
-    found.append((0.0 if middle else 0.8, (first + last) / 2))
-    found += [(0.6, float(u)) for u in rng.uniform(first, last, 6)]
+        return positions
+    positions.append((0.0 if middle else 0.8, (first + last) / 2))
+    positions += [(0.6, float(u)) for u in rng.uniform(first, last, 6)]
     axis = side % 2
     along = strip(state.interior, side, a, b, 0.5)
-    for rect in (*state.solids, *(k for k in state.keep)):
+    for rect in (*state.solids, *state.keep):
         if overlap(rect, along):
-            found += [(0.3, rect[axis] - high - 0.01), (0.3, rect[axis + 2] - low + 0.01)]
-    return [(cost, u) for cost, u in found if first <= u <= last]
+            positions += [(0.3, rect[axis] - high - 0.01), (0.3, rect[axis + 2] - low + 0.01)]
+    return [(cost, u) for cost, u in positions if first <= u <= last]
 
 
 def mirrored(side: int) -> bool:
-    """Whether a group's +x points to lower u on this side."""
+    """Whether a group's +x points towards lower u on this side."""
     return side in (1, 2)
 
 
@@ -103,10 +103,18 @@ def place_at_wall(
     sides: Sequence[int] = (0, 1, 2, 3),
     tries: int = 6,
 ) -> list[Placed] | None:
-    """Puts a group against some wall and gives it back, or None if no place is good.
+    """Places a group against a wall and returns it; None if no position is good.
 
-    ``corner`` or ``middle`` of a wall is preferred; ``only_corner`` refuses the rest of the wall; ``left_corner`` insists
-    on a wall at the group's left.
+    Args:
+        rng: Source of random positions.
+        state: The room; the group is added to it.
+        members: The group.
+        corner: Prefer corners.
+        middle: Prefer the middle of a wall.
+        only_corner: Accept corners only.
+        left_corner: Accept only corners with a wall on the group's left.
+        sides: Walls to try.
+        tries: Positions that get the expensive test `walkable`.
     """
     x0, x1 = _extent(members)
     rects, taken = _floor_rects(members), (*state.solids, *state.fronts, *state.keep)
@@ -138,7 +146,7 @@ def place_at_wall(
 def place_free(
     rng: np.random.Generator, state: RoomState, members: Sequence[Member], *, tries: int = 5
 ) -> list[Placed] | None:
-    """Puts a group (given about its own middle) where most room is left round it, or gives None."""
+    """Places a group, given relative to its own centre, where most space is left around it, and returns it; else None."""
     x0, z0, x1, z1 = state.interior
     rects, taken = _floor_rects(members), (*state.solids, *state.fronts, *state.keep)
     options = []
@@ -149,12 +157,12 @@ def place_free(
         group = at(state, members, origin, side)
         if not fits(state, group):
             continue
-        feet = [footprint(p) for p in group]
-        room = min(
-            min((gap(r, s) for r in feet for s in (*state.solids, *state.keep)), default=2.0),
-            min(min(r[0] - x0, r[1] - z0, x1 - r[2], z1 - r[3]) for r in feet),
+        rectangles = [footprint(p) for p in group]
+        space = min(
+            min((gap(r, s) for r in rectangles for s in (*state.solids, *state.keep)), default=2.0),
+            min(min(r[0] - x0, r[1] - z0, x1 - r[2], z1 - r[3]) for r in rectangles),
         )
-        options.append((-min(room, 1.2), len(options), group))
+        options.append((-min(space, 1.2), len(options), group))
     for _, _, group in sorted(options)[:tries]:
         if walkable(state, group):
             commit(state, group)
