@@ -20,9 +20,10 @@ from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.arm_tuck import draw_arms
-from sim_kinematic.agents.roster import AgentSpec, draw_places, make_roster
+from sim_kinematic.agents.roster import AgentSpec, make_roster, sample_places
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact import AgentContacts
-from sim_kinematic.contact.clearance import clear_of_furniture, clip_reach, robot_reach
+from sim_kinematic.contact.clearance import clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -66,7 +67,11 @@ class AgentWorlds:
         self._reach = [
             robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in self.cast
         ]
-        self._clear = {m.model: clear_of_furniture(scene, m.body) for m in self.cast if isinstance(m.body, Robot)}
+        self.bases = tuple(base_of(m.body, self.spec.robot) for m in self.cast if isinstance(m.body, Robot))
+        """Discs and limits of each robot."""
+        robots_free = (floor_of(r, base, scene, self.free) for r, base in zip(robots, self.bases, strict=True))
+        self.floors = (*robots_free, *[self.free] * (len(self.cast) - len(robots)))
+        """The floor on which each agent finds its paths."""
 
     def reset(self, seed: int) -> None:
         """Everybody at a random free place of each world, at rest.
@@ -89,9 +94,8 @@ class AgentWorlds:
         self.touching = self._touching()
 
     def _places(self, rng: np.random.Generator) -> Array:
-        return draw_places(
-            self.free, self.cast, rng, apart_m=self.spec.spawn_distance_m, base=self.spec.robot,
-            stands_free=lambda member, pose: self._clear[member.model](pose),
+        return sample_places(
+            self.scene, self.free, self.cast, rng, apart_m=self.spec.spawn_distance_m, rules=self.spec.robot
         )  # fmt: skip
 
     def step(self, actions: Sequence[ArrayLike]) -> NDArray[np.bool_]:
@@ -115,13 +119,14 @@ class AgentWorlds:
                     f"Expected finite actions of {member.name}, shape {[state.worlds, width]}, got shape {list(row.shape)}"
                     f"{'' if np.isfinite(row).all() else ' with numbers that are not finite'}."
                 )
-        for member, own, row in zip(self.cast, state.agents, rows, strict=True):
+        bases = (*self.bases, *[self.spec.robot] * len(state.people))
+        for member, own, row, base in zip(self.cast, state.agents, rows, bases, strict=True):
             if isinstance(own, HumanState):
                 walk_humans(own, row, self.spec.human)
                 if isinstance(member.body, Humanoid):
                     draw_arms(own, self.free, member.body, self.spec.human.arms)
             else:
-                drive_robots(own, self.free, row, self.spec.robot)
+                drive_robots(own, self.free, row, base)
         self.touching = self._touching()
         return self.touching
 

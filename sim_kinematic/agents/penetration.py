@@ -19,11 +19,11 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
+from h3data.scene.shape_bounds import shape_bounds
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
 from sim_kinematic.contact.clearance import FLOOR_M
 from sim_kinematic.contact.frames import body_shapes, shape_frames
-from sim_kinematic.contact.shapes import shape_bounds
 
 CORE_M = 1e-3
 """Radius of the thin capsule within a capsule, from which depth is measured."""

@@ -19,7 +19,8 @@ from sim_kinematic.agents.person_clearance import ReachRoom
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
-from sim_kinematic.avoidance.yielding import NO_WAY, PATIENCE_STEPS, Seen, crowds, in_the_way, round_others, waits
+from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.motion.step import walk_humans
@@ -58,7 +59,7 @@ class PersonActor:
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
     """Whether she touches somebody as she is now: then she stops where she was."""
-    way: NDArray[np.floating] = field(default_factory=lambda: NO_WAY)
+    path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     hindered_by: frozenset[int] = frozenset()
@@ -69,6 +70,10 @@ class PersonActor:
     @property
     def is_robot(self) -> bool:
         return False
+
+    @property
+    def footprint(self) -> Footprint:
+        return AVOIDANCE.person
 
     @property
     def xz(self) -> NDArray:
@@ -122,7 +127,7 @@ class PersonActor:
         gets_there = False
         for hand in hands:
             stands = person_stands(self.free, self.person.body, point, hand)
-            for _ in range(PATIENCE_STEPS):
+            for _ in range(AVOIDANCE.patience_steps):
                 if not len(stands) or not crowds(stands, self.others).all():
                     break
                 self._stand()
@@ -151,19 +156,19 @@ class PersonActor:
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()
         k, waited, left = 0, 0, False
-        while k < len(path) and waited <= PATIENCE_STEPS:
+        while k < len(path) and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
             if left and self.aside is None:  # back from where she had stepped aside to
                 path, k, waited, left = self._path(goal), 0, 0, False
                 continue
-            self.way = np.vstack([self.xz[None], path[k:]])
+            self.path = np.vstack([self.xz[None], path[k:]])
             if left:
                 self._stand()
                 yield
                 continue
             blocker = in_the_way(self.xz, path[k], self.others)
             if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
-                detour = round_others(self.free, self.xz, goal, self.others)
+                detour = path_around(self.free, self.xz, goal, self.others)
                 path, k, blocker = (path, k, blocker) if detour is None else (detour, 0, None)
             waited = 0 if blocker is None else waited + 1
             self._pace(path[k] if blocker is None else None)
@@ -203,7 +208,7 @@ class PersonActor:
             self._take(before)
         self._follow()
 
-    def _careful(self, motion: Motion, patience: int = PATIENCE_STEPS) -> Generator[None, None, SkillResult]:
+    def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
         """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
         back what she has done of it, if nothing has come into her hands."""
         before, done, holding = self._posture(), [], tuple(self.person.held)

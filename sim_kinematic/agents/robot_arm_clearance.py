@@ -1,7 +1,7 @@
 """Ways for a robot's arm: whether its hand gets from a stand to a point without a wall or furniture between them.
 
-Two questions, both of FCL against the static scene. `ArmWay.is_open`: nothing stands between the shoulder and the point, seen
-at the height of the hand. `ArmWay.is_clear`: the arm itself touches nothing on its way there and back.
+Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the point, seen
+at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class _Part(NamedTuple):
     links: list[int]
 
 
-class ArmWay:
+class ArmClearance:
     """Asks for one scene and one robot."""
 
     def __init__(self, scene: Scene, robot: Robot, floor_y: float) -> None:
@@ -119,6 +119,6 @@ def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
 
 
 @lru_cache(maxsize=8)
-def arm_way(scene: Scene, robot: Robot, floor_y: float) -> ArmWay:
+def arm_clearance(scene: Scene, robot: Robot, floor_y: float) -> ArmClearance:
     """Made once for each scene and robot."""
-    return ArmWay(scene, robot, floor_y)
+    return ArmClearance(scene, robot, floor_y)

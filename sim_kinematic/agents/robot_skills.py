@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -14,33 +14,32 @@ from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
-from sim_kinematic.agents.robot_arm_clearance import ArmWay, reach_line
+from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import hand_turn, nearest_stand, robot_stands
+from sim_kinematic.avoidance.robot_base import footprint_of, wider_by
+from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import is_crowded, keep_clear
-from sim_kinematic.avoidance.yielding import NO_WAY, Seen, avoided, room_to_pass, round_others
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, path_around, retreat_place
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
 
 STUCK_STEPS = 60
-"""A base that has not come nearer to where it wants to be for so long gives up."""
-LOOKS_ROUND = (10, 40)
-"""After so many steps without progress it looks for a way round those who stand,"""
-DETOURS = 3
-"""at most so often on one way;"""
-VIA_M = 0.25
-"""it is at a point of it when it is this near."""
-PASSING_M = (0.4, 0.1)
-"""Room that it leaves beside them, the less where there is no more."""
-ARRIVED_M, NEARLY_M, FACING_RAD = 0.04, 0.15, 0.04
+"""Steps without getting nearer to its destination after which a base gives up."""
+ARRIVED_M = 0.04
+"""A base is at its destination within this distance."""
+NEARLY_M = 0.15
+"""A base that has stalled is content with this distance."""
+FACING_RAD = 0.04
+"""A base faces a point within this angle."""
 
 
 def checked_command(command: ArrayLike, robot: Robot) -> Array:
-    """A command of the lower layer in -1..1: base [2], arm [n], grip [1].
+    """Returns a low-level command, clipped to -1..1: base [2], arm [n], grip [1].
 
     Raises:
-        InputError: it has another length or is not finite.
+        InputError: It has another length or is not finite, or the robot has no arm.
     """
     count = len(robot.require_arm()) + 3
     try:
@@ -58,36 +57,39 @@ class RobotActor:
 
     robot: Robot
     free: FreeSpace
+    """The floor for a base of its size."""
     base: BaseSpec
+    """Its own discs and limits (`sim_kinematic.avoidance.robot_base.base_of`)."""
     objects: Objects
     grip_m: float
     arm_rad_s: float
     number: int = ROBOT
-    """Of the agent."""
-    room: ArmWay | None = None
-    """Looks where its arm would be; None: nobody does."""
+    """Index of the agent."""
+    arm_clearance: ArmClearance | None = None
+    """Tests where its arm has room; None: it has room everywhere."""
     avoids: bool = True
-    """Whether its base keeps clear of the others (`keep_clear`), whatever the skill."""
+    """Whether its base keeps clear of other agents (`keep_clear`), in every skill."""
     others: tuple[Seen, ...] = ()
-    """Who else is there, the nearest first."""
+    """Other agents, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
-    """Whether it touches somebody as it is now: then it stops where it was."""
-    way: NDArray[np.floating] = field(default_factory=lambda: NO_WAY)
+    """Whether it touches another agent in its present posture: then it stops where it was."""
+    path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     hindered_by: frozenset[int] = frozenset()
     command: tuple[float, float] = (0.0, 0.0)
-    """What the base was last told, -1..1 of the limits."""
+    """The last command of its base, -1..1 of the limits."""
     arm_goal: Array = field(init=False)
+    """Joint positions towards which the arm moves in every step [J]."""
 
     def __post_init__(self) -> None:
-        self.arm_goal = self.robot.rest.copy()
-        self.hand = self.robot.hand_name
         self._arm = np.array(self.robot.require_arm())
+        self.arm_goal = self.robot.rest.copy()
+        self.footprint: Footprint = footprint_of(self.base)
 
-    # --- where it is --------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------------
     @property
     def state(self) -> RobotState:
         """Its own part of the state of one world."""
@@ -121,7 +123,7 @@ class RobotActor:
 
     @property
     def hand_pose(self) -> Array:
-        """pose7 of the place where the hand holds things, in the world."""
+        """World pose7 of the point at which the hand holds things."""
         frame = self.robot.link_matrices(self.pose[None], self.joints[None])[0, self.robot.hand_link]
         out = pose_from_matrix(frame)
         out[:3] += frame[:3, :3] @ self.robot.hand_position
@@ -135,8 +137,9 @@ class RobotActor:
         if self._posture(self._hand_target(action)) is None:
             return "out_of_reach"
         point = self.objects.poses[action.target, :3] if action.skill == "pick" else self.objects.goals[action.target]
-        opens = self.room is None or self.room.is_open(np.append(self.xz, self.heading), point)
-        return "" if opens else "no_room"
+        clearance = self.arm_clearance
+        is_open = clearance is None or clearance.is_open(np.append(self.xz, self.heading), point)
+        return "" if is_open else "no_room"
 
     def start(self, action: Action) -> Skill:
         k = action.target
@@ -163,12 +166,12 @@ class RobotActor:
         return Ending("done")
 
     def _wait(self, steps: int) -> Skill:
-        """Stand, out of the way of others."""
-        goal = None if self.agreed else room_to_pass(self.free, self.xz, self.others)
+        """Stands where it is in nobody's way."""
+        goal = None if self.agreed else retreat_place(self.free, self.xz, self.others, wider_m=wider_by(self.base))
         for _ in range(steps):
             if self.aside is not None:
                 self._step_aside()
-            elif goal is None or float(np.hypot(*(goal - self.xz))) < VIA_M:
+            elif goal is None or float(np.hypot(*(goal - self.xz))) < AVOIDANCE.via_m:
                 self._step(0.0, 0.0)
             else:
                 self._drive(self._waypoint(goal))
@@ -176,19 +179,19 @@ class RobotActor:
         return Ending("done")
 
     def _step_aside(self) -> None:
-        """One step of doing so, or of standing there."""
+        """Goes one step aside, or stands there."""
         if self.aside is not None and len(self.aside):
             self._drive(self.aside[0])
         else:
             self._step(0.0, 0.0)
 
     def _drive(self, towards: NDArray, most: float = 1.0) -> None:
-        """One step towards a floor point [2], at most at this share of the speed."""
+        """Drives one step towards a floor point [2] at no more than this share of the speed limit."""
         error = self._error_to(towards)
         self._step(min(self._no_faster_than(towards, error), most), self._turn(error), towards)
 
     def _control(self, command: tuple[float, ...]) -> Skill:
-        """One step by base velocity, arm joints and grip; it gives way to nobody."""
+        """Moves one step by base velocity, arm joints and grip, without avoidance."""
         state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
         action = checked_command(command, robot)
         self.command = float(action[0]), float(action[1])
@@ -201,29 +204,31 @@ class RobotActor:
         return Ending("done")
 
     def _navigate(self, point: NDArray) -> Skill:
-        """Drive to where the hand reaches a world point [3], and turn to it."""
+        """Drives to where the hand reaches a world point [3], and turns for it."""
         stands = robot_stands(self.free, self.robot, self.base, point)
         k, left = self._stand_with_room(stands, point)
         if not np.isfinite(left):
             gets_there = np.isfinite(nearest_stand(self.free, stands, self.xz)[1])
             return Ending("failed", "no_room" if gets_there else "no_way")
         goal, best, since, detours = stands[k, :2], np.inf, 0, 0
-        via = NO_WAY  # round those who stand in the way
+        via = NO_PATH  # around agents that stand in the way
         while since <= STUCK_STEPS:
             if self.aside is not None:
                 self._step_aside()
                 yield
-                best, since, via = np.inf, 0, NO_WAY
+                best, since, via = np.inf, 0, NO_PATH
                 continue
-            if since in LOOKS_ROUND and detours < DETOURS and self.others:
-                found = round_others(self.free, self.xz, goal, self.others, self.base.disc_radius_m, PASSING_M)
-                if found is not None:
-                    via, best, detours = found[:-1], np.inf, detours + 1
-            if len(via) and np.hypot(*(via[0] - self.xz)) < VIA_M:
+            if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self.others:
+                detour = self._detour(goal)
+                if detour is not None:
+                    via, best, detours = detour[:-1], np.inf, detours + 1
+            if len(via) and np.hypot(*(via[0] - self.xz)) < AVOIDANCE.via_m:
                 via, best = via[1:], np.inf
-            self.way = np.vstack([self.xz, *(via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)), goal])
+            path = via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)
+            self.path = np.vstack([self.xz, *path, goal])
             left = float(self.free.geodesic(self.xz, via[0] if len(via) else goal, max_snap_m=1.0))
-            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and since > LOOKS_ROUND[0])):
+            stalled = since > AVOIDANCE.detour_after_steps[0]
+            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and stalled)):
                 error = self._error_to(point[[0, 2]])
                 if abs(error) < FACING_RAD:
                     return Ending("done")
@@ -235,35 +240,47 @@ class RobotActor:
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
 
+    def _detour(self, goal: NDArray) -> NDArray | None:
+        return path_around(
+            self.free,
+            self.xz,
+            goal,
+            self.others,
+            radius_m=self.base.disc_radius_m,
+            passing_m=AVOIDANCE.robot_passing_m,
+        )
+
     def _stand_with_room(self, stands: Array, point: NDArray) -> tuple[int, float]:
-        """The nearest stand, as `nearest_stand`, from which its arm touches nothing on the way to a world point [3]; else one
-        where at least nothing is in between."""
-        crowded, asks = self._crowded(stands), (None,)
-        if self.room is not None:
-            asks = (partial(self.room.is_clear, point=point), partial(self.room.is_open, point=point))
-        found = -1, np.inf
-        for asked in asks:
-            found = nearest_stand(self.free, stands, self.xz, crowded, asked)
-            if found[0] >= 0:
+        """The nearest stand, as `nearest_stand`, from which its arm gets to a world point [3] without touching anything; if
+        there is none, one where at least nothing is in between."""
+        crowded, tests = self._crowded(stands), (None,)
+        if self.arm_clearance is not None:
+            tests = (
+                partial(self.arm_clearance.is_clear, point=point),
+                partial(self.arm_clearance.is_open, point=point),
+            )
+        nearest = -1, np.inf
+        for test in tests:
+            nearest = nearest_stand(self.free, stands, self.xz, crowded, test)
+            if nearest[0] >= 0:
                 break
-        return found
+        return nearest
 
     def _crowded(self, stands: Array) -> NDArray[np.integer]:
-        """At which stands it would be too near to somebody, [N]: 1 within its margin, 2 where they would touch."""
+        """How close it would be to another agent at each stand, [N]: 1 within the margin, 2 where they would touch."""
         crowded = np.zeros(len(stands), np.int64)
         for other in avoided([other for other in self.others if not other.steps_aside]):
-            for level, margin in ((1, other.spec.margin_m), (2, other.spec.still_margin_m)):
-                near = is_crowded(self.base, stands, other.xz, replace(other.spec, margin_m=margin))
-                crowded = np.maximum(crowded, near * level)
+            for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
+                crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
         return crowded
 
     @property
     def _stride_m(self) -> float:
-        """The longest way of one step."""
+        """The longest distance of one step."""
         return self.base.max_speed_mps * STEP_S
 
     def _no_faster_than(self, towards: NDArray, error: float) -> float:
-        """The command to drive ahead, 0..1, with a heading error [rad]: slow enough to turn to a near point, not round it."""
+        """The forward command, 0..1, at a heading error [rad]: slow enough to turn to a near point instead of circling it."""
         ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
         turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(*(towards - self.xz)))
         return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
@@ -273,8 +290,8 @@ class RobotActor:
         return float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1))
 
     def _waypoint(self, goal: NDArray) -> NDArray:
-        found = self.free.next_waypoint(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
-        return goal if np.isnan(found).any() else found
+        waypoint = self.free.next_waypoint(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
+        return goal if np.isnan(waypoint).any() else waypoint
 
     def _pick(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("pick", k)))
@@ -287,7 +304,7 @@ class RobotActor:
         self.objects.held_by[k] = self.number
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
         yield from self._bring_arm(over)
-        self.arm_goal = self.robot.rest.copy()  # carried there while it drives on
+        self.arm_goal = self.robot.rest.copy()  # the arm gets there while the base drives on
         return Ending("done")
 
     def _place(self, k: int) -> Skill:
@@ -299,9 +316,9 @@ class RobotActor:
         self.arm_goal = self.robot.rest.copy()
         return Ending("done")
 
-    # --- how ----------------------------------------------------------------------------------------------------------
+    # --- motion -------------------------------------------------------------------------------------------------------
     def _hand_target(self, action: Action) -> Array:
-        """pose7 of the hand's place in the agent root frame for a pick or a place."""
+        """pose7 of the hand, in the agent root frame, for a pick or a place."""
         k = action.target
         there = self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k]
         local = pose_multiply(pose_inverse(self.pose), np.append(there, [0, 0, 0, 1.0]))
@@ -312,7 +329,7 @@ class RobotActor:
         return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
 
     def _posture(self, hand: Array) -> Array | None:
-        answer = solve_ik(self.robot, self.hand, hand, offset=self.robot.hand_position)
+        answer = solve_ik(self.robot, self.robot.hand_name, hand, offset=self.robot.hand_position)
         return answer.joint_pos if answer.reached else None
 
     def _reach_line(self, hand: Array) -> tuple[Array, Array]:
@@ -324,7 +341,7 @@ class RobotActor:
     def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
         self.arm_goal, self.yields = posture, False
         while np.any(self.joints[self._arm] != posture[self._arm]):
-            self._step(0.0, 0.0, heed=False)
+            self._step(0.0, 0.0, avoid=False)
             yield
 
     def _error_to(self, xz: NDArray) -> float:
@@ -332,30 +349,25 @@ class RobotActor:
         return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
 
     def _seen(self) -> list[Seen]:
-        """The others; who holds something has not settled, however long she has been standing."""
+        """The others; one that holds something has not settled, however long it has been standing."""
         return [o._replace(settled=o.settled and self.objects.held(o.number) < 0) for o in self.others]
 
-    def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, heed: bool = True) -> None:
-        """One step of base and arm; what is held follows. Where it would touch somebody it does not get on."""
+    def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True) -> None:
+        """Moves base, arm and what is held by one step; nothing moves that would touch another agent."""
         self.command = forward, turn
-        if self.avoids and heed:
+        if self.avoids and avoid:
             aim = self.xz if towards is None else towards
+            others = avoided(self._seen(), agreed=self.agreed)
             self.command = keep_clear(
-                self.free,
-                self.base,
-                self.xz.copy(),
-                self.heading,
-                self.command,
-                aim,
-                avoided(self._seen(), agreed=self.agreed),
-            )
+                self.free, self.base, self.xz.copy(), self.heading, self.command, aim, others
+            )  # fmt: skip
         state, before = self.state, self.state.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
-        way = self.arm_goal[self._arm] - self.joints[self._arm]
-        far = float(np.abs(way).max())
+        missing = self.arm_goal[self._arm] - self.joints[self._arm]
+        far = float(np.abs(missing).max())
         self.joints[self._arm] = (
-            self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + way * (most / far)
+            self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
         )
         if self.meets():
             state.xz[:], state.heading[:] = before.xz, before.heading

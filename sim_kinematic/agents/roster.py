@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, is_robot_file, load_humanoid, load_robot, robot_names
 from h3data.errors import InputError, SceneError, did_you_mean
-from h3data.geometry import Array, ground_pose
-from h3data.scene import FreeSpace
+from h3data.geometry import Array
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.motion.step import least_clearance
 
 Kind = Literal["robot", "human"]
 ROBOT_BODY, HUMAN_BODY = "quad_arm", "female_0"
@@ -90,39 +90,35 @@ def kinds_of(roster: Sequence[AgentSpec]) -> tuple[Kind, ...]:
     return tuple(agent.kind for agent in roster)
 
 
-def draw_places(
-    free: FreeSpace, cast: Sequence[AgentSpec], rng: np.random.Generator, *, apart_m: float, base: BaseSpec,
-    stands_free: Callable[[AgentSpec, Array], bool], taken: dict[int, Array] | None = None,
+def sample_places(
+    scene: Scene, free: FreeSpace, roster: Sequence[AgentSpec], rng: np.random.Generator, *, apart_m: float,
+    rules: BaseSpec, taken: Mapping[int, Array] | None = None,
 ) -> Array:  # fmt: skip
-    """Where each member begins, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from everybody if there is room.
+    """Samples where each agent starts, ``(x, z, heading)`` [A, 3]: on one island, ``apart_m`` from others if there is room.
 
-    ``taken`` are the places of those who have one already, by number. A robot's base is free of obstacles, and
-    ``stands_free`` may look closer at its pose7.
+    A robot keeps its base clear of obstacles, by its own discs under these rules, and the rest of it clear of furniture.
+    ``taken`` are places that are already given, by number.
 
     Raises:
-        SceneError: there is no room.
+        SceneError: There is no room.
     """
     places = {k: np.asarray(place, np.float64) for k, place in (taken or {}).items()}
-    offsets = np.asarray(base.disc_offsets_m)
-    for k, member in enumerate(cast):
+    fits = {id(a.body): robot_fits(a.body, rules, scene, free) for a in roster if isinstance(a.body, Robot)}
+    for k, agent in enumerate(roster):
         if k in places:
             continue
-        distance, draws = apart_m, 0
+        distance, attempts = apart_m, 0
         while True:
             (xz,), heading = free.sample(rng, 1), float(rng.uniform(-np.pi, np.pi))
             others = [place[:2] for place in places.values()]
-            fits = all(np.hypot(*(xz - other)) >= distance for other in others)
-            fits = fits and (not others or bool(np.isfinite(free.geodesic(xz, others[0]))))
-            if fits and isinstance(member.body, Robot):
-                clear = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
-                pose = ground_pose(xz, heading, free.floor_y)
-                fits = clear >= base.disc_radius_m and stands_free(member, pose)
-            if fits:
+            is_free = all(np.hypot(*(xz - other)) >= distance for other in others)
+            is_free = is_free and (not others or bool(np.isfinite(free.geodesic(xz, others[0]))))
+            if is_free and (not isinstance(agent.body, Robot) or fits[id(agent.body)](xz, heading)):
                 places[k] = np.append(xz, heading)
                 break
-            draws += 1
-            if draws == ATTEMPTS:
-                distance, draws = distance / 2, 0
+            attempts += 1
+            if attempts == ATTEMPTS:
+                distance, attempts = distance / 2, 0
                 if distance < NEAREST_M:
-                    raise SceneError(f"Found no place for {len(cast)} agents. Hint: fewer agents, or a larger home.")
-    return np.stack([places[k] for k in range(len(cast))])
+                    raise SceneError(f"Found no place for {len(roster)} agents. Hint: fewer agents, or a larger home.")
+    return np.stack([places[k] for k in range(len(roster))])

@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Humanoid, Robot, solve_ik
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, quat_from_matrix
-from h3data.scene import FreeSpace
+from h3data.geometry import Array, ground_pose, quat_from_matrix
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.step import least_clearance
 
 BEARINGS = 24
 """Directions from which a point is approached."""
@@ -45,6 +48,26 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
             np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
         )
     return _on_island(free, _ring(point, distances[fine], side))
+
+
+def robot_fits(robot: Robot, rules: BaseSpec, scene: Scene, free: FreeSpace) -> Callable[[Array, float], bool]:
+    """Returns a test whether a resting robot fits at a floor point [2] with a heading: the discs of its base are clear of
+    obstacles, the rest of it of furniture, and its floor leads on from there."""
+    base = base_of(robot, rules)
+    floor, clear = floor_of(robot, base, scene, free), clear_of_furniture(scene, robot)
+
+    def fits(xz: Array, heading: float) -> bool:
+        leads_on = floor is free or int(floor.island(xz)) == 0
+        return leads_on and discs_fit(free, base, xz, heading) and clear(ground_pose(xz, heading, free.floor_y))
+
+    return fits
+
+
+def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> bool:
+    """Whether the discs of a base at a floor point [2] are clear of obstacles."""
+    offsets = np.asarray(base.disc_offsets_m)
+    room = least_clearance(free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, offsets)
+    return room >= base.disc_radius_m
 
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike) -> Array:

@@ -1,5 +1,5 @@
-"""Short trials of what a robot's base could do next, by the very motion of the simulator, beside somebody who walks: what
-the experts of social navigation choose from.
+"""Trials of a robot's next command by the motion of the simulator itself, beside a person who walks: what the experts of
+social navigation choose from.
 """
 
 from __future__ import annotations
@@ -12,46 +12,45 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
-from sim_kinematic.avoidance.velocity import AVOIDANCE, least_gap
+from sim_kinematic.avoidance.robot_base import hull_of
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import least_gap
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import drive_base, velocities
 
-_WALL_M = 0.03
-"""A walker's centre may come this much nearer to an obstacle than her radius before she is taken to stop."""
-_DOUBT_MPS = 0.25
-"""Gaps in the future count as wider by this speed: where she is soon is known best."""
 _NOBODY = np.empty((0, 2))
 
 
 class Rollouts(NamedTuple):
-    """What N trials lead to."""
+    """Outcomes of N trials."""
 
     xz: NDArray[np.float64]
-    """Places [N, 2] [m] after the first ``look_steps`` steps,"""
+    """Places [N, 2] [m] after ``look_steps`` steps."""
     heading: NDArray[np.float64]
-    """and headings [N] [rad] there."""
+    """Headings [N] [rad] there."""
     gap_m: NDArray[np.float64]
-    """Least free way to the person in the whole trial [N] [m], later moments counted as wider."""
+    """Least gap to the person in the whole trial [N] [m], later moments counted as wider."""
 
 
 def roll_out(
     free: FreeSpace, base: BaseSpec, xz: NDArray[np.float64], heading: float, commands: NDArray[np.float64],
     person: NDArray[np.float64] | None = None, *, look_steps: int,
 ) -> Rollouts:  # fmt: skip
-    """Try N commands from a pose beside a person who walks along ``person`` [H, 2], one place for each step; for
-    ``look_steps`` where nobody is near.
+    """Tries N commands from a pose, for as long as a person walks along ``person`` [H, 2], one place per step; for
+    ``look_steps`` steps without a person.
 
     A command [N, 4] is ``(forward, turn, steps, then)``: forward and left turn in -1..1 of the limits for a number of
     steps, then straight on at speed ``then``. The base slides along obstacles as in `sim_kinematic.motion.step.drive_base`.
-    Commands that begin alike follow each other at best: what they share is driven once.
+    Sort commands that begin alike next to each other: their common part is driven once (6,900 instead of 4,700 expert steps
+    per CPU second).
     """
     ends = np.empty((len(commands), 4))
     _roll_out(
         free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, commands, _NOBODY if person is None else person,
         look_steps, (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)), STEP_S,
         np.array(base.disc_offsets_m), base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m,
-        base.contact_tolerance_m, np.array(AVOIDANCE.discs_m), base.disc_radius_m + AVOIDANCE.person_radius_m,
-        _DOUBT_MPS, ends,
+        base.contact_tolerance_m, np.array(hull_of(base)), base.disc_radius_m + AVOIDANCE.person_radius_m,
+        AVOIDANCE.doubt_mps, ends,
     )  # fmt: skip
     return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
 
@@ -59,7 +58,7 @@ def roll_out(
 @kernel(error_model="numpy")
 def _roll_out(
     sdf, origin, cell, x0, z0, heading0, commands, person, look_steps, limits, dt, offsets, radius, iterations, tolerance,
-    touch, discs, reach, doubt, ends,
+    touch, hull, reach, doubt, ends,
 ):  # fmt: skip
     branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
     for n in range(len(commands)):
@@ -80,7 +79,7 @@ def _roll_out(
                 sdf, origin, cell, x, z, heading, speed, 0.0, turn, dt, offsets, radius, iterations, tolerance, touch
             )
             if step < len(person):
-                now = least_gap(x, z, heading, person[step, 0], person[step, 1], discs, reach)
+                now = least_gap(x, z, heading, person[step, 0], person[step, 1], hull, reach)
                 gap = min(gap, now + doubt * step * dt)
             if step < look_steps:
                 ends[n, 0], ends[n, 1], ends[n, 2] = x, z, heading
@@ -90,10 +89,10 @@ def _roll_out(
 def straight_walk(
     free: FreeSpace, xz: NDArray[np.float64], velocity: NDArray[np.float64], steps: int
 ) -> NDArray[np.float64]:
-    """Where somebody at ``xz`` [2] gets in each of ``steps`` steps [steps, 2] with a velocity [2] [m/s], up to a wall."""
+    """Returns where a person at ``xz`` [2] gets in each of ``steps`` steps [steps, 2] at a velocity [2] [m/s], up to a wall."""
     walk = xz + velocity * (np.arange(1, steps + 1)[:, None] * STEP_S)
     if velocity.any():
-        blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - _WALL_M)
+        blocked = np.flatnonzero(free.signed_distance(walk) < free.radius_m - AVOIDANCE.wall_m)
         if len(blocked):
             walk[blocked[0] :] = walk[blocked[0] - 1] if blocked[0] else xz
     return walk

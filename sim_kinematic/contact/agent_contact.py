@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.kernels import kernel
 from h3data.scene.records import Shape
+from h3data.scene.shape_bounds import bounding_capsule
 from sim_kinematic.contact.fcl_world import Contact, MovingShapes, collide, contacts, distance
-from sim_kinematic.contact.shapes import bounding_capsule
 
 NEAR_M = 1e-3
 """Capsules nearer than this are left to FCL, whose word on what touches is right to about 1e-6 m."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
+from h3data.scene.shape_bounds import bounding_sphere
 from sim_kinematic.contact import AgentContacts, FclScene, MovingShapes, capsule_transforms, collide
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 
@@ -91,8 +92,6 @@ def scenery_of(scene: Scene) -> FclScene:
 
 def robot_reach(robot: Robot, joints: Array) -> float:
     """Farthest that a shape of the robot gets from its root along the floor in this posture [J] [m]; a bound."""
-    from sim_kinematic.contact.shapes import bounding_sphere
-
     links = robot.link_matrices(IDENTITY_POSE[None], joints[None])[0]
     reach = 0.0
     for matrix, link in zip(links, robot.links, strict=True):
@@ -100,6 +99,23 @@ def robot_reach(robot: Robot, joints: Array) -> float:
             center, radius = bounding_sphere(shape)
             reach = max(reach, float(np.hypot(*(matrix[:3, :3] @ center + matrix[:3, 3])[[0, 2]])) + radius)
     return reach
+
+
+def robot_span(robot: Robot) -> float:
+    """Returns an upper bound of the distance between the root and any shape of the robot in any posture [m]: the lengths of
+    all links before it added up, as if stretched out."""
+    stretched, span = np.zeros(len(robot.links)), 0.0
+    for k, link in enumerate(robot.links):
+        if link.parent >= 0:
+            stretched[k] = stretched[link.parent] + np.linalg.norm(robot.origins[k][:3, 3])
+        if robot.kinds[k] == 2:
+            column = robot.columns[k]
+            ends = robot.gains[k] * np.array([robot.lower[column], robot.upper[column]]) + robot.offsets[k]
+            stretched[k] += float(np.abs(ends).max())
+        for shape in link.shapes:
+            center, radius = bounding_sphere(shape)
+            span = max(span, float(stretched[k] + np.linalg.norm(center)) + radius)
+    return span
 
 
 @lru_cache(maxsize=32)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from h3data.geometry import transform_points
 from h3data.scene.records import Scene, instance_matrix
+from h3data.scene.shape_bounds import bounding_sphere, shape_bounds
 from sim_kinematic.contact.fcl_world import CONTACTS_MAX, FclScene
-from sim_kinematic.contact.shapes import bounding_sphere, shape_bounds
 
 
 class Overlap(NamedTuple):

@@ -74,7 +74,7 @@ def _other_from_start(seen: Seen) -> NDArray[np.floating]:
 
 
 def _way(seen: Seen) -> NDArray[np.floating]:
-    begun = seen.batch.spec.robot.disc_radius_m / 2
+    begun = seen.batch.base.disc_radius_m / 2
     xz, heading, other, length = seen.now.xz, seen.now.heading.tolist(), seen.other.xz, seen.batch.geodesic.tolist()
     found = np.zeros((len(xz), 2))
     for free, rows in seen.batch.groups:

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,12 +18,14 @@ from h3data.geometry import Array, ground_pose
 from h3data.recording import Event, Recording, RecordingHeader
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.arm_tuck import draw_arms
+from sim_kinematic.agents.stands import discs_fit, robot_fits
 from sim_kinematic.agents.waypoint_walker import HumanPlan, WaypointHuman, human_plan
-from sim_kinematic.contact.clearance import RobotHumanContact, clear_of_furniture
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.motion.step import drive_robots, least_clearance, walk_humans
+from sim_kinematic.motion.step import drive_robots, walk_humans
 from sim_kinematic.policies.social_nav import ROBOT_SKILLS, Policy, View, policy_by_name, policy_name
 from sim_kinematic.tasks.oracle import oracle_min_steps
 from sim_kinematic.tasks.social_nav_log import (
@@ -66,6 +68,16 @@ class SocialNavWorld:
     goals: tuple[tuple[float, float], ...] = ()
     """Points ``(x, z)`` that the person walks to first; none: she draws all from the seed."""
 
+    @cached_property
+    def base(self) -> BaseSpec:
+        """Discs and limits of the robot."""
+        return base_of(self.robot, self.spec.robot)
+
+    @cached_property
+    def robot_floor(self) -> FreeSpace:
+        """The floor on which the robot finds its paths."""
+        return floor_of(self.robot, self.base, self.scene, self.free)
+
     @classmethod
     def create(
         cls, scene: Scene, *, seed: int, spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
@@ -77,22 +89,24 @@ class SocialNavWorld:
         body = load_robot(robot)
         return cls(
             scene=scene, free=free, seed=seed, spec=spec, robot=body, human=load_humanoid(human),
-            starts=draw_starts(free, seed, spec, stands_free=clear_of_furniture(scene, body)),
+            starts=draw_starts(free, seed, spec, fits=robot_fits(body, spec.robot, scene, free)),
             human_name=human, robot_name=robot,
         )  # fmt: skip
 
 
 def draw_starts(
-    free: FreeSpace, seed: int, spec: SocialNavSpec, *, stands_free: Callable[[Array], bool] | None = None
+    free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
 ) -> Starts:
-    """Random start poses at least ``spec.spawn_distance_m`` apart on one island, the robot's base free of obstacles
-    (spec/habitat.md 1.2). ``stands_free`` may look closer at a pose7 of the robot.
+    """Samples start poses at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
+
+    ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
+    the rules is kept free of obstacles.
 
     Raises:
         SceneError: the scene has no two such places.
     """
     rng = generator(seed, "spawn")
-    offsets = np.asarray(spec.robot.disc_offsets_m)
+    base_fits = partial(discs_fit, free, spec.robot)
     farthest = 0.0
     for _ in range(200):
         robot_xz, human_xz = free.sample(rng, 2)
@@ -101,12 +115,9 @@ def draw_starts(
         farthest = max(farthest, apart)
         if apart < spec.spawn_distance_m:
             continue
-        clearance = least_clearance(
-            free.sdf, free.origin, free.cell_m, robot_xz[0], robot_xz[1], robot_heading, offsets
-        )
-        if clearance < spec.robot.disc_radius_m or not np.isfinite(free.geodesic(robot_xz, human_xz)):
+        if not np.isfinite(free.geodesic(robot_xz, human_xz)):
             continue
-        if stands_free is None or stands_free(ground_pose(robot_xz, robot_heading, free.floor_y)):
+        if (fits or base_fits)(robot_xz, robot_heading):
             return Starts(
                 robot_xz=robot_xz, robot_heading=float(robot_heading), human_xz=human_xz,
                 human_heading=float(human_heading),
@@ -232,15 +243,15 @@ def play(
     for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
         heading = float(robot.heading[0])
         view = View(
-            free, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before, human_before,
+            world.robot_floor, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before, human_before,
             None if track is None else partial(_from, track, step),
         )  # fmt: skip
         before, human_before = (view.robot_xz, heading), view.human_xz
-        command = act(view, spec.robot)
+        command = act(view, world.base)
         action = np.array([command.forward, command.turn], np.float32)
         goal, walked = human.goal, float(person.distance[0])
         posture = human.advance(person, step)
-        drive_robots(robot, free, action[None], spec.robot)
+        drive_robots(robot, free, action[None], world.base)
         geodesic = float(free.geodesic(robot_xz, human_xz))
         collision = _collides(world, robot, person, contact, posture)
         log.add(
@@ -314,5 +325,7 @@ def hindsight(world: SocialNavWorld) -> dict[str, Any]:
     plan = plan_of(world)
     return {
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
-        "oracle_min_steps": oracle_min_steps(free, starts.robot_xz, starts.robot_heading, plan.xz, spec),
+        "oracle_min_steps": oracle_min_steps(
+            free, starts.robot_xz, starts.robot_heading, plan.xz, replace(spec, robot=world.base)
+        ),
     }

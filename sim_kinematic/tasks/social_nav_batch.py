@@ -20,8 +20,10 @@ from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.arm_tuck import draw_arms
+from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
-from sim_kinematic.contact.clearance import RobotHumanContact, clear_of_furniture
+from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
@@ -61,8 +63,8 @@ class Place:
         return open_free_space(self.source, *size)
 
     @cached_property
-    def _stands_free(self) -> Callable[[Array], bool]:
-        return clear_of_furniture(self.scene, self.robot)
+    def _fits(self) -> Callable[[Array, float], bool]:
+        return robot_fits(self.robot, self.spec.robot, self.scene, self.free)
 
     @property
     def is_ready(self) -> bool:
@@ -78,7 +80,7 @@ class Place:
         robot_name, human_name = self.names
         return SocialNavWorld(
             scene=self.scene, free=self.free, seed=seed, spec=self.spec, robot=self.robot, human=self.human,
-            starts=draw_starts(self.free, seed, self.spec, stands_free=self._stands_free),
+            starts=draw_starts(self.free, seed, self.spec, fits=self._fits),
             robot_name=robot_name, human_name=human_name,
         )  # fmt: skip
 
@@ -144,6 +146,7 @@ class SocialNavBatch:
         """The robot has found the person in this episode, [W]."""
         self.success = np.zeros(self.worlds, np.bool_)
         """The robot has followed the person long enough, [W]."""
+        self.base = base_of(self.robot, spec.robot)
         self.action_width = 3 if spec.robot.max_lateral_mps else 2
         self._driven = driven_human
         self._contact = RobotHumanContact(self.robot, self.human)
@@ -243,7 +246,7 @@ class SocialNavBatch:
             if walks is not None:
                 self.human_contact[rows] = self._drive_people(part.people[0], free, walks[rows])
             draw_arms(part.people[0], free, self.human, self.spec.human.arms)
-            drive_robots(part.robots[0], free, moves[rows], self.spec.robot)
+            drive_robots(part.robots[0], free, moves[rows], self.base)
             if not alone:
                 self.state.put(rows, part)
         self.steps += 1

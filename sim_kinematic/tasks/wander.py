@@ -18,8 +18,10 @@ from h3data.geometry import ground_pose, wrap_angle
 from h3data.recording import STEP_NS, Agent, AssetRef, Episode, Event, Recording, state_hash
 from h3data.scene import CATEGORIES, FreeSpace, Scene
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
+from sim_kinematic.avoidance.robot_base import footprint_of
+from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import keep_clear
-from sim_kinematic.avoidance.yielding import ROOM_M, STANDS_MPS, Seen, avoided, in_the_way, waits
+from sim_kinematic.avoidance.yielding import Seen, avoided, in_the_way, waits
 from sim_kinematic.contact.frames import walking_phase
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
@@ -40,25 +42,29 @@ class Wanderers:
         self._worlds = worlds
         walker = worlds.spec.human
         self._walkers = [
-            WaypointHuman(worlds.free, episode_seed(seed, k), walker) for k in range(len(worlds.cast))
+            WaypointHuman(floor, episode_seed(seed, k), walker) for k, floor in enumerate(worlds.floors)
         ]  # fmt: skip
         self._before = [own.xz[0].copy() for own in worlds.state.agents]
+        people = [AVOIDANCE.person] * len(worlds.state.people)
+        self._footprints = [*(footprint_of(base) for base in worlds.bases), *people]
         self._stood = [0] * len(worlds.cast)
 
     def actions(self) -> list[NDArray[np.float64]]:
         """What each agent does next, as `AgentWorlds.step` takes it, [1, 2] each."""
         agents = self._worlds.state.agents
         seen = [
-            Seen(k, own.xz[0].copy(), (own.xz[0] - was) / STEP_S, False, isinstance(own, RobotState))
-            for k, (own, was) in enumerate(zip(agents, self._before, strict=True))
-        ]
+            Seen(
+                k, own.xz[0].copy(), (own.xz[0] - was) / STEP_S, False, isinstance(own, RobotState), footprint=footprint
+            )
+            for k, (own, was, footprint) in enumerate(zip(agents, self._before, self._footprints, strict=True))
+        ]  # fmt: skip
         self._before = [own.xz[0].copy() for own in agents]
         result = []
         for k, own in enumerate(agents):
             others = sorted(
                 (s for s in seen if s.number != k), key=lambda s: float(np.hypot(*(s.xz - own.xz[0])))
             )  # fmt: skip
-            self._stood[k] = self._stood[k] + 1 if np.hypot(*seen[k].velocity) < STANDS_MPS else 0
+            self._stood[k] = self._stood[k] + 1 if np.hypot(*seen[k].velocity) < AVOIDANCE.stands_mps else 0
             if self._stood[k] > GIVES_UP_STEPS:
                 self._stood[k], self._walkers[k].leg = 0, 1_000_000  # the next goal
             act = self._drive(k, own, others) if isinstance(own, RobotState) else self._walk(k, own, others)
@@ -70,12 +76,12 @@ class Wanderers:
         blocker = in_the_way(own.xz[0], target, others)
         if blocker is None:
             return target
-        stands = float(np.hypot(*blocker.velocity)) <= STANDS_MPS
-        is_close = float(np.hypot(*(blocker.xz - own.xz[0]))) < ROOM_M
+        stands = float(np.hypot(*blocker.velocity)) <= AVOIDANCE.stands_mps
+        is_close = float(np.hypot(*(blocker.xz - own.xz[0]))) < AVOIDANCE.apart_m
         return own.xz[0].copy() if stands or is_close or waits(k, blocker) else target
 
     def _drive(self, k: int, own: RobotState, others: Sequence[Seen]) -> NDArray[np.float64]:
-        walker, base = self._walkers[k], self._worlds.spec.robot
+        walker, base = self._walkers[k], self._worlds.bases[k]
         target = walker.target(own.xz[0])
         while np.hypot(*(target - own.xz[0])) < ARRIVED_M:
             walker.leg += 1

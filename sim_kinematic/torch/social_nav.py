@@ -18,6 +18,7 @@ from torch import Tensor
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError
+from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.sensing.sensor import FAR_M, RANGE_M, RANGE_STRIDES, RANGES
 from sim_kinematic.tasks.rewards import PaperReward
@@ -127,7 +128,9 @@ class SocialNavTensors:
         self._end_on_success = end_on_success
         self._grids = Grids.of(bank.floors, self.device, self.dtype)
         self._lattices = Lattices.of(bank.floors, self.device, self.dtype)
-        self.touch = TouchTest.of(load_robot(robot), load_humanoid(human), spec.human, self.device, self.dtype)
+        body = load_robot(robot)
+        self.base = base_of(body, spec.robot)
+        self.touch = TouchTest.of(body, load_humanoid(human), spec.human, self.device, self.dtype)
 
         def on_device(*columns: Any) -> Tensor:
             parts = [torch.as_tensor(c, dtype=self.dtype, device=self.device) for c in columns]
@@ -158,7 +161,7 @@ class SocialNavTensors:
         arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
         leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(drawn.legs - 1))
         human = walk_humans(play.human, drawn.way_points[row + leg], spec.human)
-        robot = drive_robots(grids, play.robot, action, spec.robot)
+        robot = drive_robots(grids, play.robot, action, self.base)
         start = drawn.starts[episode]
         zero, begins = start.new_zeros(()), fresh[:, None]
         robot = RobotTensors(

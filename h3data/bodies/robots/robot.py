@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -74,6 +75,8 @@ class Robot:
     """A kinematic tree with looks, shapes and cameras. Immutable: share it freely."""
 
     name: str
+    file: Path
+    """The URDF."""
     links: tuple[RobotLink, ...]
     joint_names: tuple[str, ...]
     """The columns of ``joint_pos``: joints that move on their own, in the order of the URDF. A spherical joint has four
@@ -94,6 +97,13 @@ class Robot:
     base_profiles: dict[str, Array] = field(default_factory=dict)
     """Other such places, by name."""
     base_radius_m: float
+    """Radius of these discs."""
+    hull_discs: Array
+    """Places along x of discs of the same radius that cover the whole robot at rest, shape [H] [m]: others avoid these."""
+    max_speed_mps: float | None = None
+    """Speed limit of the base; None: the task's."""
+    max_turn_rad_s: float | None = None
+    """Turn rate limit of the base; None: the task's."""
     hand_link: int = -1
     """The link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -9,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.robots.extents import resting_hull
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import RobotFiles, find_robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
@@ -42,7 +44,8 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z") -> Robo
 def _loaded(files: RobotFiles, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
     urdf = read_urdf(files.urdf)
-    return _robot(urdf, read_settings(files.settings, urdf), up)
+    robot = _robot(urdf, read_settings(files.settings, urdf), up)
+    return robot if len(robot.hull_discs) else replace(robot, hull_discs=resting_hull(robot))
 
 
 def _version(path: Path | None) -> tuple[int, int]:
@@ -75,6 +78,7 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
     to_base[1, 3] = settings.base_height_m
     return Robot(
         name=urdf.name,
+        file=urdf.path,
         links=tuple(
             _robot_link(link, -1 if j is None else index[j.parent]) for link, j in zip(order, joints, strict=True)
         ),
@@ -88,6 +92,9 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
         base_discs=np.array(settings.base_discs_m, np.float64),
         base_profiles={name: np.array(places) for name, places in settings.base_profiles.items()},
         base_radius_m=settings.base_radius_m,
+        hull_discs=np.array(settings.hull_discs_m, np.float64),
+        max_speed_mps=settings.max_speed_mps,
+        max_turn_rad_s=settings.max_turn_rad_s,
         hand_link=index[settings.hand_link] if settings.hand_link else -1,
         hand_position=np.array(settings.hand_position),
         legs=tuple(

@@ -50,6 +50,12 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     base_profiles: dict[str, tuple[float, ...]] = {}
     """Other sets of such places, by name."""
     base_radius_m: float = 0.25
+    hull_discs_m: tuple[float, ...] = ()
+    """Places along x of discs of the same radius that cover the whole robot at rest; empty: computed."""
+    max_speed_mps: float | None = None
+    """Speed limit of the base; by default the task's."""
+    max_turn_rad_s: float | None = None
+    """Turn rate limit of the base; by default the task's."""
     rest: tuple[float, ...] = ()
     """Joint positions in URDF order; empty = zeros, put inside the limits."""
     hand_link: str = ""

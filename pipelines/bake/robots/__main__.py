@@ -51,6 +51,7 @@ def settings_text(design: Design, height: float) -> str:
         f"body_height_m = {height + design.body_top_m:.3f}  # the base's cylinders reach up to here",
         f"base_discs_m = {_list(design.base_discs_m)}  # places along x",
         f"base_radius_m = {design.base_radius_m:g}",
+        *([f"hull_discs_m = {_list(design.hull_discs_m)}  # hind legs to hand"] if design.hull_discs_m else []),
         f"rest = {_list(design.rest)}",
         f'hand_link = "{design.hand[0]}"',
         f"hand_position = {_list(design.hand[1])}",

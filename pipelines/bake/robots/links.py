@@ -61,6 +61,8 @@ class Design:
     """Top of the body above the base frame."""
     base_radius_m: float = 0.25
     base_discs_m: tuple[float, ...] = (0.0,)
+    hull_discs_m: tuple[float, ...] = ()
+    """Discs that cover the whole resting robot; empty: computed when it is loaded."""
     base_profiles: tuple[tuple[str, tuple[float, ...]], ...] = ()
     hand: tuple[str, Vector]
     legs: tuple[tuple[tuple[str, str, str], Vector], ...] = ()

@@ -244,6 +244,7 @@ def design() -> Design:
         rest=(*ARM_REST, GRIPPER_REST, *LEG_REST * 4),
         body_top_m=0.11,
         base_discs_m=(0.0, 0.225),
+        hull_discs_m=(-0.3, 0.0, 0.4),
         base_profiles=(("three", (0.0, 0.25, -0.25)),),
         hand=("arm_hand", (0.14, 0.0, -0.018)),
         legs=tuple(

@@ -16,6 +16,7 @@ from h3data.geometry import Array, ground_pose, quat_from_heading, quat_rotate
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.person import HAND_SPEED_MPS
+from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import WorldState
@@ -37,7 +38,7 @@ class RobotAgent:
         """``state`` has the robot's joints. ``number`` is the agent's, for what it holds. ``is_clear`` says whether it can
         start at a base pose [7]."""
         self.body, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
-        self.own = state.robots[number]
+        self.own, self._base = state.robots[number], base_of(robot, BaseSpec())
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -62,7 +63,7 @@ class RobotAgent:
     def step(self, action: Action, values: Array) -> None:
         """Move, and take along what is held."""
         if action == "nav":
-            drive_robots(self.own, self.free, values, BaseSpec())
+            drive_robots(self.own, self.free, values, self._base)
         else:
             move_arms(self.own, self.body, values[:, :-1], ArmSpec())
             hands = robot_hands(self.own, self.body, self.free.floor_y)

@@ -20,11 +20,11 @@ from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.person_clearance import reach_room
-from sim_kinematic.agents.robot_arm_clearance import arm_way
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, draw_places, kinds_of, make_roster
-from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_stands
+from sim_kinematic.agents.robot_arm_clearance import arm_clearance
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, sample_places
+from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import sharp_corners
-from sim_kinematic.contact.clearance import clear_of_furniture
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
@@ -168,10 +168,8 @@ def _places(
         taken[kinds.index("robot")] = np.append(starts.robot_xz, starts.robot_heading)
     if "human" in kinds:
         taken[kinds.index("human")] = np.append(starts.human_xz, starts.human_heading)
-    return draw_places(
-        free, cast, generator(seed, "more_agents"), apart_m=spec.spawn_distance_m, base=spec.robot, taken=taken,
-        stands_free=lambda member, pose: clear_of_furniture(scene, load_robot(member.model))(pose),
-    )  # fmt: skip
+    rng = generator(seed, "more_agents")
+    return sample_places(scene, free, cast, rng, apart_m=spec.spawn_distance_m, rules=spec.robot, taken=taken)
 
 
 def draw_episode(
@@ -179,7 +177,7 @@ def draw_episode(
 ) -> tuple[Starts, tuple[Target, ...]]:
     """Starts, objects and goals of the episode with this seed."""
     rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
-    clear = clear_of_furniture(scene, robot)
+    fits = robot_fits(robot, spec.robot, scene, free)
     movable = _movable(scene, spec)
     surfaces = [(i, r) for i, r in scene.receptacles() if r.clearance_m >= spec.open_m]
     if len(movable) < spec.objects or len({i.name for i, _ in surfaces}) < 2:
@@ -196,7 +194,7 @@ def draw_episode(
     for attempt in range(ATTEMPTS):
         rng = generator(seed, "rearrange", step=attempt)
         if starts is None or attempt % REDRAW == 0:
-            starts = draw_starts(free, int(rng.integers(2**63)), rules, stands_free=clear)
+            starts = draw_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
         within = np.inf if attempt < REDRAW else leg
@@ -300,9 +298,10 @@ class _Draw:
                 np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
             ):
                 continue
-            way = arm_way(self.scene, self.robot, self.free.floor_y)
-            stands = robot_stands(self.free, self.robot, self.spec.robot, point)
-            if not any(way.is_clear(stand, point) for stand in stands):
+            clearance = arm_clearance(self.scene, self.robot, self.free.floor_y)
+            base = base_of(self.robot, self.spec.robot)
+            stands = robot_stands(floor_of(self.robot, base, self.scene, self.free), self.robot, base, point)
+            if not any(clearance.is_clear(stand, point) for stand in stands):
                 continue
             if self._person_stand(point)[0] is None:
                 continue

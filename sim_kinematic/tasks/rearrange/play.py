@@ -18,16 +18,17 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.recording import Event, SkillSpan
-from sim_kinematic.agents.contact_tracker import AnyActor, Encounters
+from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.person import Frame, Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
-from sim_kinematic.agents.robot_arm_clearance import arm_way
+from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.roster import kinds_of
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
-from sim_kinematic.avoidance.yielding import NO_WAY
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeWorld
@@ -92,7 +93,7 @@ class Runner:
 
     def _end(self, step: int, ending: Ending) -> None:
         self.skill, self.ending = None, ending
-        self.actor.way, self.actor.yields = NO_WAY, True
+        self.actor.path, self.actor.yields = NO_PATH, True
         self.write(step, ending.outcome, ending.reason)
 
     def write(self, step: int, outcome: str, reason: str) -> None:
@@ -145,7 +146,7 @@ class RearrangePlay:
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
         self.runners = [Runner(actor.number, actor, self.policies[actor.number], self.log, names) for actor in acts]
-        self.encounters = Encounters(world.cast, self.actors)
+        self.encounters = AgentContactTracker(world.cast, self.actors)
         # a robot gives way to a person by itself, and she to nobody, as Habitat's
         alone = len(self.actors) == 1 or kinds_of(world.cast) == PAIR
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
@@ -160,8 +161,9 @@ class RearrangePlay:
     def _actor(self, number: int) -> RobotActor | PersonActor:
         world, spec, body = self.world, self.world.spec, self.world.cast[number].body
         if isinstance(body, Robot):
-            way = arm_way(world.scene, body, world.free.floor_y)
-            return RobotActor(body, world.free, spec.robot, self.objects, spec.grip_m, spec.arm_rad_s, number, way)
+            base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
+            floor = floor_of(body, base, world.scene, world.free)
+            return RobotActor(body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance)
         x, z, heading = world.places[number]
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))

@@ -9,7 +9,7 @@ from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.records import Box, instance_matrix
-from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, ArmWay, arm_way
+from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, ArmClearance, arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import Action, Objects
 from sim_kinematic.agents.stands import ROBOT_DISTANCES_M, robot_stands
@@ -29,7 +29,7 @@ def world(home: Scene) -> RearrangeWorld:
     return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25, cache=False))
 
 
-def behind_walls(free: FreeSpace, way: ArmWay, height: float) -> tuple[np.ndarray, np.ndarray]:
+def behind_walls(free: FreeSpace, way: ArmClearance, height: float) -> tuple[np.ndarray, np.ndarray]:
     """A stand and a point that its hand would reach on the free floor of the other side of something."""
     rng = np.random.default_rng(0)
     while True:
@@ -59,7 +59,7 @@ def inside_boxes(scene: Scene, points: np.ndarray) -> bool:
 
 def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, world: RearrangeWorld) -> None:
     robot, free = world.robot, world.free
-    way = arm_way(home, robot, free.floor_y)
+    way = arm_clearance(home, robot, free.floor_y)
     rng = np.random.default_rng(1)
     found = {True: 0, False: 0}
     for place in free.sample(rng, 60):
@@ -82,15 +82,15 @@ def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, w
 
 def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeWorld) -> None:
     body, free = load_robot("quad_arm"), world.free
-    way = arm_way(home, body, free.floor_y)
+    way = arm_clearance(home, body, free.floor_y)
     stand, point = behind_walls(free, way, 0.9)
     state = WorldState.zeros(1, robots=1, people=1, joints=len(body.rest), objects=1)
     state.robots[0].joints[0] = body.rest
     state.robots[0].xz[0], state.robots[0].heading[0] = stand[:2], stand[2]
     state.object_pose[0, 0] = [*point, 0, 0, 0, 1]
     objects = Objects(("cup",), point[None], state)
-    for room, reason in ((way, "no_room"), (None, "")):
-        robot = RobotActor(body, free, BaseSpec(), objects, 0.15, 8.0, room=room)
+    for clearance, reason in ((way, "no_room"), (None, "")):
+        robot = RobotActor(body, free, BaseSpec(), objects, 0.15, 8.0, arm_clearance=clearance)
         assert robot.infeasible(Action("pick", 0)) == reason
         objects.held_by[0] = robot.number
         state.grip_pose[0, 0] = [0, 0, 0, 0, 0, 0, 1]
@@ -101,7 +101,7 @@ def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeWor
 @pytest.mark.parametrize("seed", [3, 4])
 def test_episodes_are_picked_and_placed_on_the_same_side(home: Scene, world: RearrangeWorld, seed: int) -> None:
     played = world if seed == world.seed else RearrangeWorld.create(home, seed=seed, free=world.free)
-    way = arm_way(home, played.robot, played.free.floor_y)
+    way = arm_clearance(home, played.robot, played.free.floor_y)
     for target in played.targets:
         for point in (target.start[:3], target.goal):
             stands = robot_stands(played.free, played.robot, played.spec.robot, point)

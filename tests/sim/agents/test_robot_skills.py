@@ -9,7 +9,8 @@ from h3data.bodies import load_robot
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from sim_kinematic.agents.robot_skills import ARRIVED_M, RobotActor
 from sim_kinematic.agents.skills import Action, Objects
-from sim_kinematic.avoidance.yielding import ASIDE_FROM_M, Seen
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.yielding import Seen
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import WorldState
 
@@ -52,7 +53,7 @@ def seen(xz: np.ndarray, *, settled: bool = True) -> Seen:
 
 def test_who_waits_gets_out_of_the_way_of_a_person_who_is_near(free: FreeSpace) -> None:
     at = roomiest(free)
-    near, far = (at + np.array([d, 0.0]) for d in (1.0, ASIDE_FROM_M + 0.5))
+    near, far = (at + np.array([d, 0.0]) for d in (1.0, AVOIDANCE.retreat_m + 0.5))
     for person, moves in ((near, True), (far, False)):
         robot = robot_at(free, at, 0.0)
         robot.others = (seen(person),)

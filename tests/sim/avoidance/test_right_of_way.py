@@ -17,9 +17,10 @@ from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.skills import Action, Ending, Objects
-from sim_kinematic.avoidance.right_of_way import APART_M, CLOSE, HELD_UP_STEPS, RightOfWay
-from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_way, first_of_way
-from sim_kinematic.avoidance.yielding import BODY_M, NO_WAY, PASSING_M, Seen, discs_of, in_the_way, round_others
+from sim_kinematic.avoidance.right_of_way import RightOfWay
+from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
+from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, discs_of, in_the_way, path_around
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
@@ -60,14 +61,14 @@ def test_distances_to_ways_are_those_of_shapely() -> None:
         way, points = rng.uniform(-2, 2, (count, 2)), rng.uniform(-3, 3, (5, 4, 2))
         line = shapely.LineString(way) if count > 1 else shapely.Point(way[0])
         np.testing.assert_allclose(
-            distance_to_way(points, way), shapely.distance(line, shapely.points(points)), atol=1e-12
+            distance_to_path(points, way), shapely.distance(line, shapely.points(points)), atol=1e-12
         )
         length = line.length
         for share in (0.0, 0.3, 1.0, 2.0):
-            first = first_of_way(way, share * length)
+            first = first_of_path(way, share * length)
             assert np.hypot(*np.diff(first, axis=0).T).sum() == pytest.approx(min(share, 1.0) * length)
-            np.testing.assert_allclose(distance_to_way(first, way), 0, atol=1e-9)
-    assert np.isinf(distance_to_way(np.zeros((3, 2)), NO_WAY)).all()
+            np.testing.assert_allclose(distance_to_path(first, way), 0, atol=1e-9)
+    assert np.isinf(distance_to_path(np.zeros((3, 2)), NO_PATH)).all()
 
 
 def test_ways_are_free_and_hardly_longer_than_the_shortest(free: FreeSpace) -> None:
@@ -75,7 +76,7 @@ def test_ways_are_free_and_hardly_longer_than_the_shortest(free: FreeSpace) -> N
     starts, ends = free.sample(rng, 40), free.sample(rng, 40)
     found = 0
     for a, b in zip(starts, ends, strict=True):
-        way = routes.flood(a, np.zeros((0, 3))).way_to(b)
+        way = routes.flood(a, np.zeros((0, 3))).path_to(b)
         if way is None:
             continue
         found += 1
@@ -98,15 +99,17 @@ def test_ways_lead_round_discs_and_out_of_them(free: FreeSpace) -> None:
             assert not reached[np.hypot(*(routes.centres - [x, z]).transpose(2, 0, 1)) < radius].any()
         goals = free.sample(rng, 3)
         for goal in goals:
-            way = flood.way_to(goal)
+            way = flood.path_to(goal)
             if way is not None and not inside.any() and (np.hypot(*(discs[:, :2] - goal).T) > discs[:, 2]).all():
-                assert (distance_to_way(discs[:, :2], way) > discs[:, 2] - 0.08).all()  # corners of cells
+                assert (distance_to_path(discs[:, :2], way) > discs[:, 2] - 0.08).all()  # corners of cells
         assert reached.sum() > 10
 
 
 # --- what is in the way -------------------------------------------------------------------------------------------------
 def seen(xz: object, *, is_robot: bool = False, heading: float = 0.0, velocity: object = (0, 0)) -> Seen:
-    return Seen(1, np.array(xz, np.float64), np.array(velocity, np.float64), False, is_robot, heading)
+    footprint = AVOIDANCE.robot if is_robot else AVOIDANCE.person
+    xz, velocity = np.array(xz, np.float64), np.array(velocity, np.float64)
+    return Seen(1, xz, velocity, False, is_robot, heading, footprint=footprint)
 
 
 def test_a_robot_is_as_long_as_it_is() -> None:
@@ -128,13 +131,16 @@ def test_a_way_round_all_who_stand(free: FreeSpace) -> None:
         others = [seen((p + q) / 2) for p, q in pairwise(path)][:2]
         if any(min(np.hypot(*(o.xz - a)), np.hypot(*(o.xz - b))) < 1.0 for o in others):
             continue
-        way = round_others(free, a, b, others)
+        way = path_around(free, a, b, others)
         if way is not None:
             found += 1
             whole = np.vstack([a, way])
-            assert all(distance_to_way(o.xz, whole) > 2 * BODY_M + min(PASSING_M) - 0.08 for o in others)
+            assert all(
+                distance_to_path(o.xz, whole) > 2 * AVOIDANCE.person.radius_m + min(AVOIDANCE.passing_m) - 0.08
+                for o in others
+            )
         moving = [o._replace(velocity=np.ones(2)) for o in others]
-        assert round_others(free, a, b, moving) is not None  # they will be elsewhere
+        assert path_around(free, a, b, moving) is not None  # they will be elsewhere
     assert found >= 2
 
 
@@ -147,15 +153,16 @@ class Puppet:
     xz: np.ndarray
     is_robot: bool = False
     heading: float = 0.0
-    way: np.ndarray = field(default_factory=lambda: NO_WAY)
+    path: np.ndarray = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: np.ndarray | None = None
     hindered_by: frozenset[int] = frozenset()
+    footprint: Footprint = AVOIDANCE.person
 
 
 def puppet(number: int, x: float, z: float, to: tuple[float, float] | None = None) -> Puppet:
     here = np.array([x, z])
-    return Puppet(number, here, way=NO_WAY if to is None else np.array([here, to]))
+    return Puppet(number, here, path=NO_PATH if to is None else np.array([here, to]))
 
 
 def test_who_has_nothing_to_do_leaves_the_way_at_once() -> None:
@@ -166,7 +173,7 @@ def test_who_has_nothing_to_do_leaves_the_way_at_once() -> None:
     assert comes.aside is None
     assert idle.aside is not None
     assert len(idle.aside)
-    assert distance_to_way(idle.aside[-1], comes.way) >= CLOSE * APART_M[0]
+    assert distance_to_path(idle.aside[-1], comes.path) >= AVOIDANCE.aside_share * AVOIDANCE.aside_m[0]
     idle.xz = idle.aside[-1].copy()
     rule.update()
     assert idle.aside is None  # it is out of the way
@@ -176,7 +183,7 @@ def test_who_is_not_on_the_way_stays() -> None:
     free = corridor()
     comes, idle, behind = puppet(0, 2.0, 0.5, (3.0, 0.5)), puppet(1, 6.0, 0.5), puppet(2, 1.0, 0.5)
     rule = RightOfWay(free, [comes, idle, behind])
-    for _ in range(2 * HELD_UP_STEPS):
+    for _ in range(2 * AVOIDANCE.held_up_steps):
         rule.update()
         assert idle.aside is None
         assert behind.aside is None
@@ -187,7 +194,7 @@ def test_two_who_meet_in_a_corridor_agree_on_one(carrying: tuple[int, ...], firs
     """Who carries something goes first, then who has the shorter way."""
     both = puppet(0, 3.2, 0.5, (7.5, 0.5)), puppet(1, 4.2, 0.5, (0.2, 0.5))
     rule = RightOfWay(corridor(), both)
-    for _ in range(HELD_UP_STEPS - 1):
+    for _ in range(AVOIDANCE.held_up_steps - 1):
         rule.update(carrying)
         assert all(walker.aside is None for walker in both)  # they may get past each other
     for _ in range(3):
@@ -195,11 +202,11 @@ def test_two_who_meet_in_a_corridor_agree_on_one(carrying: tuple[int, ...], firs
     passes, other = both[first], both[1 - first]
     assert passes.aside is None
     assert other.aside is not None
-    assert distance_to_way(other.aside[-1], passes.way) >= CLOSE * APART_M[0]
+    assert distance_to_path(other.aside[-1], passes.path) >= AVOIDANCE.aside_share * AVOIDANCE.aside_m[0]
     other.xz = other.aside[-1].copy()
     rule.update(carrying)
     assert other.aside is not None  # it stays there
-    passes.xz, passes.way = passes.way[-1].copy(), NO_WAY
+    passes.xz, passes.path = passes.path[-1].copy(), NO_PATH
     rule.update(carrying)
     assert other.aside is None  # the other has passed: it goes on
 
@@ -213,7 +220,7 @@ def test_a_row_backs_out_together() -> None:
     assert middle.aside is not None
     assert last.aside is not None
     ends = [puppet.aside[-1] for puppet in (middle, last)]  # type: ignore[index]
-    assert np.hypot(*(ends[0] - ends[1])) > 0.3 or distance_to_way(ends[0], comes.way) > 0.5
+    assert np.hypot(*(ends[0] - ends[1])) > 0.3 or distance_to_path(ends[0], comes.path) > 0.5
 
 
 def test_in_a_dead_end_the_roles_are_exchanged() -> None:
@@ -226,14 +233,14 @@ def test_in_a_dead_end_the_roles_are_exchanged() -> None:
     assert idle.aside is not None
     assert comes.aside[-1][0] < 2.5
     assert idle.aside[-1][0] < 2.5
-    assert np.hypot(*(comes.aside[-1] - idle.aside[-1])) >= CLOSE * APART_M[0]
+    assert np.hypot(*(comes.aside[-1] - idle.aside[-1])) >= AVOIDANCE.aside_share * AVOIDANCE.aside_m[0]
 
 
 def test_who_is_busy_is_not_asked() -> None:
     comes, busy = puppet(0, 2.0, 0.5, (7.5, 0.5)), puppet(1, 4.0, 0.5)
     busy.yields = False
     rule = RightOfWay(corridor(), [comes, busy])
-    for _ in range(2 * HELD_UP_STEPS):
+    for _ in range(2 * AVOIDANCE.held_up_steps):
         rule.update()
         assert busy.aside is None
 

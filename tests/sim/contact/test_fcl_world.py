@@ -18,6 +18,7 @@ from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_mat
 from h3data.mesh.records import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
+from h3data.scene.shape_bounds import bounding_capsule, bounding_sphere, shape_bounds
 from sim_kinematic.contact import (
     AgentContacts,
     FclScene,
@@ -29,7 +30,7 @@ from sim_kinematic.contact import (
     shapes_from_capsules,
 )
 from sim_kinematic.contact.agent_contact import segment_square
-from sim_kinematic.contact.shapes import bounding_capsule, bounding_sphere, fcl_geometry, shape_bounds
+from sim_kinematic.contact.shapes import fcl_geometry
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 NO_MESH = Mesh(

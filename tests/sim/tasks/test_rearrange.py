@@ -18,7 +18,8 @@ from h3data.recording import Recording, read_mcap, recordings_equal, state_hash,
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home, instance_matrix
 from sim_kinematic.agents.skills import SKILLS, Action
 from sim_kinematic.agents.stands import HAND_PITCH_RAD, hand_turn, person_stands, robot_stands
-from sim_kinematic.avoidance.velocity import AVOIDANCE, Avoided, keep_clear
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import Avoided, keep_clear
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.rearrange import (

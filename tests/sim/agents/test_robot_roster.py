@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cart_robot import ARM, CART_SETTINGS, WHEELS, write_cart
 
 from h3data.bodies import load_robot
 from h3data.errors import FormatError, InputError
@@ -17,6 +16,7 @@ from sim_kinematic.agents.roster import make_roster
 from sim_kinematic.agents.skills import Objects
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import WorldState
+from tests.bodies.robots.cart_robot import ARM, CART_SETTINGS, WHEELS, write_cart
 
 
 @pytest.fixture(scope="module")

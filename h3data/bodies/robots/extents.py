@@ -1,0 +1,37 @@
+"""Room that a robot takes up: bounds of its collision shapes, discs that cover it on the floor."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies.robots.robot import Robot
+from h3data.geometry import IDENTITY_POSE, Array
+from h3data.scene.shape_bounds import shape_bounds
+
+SPACING = 1.4
+"""Distance between two discs of a row, in radii: between them the row is 71% as wide as a disc."""
+
+
+def resting_bounds(robot: Robot) -> NDArray[np.float64]:
+    """Returns lower and upper corners [S, 2, 3] [m] of all collision shapes of a resting robot, in its root frame."""
+    frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    bounds = [shape_bounds(shape, frames[k]) for k, link in enumerate(robot.links) for shape in link.shapes]
+    return np.array(bounds).reshape(-1, 2, 3)
+
+
+def resting_hull(robot: Robot) -> Array:
+    """Returns places along x of discs of the base's radius that cover the whole resting robot and its base discs [H] [m]."""
+    bounds, radius = resting_bounds(robot), robot.base_radius_m
+    back, front = float(robot.base_discs.min()), float(robot.base_discs.max())
+    if len(bounds):
+        back, front = min(back, bounds[:, 0, 0].min() + radius), max(front, bounds[:, 1, 0].max() - radius)
+    return row_of_discs(back, front, radius)
+
+
+def row_of_discs(back: float, front: float, radius: float) -> Array:
+    """Returns places [D] [m] from ``back`` to ``front``, no farther apart than `SPACING` radii."""
+    gaps = math.ceil((front - back) / (SPACING * radius) - 1e-9)
+    return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])

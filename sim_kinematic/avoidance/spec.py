@@ -1,0 +1,157 @@
+"""Every constant of how agents keep out of each other's path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Footprint(NamedTuple):
+    """Discs along the x axis of an agent that stand for it on the floor."""
+
+    offsets_m: tuple[float, ...]
+    """Where their centres are."""
+    radius_m: float
+
+    @property
+    def extent_m(self) -> float:
+        """Farthest that it gets from the agent's origin [m]."""
+        return max(map(abs, self.offsets_m)) + self.radius_m
+
+
+PERSON = Footprint((0.0,), 0.3)
+"""A person, as agents that plan around them see them."""
+QUAD_ARM = Footprint((-0.3, 0.0, 0.4), 0.3)
+"""``quad_arm`` from hind legs to stowed hand, as other agents see it. Its base discs alone (0 and 0.225 m) would let others
+plan paths through its hind legs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AvoidanceSpec:
+    """Distances, times and costs of avoidance. Lengths are on the floor, between centres unless said otherwise.
+
+    Tuned together on rearrangement by three to five agents (``benchmarks/sim_many.py``): of 40 episodes none ends in a
+    contact and 92% succeed; without right of way it was 7% and 46%. Distances that concern robots are those of ``quad_arm``;
+    for another robot its own size replaces the size of ``quad_arm`` (`sim_kinematic.avoidance.robot_base`).
+    """
+
+    # --- sizes ---------------------------------------------------------------------------------------------------------
+    person: Footprint = PERSON
+    robot: Footprint = QUAD_ARM
+    robot_margin_m: float = 0.05
+    """By how much those discs are wider than the base discs, for legs and arm that sway."""
+
+    # --- a robot's base chooses its next velocity ------------------------------------------------------------------------
+    range_m: float = 4.0
+    """Agents farther away are ignored: at 2.5 m/s each, two need 0.8 s to meet."""
+    horizon_steps: int = 24
+    """Steps that each trial command is rolled out."""
+    stride_steps: int = 3
+    """Steps between the moments of a roll-out in which gaps are measured."""
+    doubt_mps: float = 0.25
+    """Gaps in the future count as wider by this speed: an agent's motion is known best now."""
+    person_radius_m: float = 0.35
+    """Radius of a person; wider than ``person`` because their arms swing."""
+    margin_m: float = 0.35
+    """Gap [m] to be kept between robot and agent."""
+    standing_margin_m: float = 0.15
+    """The same to agents that stand and will step aside if asked to."""
+    still_margin_m: float = 0.0
+    """The same to agents that have stood for long: a robot must be able to get past."""
+    still_steps: int = 75
+    """An agent that has stood for this long has settled; picking and placing take less."""
+    still_m: float = 0.01
+    """An agent that moved less than this along x and z in ``still_steps`` stood."""
+    gap_weight: float = 8.0
+    """Metres of path that a metre of missing gap is worth."""
+    heading_weight_m: float = 0.1
+    """Metres of path that a radian of heading error is worth."""
+    turn_weight_m: float = 0.02
+    """Cost of a full turn command: of equal commands the calmest wins."""
+    wall_tolerance_m: float = 2e-3
+    """In trials a base disc may come this much nearer to an obstacle than its radius, so that a base that touches a wall can
+    leave it."""
+    wall_m: float = 0.03
+    """A person walking straight on is taken to stop this much closer to an obstacle than their radius."""
+    velocity_steps: int = 3
+    """Steps over which an agent's velocity is measured."""
+    contact_gate_m: float = 2.0
+    """Agents farther apart cannot touch, arms stretched out."""
+    contact_span_m: float = 1.4
+    """Span of a robot (`sim_kinematic.contact.clearance.robot_span`) that this allows for; 1.38 m is that of ``quad_arm``."""
+
+    # --- people on their path, and agents that wait ----------------------------------------------------------------------
+    ahead_m: float = 1.2
+    """An agent is in a person's way if it is within this distance along their path and both would touch."""
+    moving_m: float = 0.1
+    """Additional gap [m] within which an agent that moves is in the way."""
+    passing_m: tuple[float, ...] = (0.1, 0.0)
+    """Gaps that a person leaves to standing agents on a detour; the first with which there is a path is taken."""
+    apart_m: float = 0.75
+    """People do not choose places to stand closer to each other than this."""
+    stands_mps: float = 0.05
+    """Agents slower than this stand."""
+    patience_steps: int = 90
+    """Steps after which a person gives up waiting for others to clear the path."""
+    detour_after_steps: tuple[int, int] = (10, 40)
+    """Stalled steps after which a robot looks for a path around the agents that stand."""
+    detours: int = 3
+    """Most detours to one destination."""
+    via_m: float = 0.25
+    """A point of a detour counts as reached within this distance."""
+    robot_passing_m: tuple[float, ...] = (0.4, 0.1)
+    """Gaps that a robot leaves to standing agents on a detour; the first with which there is a path is taken."""
+    retreat_m: float = 2.0
+    """A robot that waits retreats to this distance from a person, measured along the person's path."""
+    retreat_room_m: float = 0.45
+    """Distance to the nearest obstacle that it wants there."""
+    retreat_rings_m: tuple[float, ...] = (0.75, 1.5, 2.5, 3.5)
+    """Distances from itself at which it looks for such places."""
+
+    # --- right of way: agents ask each other to step aside ---------------------------------------------------------------
+    aside_m: tuple[float, float, float] = (0.8, 1.1, 1.3)
+    """Distance to the other's path that counts as aside: two people, a person and a robot, two robots."""
+    aside_share: float = 0.8
+    """Share of that distance that will do where there is no more room."""
+    beside_m: tuple[float, float] = (0.65, 0.9)
+    """An agent is on the path of a person, or of a robot, if the centre of one of its discs is this close to it."""
+    asks_idle_m: float = 2.5
+    """How far ahead an agent asks idle agents to step aside."""
+    asks_moving_m: float = 1.6
+    """How far ahead it asks agents that are going somewhere themselves."""
+    keeps_free_m: float = 5.0
+    """Length of the other's path that is kept free by stepping aside."""
+    returns_m: float = 1.5
+    """An agent goes on as soon as this much of its own path does not lead onto the other's."""
+    skips_m: float = 0.3
+    """The first part of a path, on which nobody counts as in the way: they are beside the agent."""
+    held_up_steps: int = 10
+    """After this many stalled steps, moving agents are asked to yield too."""
+    gives_up_steps: int = 45
+    """After this many stalled steps an agent stops stepping aside."""
+    progress_m: float = 0.15
+    """An agent that moved, or turned by ``progress_rad``, more than this is not stalled."""
+    progress_rad: float = 0.6
+    lasts_steps: int = 150
+    """Nobody stands aside longer than this."""
+    room_m: tuple[float, float] = (0.3, 0.5)
+    """Distance to the nearest obstacle wanted where a person, or a robot, steps aside."""
+    step_aside_m: tuple[float, float] = (0.3, 10.0)
+    """Least and greatest length of a path aside."""
+    reached_m: tuple[float, float] = (0.02, 0.2)
+    """A point of a path counts as reached by a person, or by a robot, within this distance. A person steps onto it exactly."""
+    squeeze_share: float = 0.75
+    """Share of ``aside_m`` that agents stepping aside keep from others on their path."""
+
+    # --- floor routes around standing agents -----------------------------------------------------------------------------
+    cell_m: float = 0.1
+    """Side of a grid cell."""
+    spare_m: float = 0.01
+    """Distance to obstacles beyond the agent's radius in every cell of a path."""
+    near_m: float = 0.15
+    """A path ends where its last cell is this close to the goal."""
+    leaves_m: float = 0.05
+    """An agent that is inside a disc may move away from its centre, down to a radius this much smaller than its distance."""
+
+
+AVOIDANCE = AvoidanceSpec()
