@@ -10,7 +10,7 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.export.transitions import transitions_of
-from h3data.recording.parquet.dataset_writer import DatasetWriter
+from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
 
 

@@ -21,31 +21,31 @@ from h3data.recording.records import (
 
 if TYPE_CHECKING:
     from h3data.recording.compare import recordings_equal, state_hash
-    from h3data.recording.mcap.mcap_log import RecordingWriter, write_mcap
-    from h3data.recording.mcap.mcap_read import read_mcap
-    from h3data.recording.mcap.mcap_recover import Recovery, recover_mcap
-    from h3data.recording.opening import looks_like, open_recording
+    from h3data.recording.mcap.read import read_mcap
+    from h3data.recording.mcap.recover import Recovery, recover_mcap
+    from h3data.recording.mcap.writer import RecordingWriter, write_mcap
+    from h3data.recording.opening import looks_like, open_recording, open_steps
     from h3data.recording.parquet.dataset import Dataset
-    from h3data.recording.parquet.dataset_writer import DatasetWriter
-    from h3data.recording.parquet.lerobot_meta import rebuild_meta
-    from h3data.recording.steps import Steps, open_steps
+    from h3data.recording.parquet.lerobot import rebuild_meta
+    from h3data.recording.parquet.writer import DatasetWriter
+    from h3data.recording.steps import Steps
     from h3data.recording.windows import WindowDataset
 
 _HOMES = {
     "recordings_equal": "compare",
     "state_hash": "compare",
     "Dataset": "parquet.dataset",
-    "DatasetWriter": "parquet.dataset_writer",
-    "rebuild_meta": "parquet.lerobot_meta",
-    "RecordingWriter": "mcap.mcap_log",
-    "write_mcap": "mcap.mcap_log",
-    "Recovery": "mcap.mcap_recover",
-    "read_mcap": "mcap.mcap_read",
-    "recover_mcap": "mcap.mcap_recover",
+    "DatasetWriter": "parquet.writer",
+    "rebuild_meta": "parquet.lerobot",
+    "RecordingWriter": "mcap.writer",
+    "write_mcap": "mcap.writer",
+    "Recovery": "mcap.recover",
+    "read_mcap": "mcap.read",
+    "recover_mcap": "mcap.recover",
     "looks_like": "opening",
     "open_recording": "opening",
     "Steps": "steps",
-    "open_steps": "steps",
+    "open_steps": "opening",
     "WindowDataset": "windows",
 }
 

@@ -1,4 +1,4 @@
-"""What differs between two recordings, and a running hash that tells where two state streams part."""
+"""Differences between two recordings, and a running hash that shows where two state streams diverge."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from h3data.recording.schema import episode_to_dict, layout_of, struct_to_dict, 
 
 
 def recordings_equal(a: Recording, b: Recording) -> list[str]:
-    """The differences, one line each; empty means equal, bit for bit (any NaN equals any NaN, order is ignored)."""
+    """Differences, one line each; empty if equal bit for bit. Any NaN equals any NaN; the order of columns does not count."""
     differences = _dict_differences("episode", _episode(a), _episode(b))
     for kind in ("assets", "bodies", "agents", "skills", "events", "inputs"):
         ours, theirs = getattr(a, kind), getattr(b, kind)
@@ -44,9 +44,8 @@ def _episode(rec: Recording) -> dict[str, Any]:
 
 
 def _struct(record: Any) -> dict[str, str]:
-    return {
-        name: repr(value) for name, value in struct_to_dict(record).items()
-    }  # repr: NaN equals NaN, -0.0 is not 0.0
+    # repr: NaN equals NaN, -0.0 differs from 0.0
+    return {name: repr(value) for name, value in struct_to_dict(record).items()}
 
 
 def _dict_differences(what: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
@@ -79,7 +78,7 @@ def state_hash(columns: Mapping[str, NDArray[Any]], previous: int = 0) -> NDArra
 
     Row k is BLAKE2b with an 8-byte digest over the digest of row k-1 (``previous`` before the first; little-endian) and
     the raw little-endian bytes of row k of every state column in the sorted order of their names. State columns are all
-    but ``time_ns``, ``state_hash``, ``metrics.*`` and ``agent_*.action``: what was measured or commanded is not state.
+    but ``time_ns``, ``state_hash``, ``metrics.*`` and ``agent_*.action``: measurements and commands are not state.
     """
     names = sorted(n for n in columns if topic_of(n) == "state" and n not in ("time_ns", "state_hash"))
     layout_of({n: columns[n] for n in names})

@@ -1,4 +1,4 @@
-"""What happened in a recording, told in lines of text for the logs of viewers."""
+"""Events and skills of a recording as lines of text for the logs of viewers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from h3data.recording.records import Recording
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line."""
+    """A line of text about one step."""
 
     source: Literal["events", "skills"]
     step: int
@@ -19,18 +19,18 @@ class LogLine:
 
 
 def log_lines(recording: Recording) -> list[LogLine]:
-    """A line for each event, for the begin of each skill, and for the end of one that did not succeed; by step."""
+    """A line for each event, for the start of each skill, and for the end of each failed one; sorted by step."""
     names = [agent.name for agent in recording.agents]
     lines = []
     for e in recording.events:
-        who = names[e.agent] if 0 <= e.agent < len(names) else ""
-        text = " ".join(part for part in (who, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
+        agent = names[e.agent] if 0 <= e.agent < len(names) else ""
+        text = " ".join(part for part in (agent, e.kind, e.target, f"({e.detail})" if e.detail else "") if part)
         lines.append(LogLine("events", e.step, text, "collision" in e.kind or "fail" in e.kind))
     for s in recording.skills:
-        who = names[s.agent] if 0 <= s.agent < len(names) else "?"
-        what = f"{who}: {s.name}({s.target})"
-        lines.append(LogLine("skills", s.start_step, what))
+        agent = names[s.agent] if 0 <= s.agent < len(names) else "?"
+        skill = f"{agent}: {s.name}({s.target})"
+        lines.append(LogLine("skills", s.start_step, skill))
         if s.outcome in ("failed", "aborted"):
             reason = f": {s.reason}" if s.reason else ""
-            lines.append(LogLine("skills", s.end_step, f"{what} {s.outcome}{reason}", warning=True))
+            lines.append(LogLine("skills", s.end_step, f"{skill} {s.outcome}{reason}", warning=True))
     return sorted(lines, key=lambda line: line.step)

@@ -1,4 +1,4 @@
-"""One door for whatever can be replayed: an MCAP log or a dataset folder; anything else is named for what it is."""
+"""Opens any recording, an MCAP log or a dataset folder, and says what any other file is."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from h3data.errors import FormatError, InputError
 from h3data.recording.records import Recording
+from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, place
 
 if TYPE_CHECKING:
@@ -28,34 +29,36 @@ _MAGIC = {
 }
 _HEAD = 1 << 16
 
-
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
-"""Files of other programs' messages end so (`h3data.export.foxglove.write`): they lie beside recordings and are none."""
+"""Suffix of exports for Foxglove (`h3data.export.foxglove.write`), which lie beside recordings but are none."""
 
 
 def logs_in(folder: AnyPath, *, below: bool = False) -> list[AnyPath]:
     """Logs in a folder, or anywhere below it, sorted; files for Foxglove are left out."""
-    found = folder.rglob("*.mcap") if below else folder.glob("*.mcap")
-    return sorted(path for path in found if not path.name.endswith(FOXGLOVE_SUFFIX))
+    paths = folder.rglob("*.mcap") if below else folder.glob("*.mcap")
+    return sorted(path for path in paths if not path.name.endswith(FOXGLOVE_SUFFIX))
 
 
 def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dataset:
-    """A `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder; a
-    `FormatError` says what anything else is.
+    """A `Recording` for an MCAP log or for one episode of a dataset (``ds#3``), a `Dataset` for a dataset folder.
 
     The path may be a URI: ``s3://bucket/ds`` (`h3data.recording.storage`).
+
+    Raises:
+        InputError: there is no such file or episode, or it cannot be read.
+        FormatError: the file is something else (the message says what), or it is damaged.
     """
     path = place(path)
     try:
-        found, folder = path.exists(), path.is_dir()
+        exists, folder = path.exists(), path.is_dir()
     except OSError as error:
         raise InputError(f"The path cannot be read ({error.strerror or error}): {path}") from error
     root, _, number = (path.uri if isinstance(path, RemotePath) else str(path)).rpartition("#")
-    if not found and root and number.isdecimal():
+    if not exists and root and number.isdecimal():
         return _episode(open_recording(place(root)), int(number), masked(root))
-    if not found:
+    if not exists:
         part = path.with_name(path.name + ".part")
-        hint = f" Hint: an unfinished one is there, `h3data recover {part} -o OUT`." if part.exists() else ""
+        hint = f" Hint: an unfinished one exists, `h3data recover {part} -o OUT`." if part.exists() else ""
         raise InputError(
             f"There is no such file or folder. Expected a recording (.mcap) or a dataset.{hint} Path: {path}"
         )
@@ -65,7 +68,7 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         return Dataset(path)
     kind = looks_like(path)
     if kind == "an MCAP log":
-        from h3data.recording.mcap.mcap_read import read_mcap
+        from h3data.recording.mcap.read import read_mcap
 
         return read_mcap(path)
     if path.suffix == ".part":
@@ -74,6 +77,30 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         raise FormatError(f"This is {kind}. Hint: `h3data import {path} -o DIR` makes an MCAP log of it: {path}")
     parquet = " Hint: open the dataset folder that it belongs to." if kind == "a Parquet file" else ""
     raise FormatError(f"Expected an MCAP log or a dataset folder, this looks like {kind}.{parquet} File: {path}")
+
+
+def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None = None) -> Steps:
+    """The steps of an MCAP log, or of one ``episode`` of a dataset, by path or URI.
+
+    Damage in parts of a log that are not read goes unnoticed; `read_mcap` checks the whole file.
+
+    Raises:
+        InputError: there is no such file or episode.
+        FormatError: the file is damaged, unfinished, of another kind, or a log without indexes.
+    """
+    at = place(path)
+    if at.is_dir():
+        from h3data.recording.parquet.dataset import Dataset
+        from h3data.recording.parquet.steps import DatasetSteps
+
+        if episode is None:
+            raise InputError(f"A dataset has many episodes: pass episode=0 or another number: {at}")
+        return DatasetSteps(Dataset(at), episode)
+    if episode is not None:
+        raise InputError(f"Only a dataset has numbered episodes, this is not one: {at}")
+    from h3data.recording.mcap.steps import McapSteps
+
+    return McapSteps(at)
 
 
 def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
@@ -85,7 +112,7 @@ def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
 
 
 def looks_like(path: AnyPath) -> str:
-    """What a file is, judged by how it begins: ``an MCAP log``, ``a gfx-replay file of Habitat``, ``text``, ..."""
+    """Kind of a file, judged by how it begins: ``an MCAP log``, ``a gfx-replay file of Habitat``, ``text``, ..."""
     try:
         with open_binary(path) as stream:
             head = stream.read(_HEAD)

@@ -1,7 +1,7 @@
-"""What a recording is: who and what was there, and where everything was at every step.
+"""The records of an episode: its agents, its bodies, and where everything was at every step.
 
-A `Recording` is complete by itself: with its assets at hand it can be drawn from any camera, measured and continued. It
-is the same thing whether it came from our simulator, from a Habitat file, from an MCAP log or from a Parquet dataset.
+A `Recording` is self-contained: with its assets at hand it can be rendered from any camera, measured and continued. It is
+the same whether it came from our simulator, a Habitat file, an MCAP log or a Parquet dataset.
 
 Time-indexed data are plain arrays in `Recording.columns`, time first. Their names are the contract:
 
@@ -9,21 +9,21 @@ Time-indexed data are plain arrays in `Recording.columns`, time first. Their nam
 column                 dtype, shape     meaning (frames and units as in `h3data.geometry`)
 ====================== ================ ================================================================================
 ``time_ns``            int64 [T]        nanoseconds since the episode began; row k is the state after action k
-``object_pose``        float32 [T,N,7]  pose7 in the world of each body with ``moving >= 0``; NaN = not there then
+``object_pose``        float32 [T,N,7]  pose7 in the world of each body with ``moving >= 0``; NaN = absent at that step
 ``agent_<i>.base_pose``   float32 [T,7] pose7 of the agent's root: at the floor, x forward, y up, z right
 ``agent_<i>.joint_pos``   float32 [T,J] robot joint positions [rad or m], in the order of ``Agent.joint_names``
 ``agent_<i>.grasp_body``  int32 [T]     index of the held body, -1 for none
 ``agent_<i>.motion_id``   int32 [T]     clip that drives a humanoid, an index into ``Agent.motion_names``
 ``agent_<i>.motion_phase`` float32 [T]  position in the clip, 0..1
 ``agent_<i>.motion_blend`` float32 [T]  0 = standing pose, 1 = the clip
-``agent_<i>.motion_arms`` float32 [T,2] how far the left and the right arm are drawn in: 0 = as in the clip, 1 = close to
+``agent_<i>.motion_arms`` float32 [T,2] how far the left and right arms are tucked in: 0 = as in the clip, 1 = close to
                                         the body; optional
 ``agent_<i>.root_pose``   float32 [T,7] free-form humanoids only: pelvis in the world
 ``agent_<i>.joint_quat``  float32 [T,54,4] free-form humanoids only: local rotations without the pelvis, SMPL-X order
 ``agent_<i>.action``      float32 [T,A] low-level action that led to this row, named in ``Agent.action_names``
 ``agent_<i>.skill``       int32 [T]     running high-level skill, an index into ``Agent.skill_names``, -1 for none
 ``metrics.<name>``        float32 or bool [T]  per-step scalars, e.g. ``dist_agents``, ``collision``
-``sim.<name>``            any           what the simulator needs besides, to continue from a step
+``sim.<name>``            any           further state that the simulator needs to continue from a step
 ``state_hash``            uint64 [T]    running hash of the state stream
 ====================== ================ ================================================================================
 """
@@ -48,11 +48,11 @@ STEP_NS = 33_333_333
 
 @dataclass(frozen=True, kw_only=True)
 class AssetRef:
-    """Where the look of a body comes from."""
+    """Source of a body's geometry and materials."""
 
     name: str
     uri: str
-    """``scene:<asset>`` lies in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
+    """``scene:<asset>`` is in the attached scene; ``primitive:<kind>`` is generated; anything else is a file path as
     recorded, to be found below the user's asset roots."""
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Which axis of the file points up."""
@@ -66,7 +66,7 @@ class AssetRef:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """A rigid thing: furniture, an object, or a link of an agent that has no model of its own."""
+    """A rigid body: furniture, an object, or a link of an agent that has no model of its own."""
 
     name: str
     asset: str
@@ -77,19 +77,19 @@ class Body:
     moving: int = -1
     """Index along axis 1 of ``object_pose``; -1 = static."""
     layer: str = ""
-    """As `h3data.scene.Instance.layer`."""
+    """Same meaning as `h3data.scene.Instance.layer`."""
     agent: int = -1
-    """Index of the agent that this body is a part of; -1 = none."""
+    """Index of the agent that this body is part of; -1 = none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Agent:
-    """Somebody who acts."""
+    """A robot or a person."""
 
     name: str
     kind: Literal["robot", "human"]
     model: str = ""
-    """Built-in body or robot that draws it (``humanoid/female_0``, ``robot/quad_arm``); empty: its bodies draw it."""
+    """Body or robot to render it with (``humanoid/female_0``, ``robot/quad_arm``); empty: its `Body` records show it."""
     semantic_id: int = 0
     joint_names: tuple[str, ...] = ()
     motion_names: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class Event:
 
     step: int
     agent: int
-    """Who did it; -1 = nobody."""
+    """Index of the agent that caused it; -1 = none."""
     kind: str
     target: str = ""
     detail: str = ""
@@ -124,26 +124,26 @@ class SkillSpan:
 
 @dataclass(frozen=True, kw_only=True)
 class InputEvent:
-    """What a person's input device said, as it came: a key, the mouse, an XR controller, a line of text."""
+    """One raw message of a person's input device: a key, the mouse, an XR controller, a line of text."""
 
     time_ns: int
-    """When it came, in ns since the episode began, as the column ``time_ns``; usually between two rows, negative before
-    the episode. What came in (time of row k-1, time of row k] could act on row k."""
+    """Time of arrival [ns since the episode began], on the clock of the column ``time_ns``; usually between two rows, negative
+    before the episode. Input in (time of row k-1, time of row k] could act on row k."""
     kind: str
     """``key_down``, ``key_up``, ``mouse_move``, ``mouse_down``, ``mouse_up``, ``mouse_wheel``, ``xr``, ``text``, or any
     other word."""
     user: int = 0
-    """Which person; the agent that they drive is told by ``episode.info`` or the task."""
+    """Index of the person; ``episode.info`` or the task defines which agent they drive."""
     payload: str = ""
-    """The rest as JSON text, e.g. ``{"key": "w"}``, kept to the letter; empty = nothing."""
+    """Details as JSON text, e.g. ``{"key": "w"}``, kept verbatim; empty = none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """What was recorded, under which rules, by whom."""
+    """Identity and provenance of an episode: its task, scene, seed and the program that recorded it."""
 
     uid: str
-    """Unique for ever (uuid)."""
+    """Globally unique, a uuid."""
     episode_id: str
     """Name within its dataset."""
     task: str
@@ -152,15 +152,15 @@ class Episode:
     seed: int = 0
     dt_ns: int = STEP_NS
     created_by: str = ""
-    """Program and version that made it."""
+    """Program and version that recorded it."""
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
-    """Anything else that JSON can hold: task parameters, start poses, way points, provenance, import warnings."""
+    """Any other JSON values: task parameters, start poses, way points, provenance, import warnings."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """One episode. Immutable by convention; `h3data.open` makes one from a file."""
+    """One episode. Immutable by convention; `h3data.open` reads one from a file."""
 
     episode: Episode
     assets: tuple[AssetRef, ...] = ()
@@ -170,7 +170,7 @@ class Recording:
     skills: tuple[SkillSpan, ...] = ()
     events: tuple[Event, ...] = ()
     inputs: tuple[InputEvent, ...] = ()
-    """Raw input of the people who took part, in the order in which it came."""
+    """Raw input of the participants, in order of arrival."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     """Files that travel with the recording, e.g. ``scene.glb``."""
 
@@ -196,7 +196,7 @@ class Recording:
         return tuple(sorted((b for b in self.bodies if b.moving >= 0), key=lambda b: b.moving))
 
     def agent_column(self, agent: int, name: str) -> NDArray[Any]:
-        """Column ``agent_<agent>.<name>``; a `KeyError` names what there is."""
+        """Column ``agent_<agent>.<name>``; a `KeyError` lists the columns if there is none."""
         key = f"agent_{agent}.{name}"
         if key not in self.columns:
             raise KeyError(f"no column {key!r}; this recording has {', '.join(self.columns)}")
@@ -218,14 +218,14 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingHeader:
-    """What is known of an episode before its first step; `RecordingWriter` starts from it (or from a `Recording`)."""
+    """Everything about an episode that is known before its first step, for `RecordingWriter`."""
 
     episode: Episode
     assets: tuple[AssetRef, ...] = ()
     bodies: tuple[Body, ...] = ()
     agents: tuple[Agent, ...] = ()
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """Arrays whose dtypes and trailing shapes fix the columns (any rows are ignored); empty: the first rows decide."""
+    """Arrays whose dtypes and trailing shapes fix the columns (their rows are ignored); empty: the first rows decide."""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
 
@@ -248,8 +248,7 @@ def _faults(rec: Recording) -> list[str]:
     width = columns["object_pose"].shape[1] if "object_pose" in columns else 0
     if moving != list(range(width)):
         faults.append(f"{len(moving)} bodies claim tracks, object_pose holds {width}")
-    known = {a.name for a in rec.assets}
-    unknown = sorted({b.asset for b in rec.bodies} - known)
+    unknown = sorted({b.asset for b in rec.bodies} - {a.name for a in rec.assets})
     if unknown:
         faults.append(f"bodies use unknown assets {unknown[:3]}")
     for i in range(len(rec.agents)):

@@ -1,4 +1,4 @@
-"""Column layouts and the records beside them: what both stores (MCAP, Parquet) write down, said once.
+"""Column layouts, records and episodes as plain values, shared by both stores (MCAP, Parquet).
 
 `Column` is one time-indexed array without its rows. `STRUCTS` lists the fields of the records that are not indexed by
 time; the protobuf messages of the log and the Parquet sidecars of the dataset are both made from it.
@@ -78,22 +78,22 @@ Layout = tuple[Column, ...]
 
 
 def topic_of(column: str) -> Topic:
-    """What a column is: state, an action, or a measurement."""
+    """Kind of a column: state, an action, or a measurement."""
     if _ACTION.match(column):
         return "action"
     return "metrics" if column.startswith("metrics.") else "state"
 
 
 def log_topic_of(column: str) -> Topic:
-    """Which per-step topic of the log a column is written to.
+    """Per-step topic of the log that a column is written to.
 
-    Metrics travel with the state since version 1.2: a topic of their own cost 21 B/step, 16 of them in the message index.
+    Metrics share the topic of the state since version 1.2: a topic of their own took 21 B/step, 16 of them in the index.
     """
     return "action" if topic_of(column) == "action" else "state"
 
 
 def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
-    """Layout of arrays [T, ...], in their order; refuses what cannot be stored, naming every such column."""
+    """Layout of arrays [T, ...], in their order; an `InputError` names every column that cannot be stored."""
     layout, faults = [], []
     for name, array in columns.items():
         array = np.asarray(array)
@@ -104,14 +104,12 @@ def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
         else:
             layout.append(Column(name, array.dtype.name, array.shape[1:]))
     if faults:
-        raise InputError(
-            f"Columns must be bool, integer or float arrays with time as axis 0. Not so: {'; '.join(faults)}."
-        )
+        raise InputError(f"Columns must be bool, integer or float arrays with time as axis 0, but {'; '.join(faults)}.")
     return tuple(layout)
 
 
 def default_layout(header: RecordingHeader | Recording) -> Layout:
-    """The least that a recording with these bodies and agents has: for episodes that end before their first step."""
+    """The smallest layout for these bodies and agents, for episodes that end before their first step."""
     moving = sum(b.moving >= 0 for b in header.bodies)
     layout = [Column("time_ns", "int64", ())]
     if moving:
@@ -126,7 +124,7 @@ def required_columns(agents: int) -> set[str]:
 
 
 def layout_hash(layout: Layout) -> str:
-    """16 hex digits that tell two layouts apart."""
+    """16 hex digits that identify a layout."""
     return hashlib.sha256(layout_to_json(layout).encode()).hexdigest()[:16]
 
 
@@ -136,7 +134,7 @@ def layout_to_json(layout: Layout) -> str:
 
 
 def layout_from_json(text: str) -> Layout:
-    """The inverse of `layout_to_json`; a `FormatError` if it is not one."""
+    """The inverse of `layout_to_json`; a `FormatError` if the text is no layout."""
     try:
         layout = tuple(Column(str(n), str(d), tuple(int(s) for s in shape)) for n, d, shape in json.loads(text))
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -148,13 +146,13 @@ def layout_from_json(text: str) -> Layout:
 
 
 def version_numbers(version: str) -> tuple[int, int]:
-    """Major and minor number of a schema version; a `ValueError` if it has none."""
+    """Major and minor number of a schema version; a `ValueError` if the text is no version."""
     major, _, minor = version.partition(".")
     return int(major), int(minor.partition(".")[0])
 
 
 def check_version(version: str, *, path: object) -> None:
-    """Refuses files whose major schema version is newer than ours, or unreadable."""
+    """Raises a `FormatError` if the major schema version of a file is newer than ours, or unreadable."""
     ours = int(SCHEMA_VERSION.split(".")[0])
     try:
         major = int(version.split(".")[0])
@@ -226,7 +224,7 @@ _TYPES: dict[str, type | tuple[type, ...]] = {"string": str, "int64": int, "doub
 
 
 def struct_to_dict(record: Any) -> dict[str, Any]:
-    """Plain strings, numbers and lists of an asset, body, agent, event, skill span or input. Poses and scales are float32."""
+    """Fields of an asset, body, agent, event, skill span or input as plain values, with poses and scales rounded to float32."""
     values: dict[str, Any] = {}
     for name, kind in STRUCTS[_STRUCT_NAMES[type(record)]].items():
         value = getattr(record, name)
@@ -240,10 +238,10 @@ def struct_to_dict(record: Any) -> dict[str, Any]:
 
 
 def struct_from_dict(struct: str, values: Mapping[str, Any]) -> Any:
-    """The record of `struct_to_dict`; fields that the file does not know keep their defaults.
+    """The inverse of `struct_to_dict`; fields that the file lacks keep their defaults.
 
     Raises:
-        FormatError: a field is of another type.
+        FormatError: a field has another type.
     """
     arguments: dict[str, Any] = {}
     for name, kind in STRUCTS[struct].items():
@@ -299,9 +297,9 @@ def episode_to_dict(episode: Episode) -> dict[str, Any]:
 def episode_from_dict(values: Mapping[str, Any], *, path: object) -> Episode:
     """The inverse of `episode_to_dict`; numbers may come as text."""
     try:
-        known = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
+        texts = {k: str(values[k]) for k in ("uid", "episode_id", "task", "scene", "created_by", "schema_version")}
         info = json.loads(values["info"])
-        episode = Episode(**known, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
+        episode = Episode(**texts, seed=int(values["seed"]), dt_ns=int(values["dt_ns"]), info=info)
     except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(f"The episode record is incomplete or malformed ({error}): {path}") from error
     return episode

@@ -1,4 +1,4 @@
-"""Training samples from a dataset: windows of steps that never cross the border of an episode."""
+"""Training samples from a dataset: windows of steps that never cross the boundary of an episode."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.recording import tables
-from h3data.recording.parquet import arrow_cache
+from h3data.recording.parquet import cache, tables
 from h3data.recording.parquet.dataset import Dataset
 
 Border = Literal["drop", "pad"]
@@ -23,19 +22,19 @@ _OWN_KEYS = ("valid", "episode", "step")
 class WindowDataset:
     """A map-style dataset for `torch.utils.data.DataLoader`: window ``k`` is a dict of tensors.
 
-    A window belongs to a step t and holds the rows t - history + 1 ... t + horizon of one episode:
+    The window of step t holds the rows t - history + 1 ... t + horizon of one episode:
 
     * each column as [history + horizon, *declared shape], a copy in the column's dtype;
     * ``valid`` bool [history + horizon]: False where ``border="pad"`` repeats the first or last row;
     * ``episode`` and ``step``: which episode, and t.
 
-    With ``border="drop"`` there are only windows that lie wholly in their episode, with ``"pad"`` one for every
-    ``stride``-th step. Windows come in the order of episodes and steps, always the same; shuffling is the loader's task.
+    ``border="drop"`` leaves out windows that reach beyond their episode; ``"pad"`` has one for every ``stride``-th step.
+    Windows always come in the same order, by episode and step; shuffling is the loader's task.
 
-    Reads the row group of one episode at a time, only ``columns``, and keeps the last ones, up to ``cache_bytes`` in each
-    worker. Where shuffled windows do not fit there, ``disk_cache`` keeps the columns as memory-mapped files
-    (`h3data.recording.parquet.arrow_cache`) that all workers share. Workers may be forked or spawned; with a dataset in an object
-    store, spawn them.
+    Reads ``columns`` from the row group of one episode at a time and keeps the most recent ones, up to ``cache_bytes`` in
+    each worker. For shuffled windows of a larger dataset, ``disk_cache`` keeps the columns in memory-mapped files
+    (`h3data.recording.parquet.cache`) that all workers share. Workers may be forked or spawned; spawn them if the dataset
+    is in an object store.
     """
 
     def __init__(
@@ -51,10 +50,10 @@ class WindowDataset:
         cache_bytes: int = CACHE_BYTES,
         disk_cache: bool = False,
     ) -> None:
-        """Windows over ``episodes`` (default: all) as the dataset is now.
+        """Windows over ``episodes`` (default: all that are committed now).
 
         Raises:
-            InputError: no such column or episode; a length or stride that makes no sense.
+            InputError: no such column or episode; a length or stride out of range.
         """
         if history < 1 or horizon < 0 or stride < 1:
             raise InputError(
@@ -64,7 +63,7 @@ class WindowDataset:
             raise InputError(f"Expected border 'drop' or 'pad', got {border!r}.")
         clash = sorted(set(columns) & set(_OWN_KEYS))
         if clash:
-            raise InputError(f"Columns {clash} cannot be in a window, whose own keys are {', '.join(_OWN_KEYS)}.")
+            raise InputError(f"Columns {clash} cannot be in a window: its own keys are {', '.join(_OWN_KEYS)}.")
         self.dataset, self.columns = dataset, tuple(tables.table_schema(dataset, columns).names)
         self.history, self.horizon, self.stride, self.border = history, horizon, stride, border
         chosen = tables.chosen_episodes(dataset, episodes)
@@ -82,16 +81,16 @@ class WindowDataset:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Window ``index``; a negative one counts from the end."""
+        """Window ``index``; negative indices count from the end."""
         import torch
 
         if not -len(self) <= index < len(self):
             raise IndexError(f"There are {len(self)} windows, there is no {index}.")
         index %= len(self)
-        place = int(np.searchsorted(self._ends, index, side="right"))
-        step = (index - (int(self._ends[place - 1]) if place else 0)) * self.stride
+        position = int(np.searchsorted(self._ends, index, side="right"))
+        step = (index - (int(self._ends[position - 1]) if position else 0)) * self.stride
         step += 0 if self.border == "pad" else self.history - 1
-        episode = int(self._episodes[place])
+        episode = int(self._episodes[position])
         last = self.dataset.rows[episode]["length"] - 1
         rows = np.arange(step - self.history + 1, step + self.horizon + 1)
         inside = rows.clip(0, last)
@@ -102,7 +101,7 @@ class WindowDataset:
         return (self[index] for index in range(len(self)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was read: spawned workers read for themselves."""
+        """The state without cached rows: spawned workers read for themselves."""
         return {**self.__dict__, "_cache": OrderedDict(), "_cached": 0, "_mapped": {}}
 
     def __repr__(self) -> str:
@@ -110,7 +109,7 @@ class WindowDataset:
         return f"WindowDataset({len(self)} windows of {len(self._episodes)} episodes, {list(self.columns)}, {shape})"
 
     def _rows_of(self, episode: int) -> dict[str, NDArray[Any]]:
-        """All rows of an episode, read or kept."""
+        """All rows of an episode, from the cache if it has them."""
         if episode in self._cache:
             self._cache.move_to_end(episode)
             return self._cache[episode][0]
@@ -128,7 +127,7 @@ class WindowDataset:
         row = self.dataset.rows[episode]
         shard = self.dataset.shard_of(row)
         if self._disk_cache and shard not in self._mapped:
-            self._mapped[shard] = arrow_cache.open_cached(self.dataset, shard, self.columns)
+            self._mapped[shard] = cache.open_cached(self.dataset, shard, self.columns)
         reader = self._mapped.get(shard)
         if reader is None:
             return tables.to_arrow(self.dataset, columns=self.columns, episodes=[episode])

@@ -15,7 +15,7 @@ from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.skinned_meshes import load_skinned_mesh
 from h3data.mesh.loading import load_mesh
 from h3data.recording import AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, open_recording
-from h3data.recording.mcap.mcap_log import write_mcap
+from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import Replay, camera_track
 from tests.mesh.gltf_builder import FLOAT, SQUARE, U8, Builder
 

@@ -27,7 +27,7 @@ from h3data.recording import (
     recordings_equal,
     write_mcap,
 )
-from h3data.recording.mcap import mcap_part
+from h3data.recording.mcap import part as mcap_part
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
 from h3data_pipelines.commands import generate
@@ -255,7 +255,7 @@ def test_an_interrupt_while_writing_waits() -> None:
 def test_an_interrupt_before_a_row_group_keeps_the_episodes_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from h3data.recording.parquet import dataset_shard
+    from h3data.recording.parquet import shard as dataset_shard
 
     run_json(capsys, *SHORT, tmp_path / "a", "--episodes", "1")
     recording = h3data.open(tmp_path / "a").recording(0)

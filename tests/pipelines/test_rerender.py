@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.recording.mcap.mcap_log import write_mcap
+from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main

@@ -29,7 +29,7 @@ from h3data.recording import (
     recover_mcap,
     write_mcap,
 )
-from h3data.recording.mcap.mcap_scan import scan_records
+from h3data.recording.mcap.scan import scan_records
 from tests.paths import ROOT
 from tests.recording.strategies import simple_recording
 

@@ -35,8 +35,8 @@ from h3data.recording import (
     state_hash,
     write_mcap,
 )
-from h3data.recording.parquet import dataset_shard
-from h3data.recording.parquet.lerobot_meta import merged, moments_of
+from h3data.recording.parquet import shard as dataset_shard
+from h3data.recording.parquet.moments import merged, moments_of
 from h3data.recording.schema import DTYPES
 from tests.paths import REAL, ROOT
 from tests.recording.strategies import recordings, simple_recording

@@ -23,7 +23,7 @@ from h3data.recording import (
     recordings_equal,
     write_mcap,
 )
-from h3data.recording.tables import record_table
+from h3data.recording.parquet.tables import record_table
 from tests.recording.golden_recordings import FOLDER, recording
 
 VERSIONS = ("1.0", "1.1", "1.2", "1.3")

@@ -26,7 +26,7 @@ from h3data.recording import (
     write_mcap,
 )
 from h3data.recording.mcap import wire
-from h3data.recording.mcap.mcap_scan import MAGIC
+from h3data.recording.mcap.scan import MAGIC
 from h3data.recording.mcap.wire import message_class, step_descriptor, struct_descriptor, wire_layouts
 from h3data.recording.schema import RECORD_TYPES, STRUCTS, layout_of, topic_of
 from tests.recording.strategies import recordings, simple_recording

@@ -27,7 +27,8 @@ from h3data.recording import (
     recover_mcap,
     write_mcap,
 )
-from h3data.recording.mcap import mcap_log, mcap_part
+from h3data.recording.mcap import part as mcap_part
+from h3data.recording.mcap.log import LogWriter
 from tests.recording.strategies import simple_recording
 
 
@@ -160,7 +161,7 @@ def test_an_interrupt_while_rewriting_leaves_the_live_log(tmp_path, monkeypatch)
     def interrupted(writer, recording):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(mcap_log, "_write_all", interrupted)
+    monkeypatch.setattr(LogWriter, "append_recording", interrupted)
     with pytest.raises(KeyboardInterrupt):
         record_live(tmp_path / "a.mcap", rec)
     assert recordings_equal(rec, read_mcap(tmp_path / "a.mcap")) == []
@@ -203,7 +204,7 @@ def test_an_exception_leaves_a_part_that_can_be_recovered(tmp_path):
     assert not path.exists()
     with pytest.raises(FormatError, match=r"never finished.*45 complete steps.*h3data recover"):
         open_recording(part)
-    with pytest.raises(InputError, match=r"unfinished one is there"):
+    with pytest.raises(InputError, match=r"unfinished one exists"):
         open_recording(path)
     with pytest.raises(InputError, match="unfinished recording of this name exists"):
         RecordingWriter(path, rec)

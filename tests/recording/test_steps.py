@@ -27,7 +27,7 @@ from h3data.recording import (
     recordings_equal,
     write_mcap,
 )
-from h3data.recording.mcap.mcap_steps import McapSteps
+from h3data.recording.mcap.steps import McapSteps
 from h3data.recording.storage import place
 from tests.recording.strategies import recordings, simple_recording
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.recording import Dataset, DatasetWriter
-from h3data.recording.parquet.lerobot_meta import STANDARD
+from h3data.recording.parquet.schema import STANDARD
 from tests.recording.strategies import recordings, simple_recording
 
 
@@ -63,7 +63,7 @@ def test_torch_is_what_was_recorded(tmp_path: Path, rec, times: int) -> None:
 
 
 def test_torch_shares_memory_with_one_episode(dataset: Dataset) -> None:
-    from h3data.recording import tables
+    from h3data.recording.parquet import tables
 
     table = dataset.to_arrow(["object_pose"], episodes=[2])
     tensor = tables.to_torch(table, tables.shapes_of(dataset))["object_pose"]

@@ -167,7 +167,7 @@ def test_mapped_files_give_the_same_windows(
     files[0].unlink()
     (tmp_path / "arrow" / "gone.arrow").symlink_to(tmp_path / "nowhere")  # as one that another worker evicts meanwhile
     with monkeypatch.context() as patch:
-        patch.setattr("h3data.recording.parquet.arrow_cache.log.info", pytest.fail)  # says that nothing is cached
+        patch.setattr("h3data.recording.parquet.cache.log.info", pytest.fail)  # says that nothing is cached
         assert same(all_windows(dataset, disk_cache=True), plain)
     (tmp_path / "arrow" / "gone.arrow").unlink()
     files[0].write_bytes(b"ARROW1 and then something else")

@@ -18,7 +18,7 @@ from h3data.export.posed_parts import PosedPart
 from h3data.files import part_file
 from h3data.geometry import Array, pose_from_matrix
 from h3data.recording.log_lines import log_lines
-from h3data.recording.mcap.mcap_header import episode_metadata, log_time, start_time
+from h3data.recording.mcap.header import episode_metadata, log_time, start_time
 from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column

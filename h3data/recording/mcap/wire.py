@@ -2,9 +2,9 @@
 
 Packed ``repeated float`` is the little-endian bytes of a float32 array behind a tag and a length. With only fixed-size
 wire types, constant list lengths and every field always present, all messages of a topic have the same length, so T
-messages are one uint8 matrix [T, L]: measured 4x faster to write and 6x faster to read than message objects
-(``research/formats.md`` 1.2). The messages stay ordinary protobuf: the descriptor is in the file, any reader decodes
-them, and messages of other lengths (another writer) are read through google.protobuf here as well.
+messages are one uint8 matrix [T, L]: 4x faster to write and 6x faster to read than message objects
+(``research/formats.md`` 1.2). They remain ordinary protobuf: the descriptor is in the file and any reader decodes them.
+Messages of other lengths, from another writer, are read here through google.protobuf.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from h3data.errors import FormatError
 from h3data.recording.schema import STRUCTS, Column, Layout, Topic, layout_from_json, layout_to_json, log_topic_of
 
 STEP = Column("", "uint32", ())
-"""Not a column: the row number that ties the messages of the topics together. Field ``step``, number 2."""
+"""Row number that ties the messages of the topics together, field ``step`` with number 2; not a column of the recording."""
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _WIRE = {  # dtype -> protobuf type, numpy dtype on the wire, wire type of one value
@@ -93,7 +93,7 @@ def varint(value: int) -> bytes:
 
 
 def wire_layouts(layout: Layout) -> dict[Topic, WireLayout]:
-    """Fields of each per-step message that these columns need; ``state`` is always there."""
+    """Fields of each per-step message for these columns; ``state`` always exists."""
     topics: dict[Topic, list[Column]] = {"state": []}
     for column in layout:
         topics.setdefault(log_topic_of(column.name), []).append(column)
@@ -114,7 +114,7 @@ def _number(columns: Sequence[Column]) -> WireLayout:
 
 
 def _proto_name(name: str, taken: set[str]) -> str:
-    """A protobuf identifier; unique also as its camelCase JSON name."""
+    """A protobuf identifier that is unique, also in its camelCase JSON form."""
     plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
     plain = plain if plain[:1].isalpha() else f"c_{plain}"
     candidate, n = plain, 2
@@ -126,7 +126,7 @@ def _proto_name(name: str, taken: set[str]) -> str:
 
 # --- blocks of messages -----------------------------------------------------------------------------------------------
 def _template(fields: WireLayout) -> tuple[NDArray[np.uint8], list[int], NDArray[np.bool_]]:
-    """One message with all values 0, where each field's values begin, and which bytes never change."""
+    """One message with all values 0, the offset of each field's values, and a mask of the bytes that never change."""
     message, fixed, starts = bytearray(), [], []
     for field in fields:
         message += field.head
@@ -163,8 +163,11 @@ def decode_messages(
 ) -> dict[str, NDArray[Any]]:
     """Columns (and the row numbers under ``""``) of the messages of one topic; only the ``wanted`` columns if given.
 
-    One `np.frombuffer` when every message has the length and the tags that the layout foretells, else one protobuf
-    object per message.
+    One `np.frombuffer` if every message has the length and the tags that the layout implies, else one protobuf object
+    per message.
+
+    Raises:
+        FormatError: a list has another length, or a value does not fit its column.
     """
     template, starts, fixed = _template(fields)
     chosen = [(f, s) for f, s in zip(fields, starts, strict=True) if wanted is None or f.column.name in {"", *wanted}]
@@ -203,7 +206,7 @@ def _decode_objects(fields: Sequence[WireField], messages: Sequence[memoryview],
 
 
 def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
-    """Values in the dtype of their column; a `FormatError` if they do not fit it."""
+    """Values in the dtype of their column; a `FormatError` if they do not fit."""
     narrow = values.astype(field.column.dtype, copy=False)
     if field.column.dtype in ("int8", "int16", "uint8", "uint16") and not np.array_equal(narrow, values):
         raise FormatError(f"Column {field.column.name}: values exceed {field.column.dtype}.")
@@ -212,16 +215,16 @@ def _narrow(values: NDArray[Any], field: WireField) -> NDArray[Any]:
 
 # --- channel metadata -------------------------------------------------------------------------------------------------
 def fields_to_metadata(fields: WireLayout) -> dict[str, str]:
-    """Channel metadata from which the exact columns come back: layout, field names and numbers."""
-    own = [f for f in fields if f.column is not STEP]
+    """Channel metadata that restore the exact columns: layout, field names and numbers."""
+    column_fields = [f for f in fields if f.column is not STEP]
     return {
-        "h3.columns": layout_to_json(tuple(f.column for f in own)),
-        "h3.fields": json.dumps([[f.name, f.number] for f in own]),
+        "h3.columns": layout_to_json(tuple(f.column for f in column_fields)),
+        "h3.fields": json.dumps([[f.name, f.number] for f in column_fields]),
     }
 
 
 def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayout:
-    """The inverse of `fields_to_metadata`, in the order of field numbers, ``step`` among them."""
+    """The inverse of `fields_to_metadata`, in the order of field numbers, including ``step``."""
     try:
         layout = layout_from_json(metadata["h3.columns"])
         named = json.loads(metadata["h3.fields"])
@@ -234,8 +237,8 @@ def fields_from_metadata(metadata: Mapping[str, str], *, topic: str) -> WireLayo
 # --- descriptors ------------------------------------------------------------------------------------------------------
 def step_descriptor(message: str, fields: WireLayout) -> bytes:
     """Serialised FileDescriptorSet of one per-step message, e.g. ``State`` in package ``h3``."""
-    own = [(f.name, f.number, f.proto_type, f.repeated) for f in fields]
-    return _descriptor_set(f"h3/{message.lower()}.proto", {message: own})
+    signatures = [(f.name, f.number, f.proto_type, f.repeated) for f in fields]
+    return _descriptor_set(f"h3/{message.lower()}.proto", {message: signatures})
 
 
 def struct_descriptor() -> bytes:
@@ -273,13 +276,13 @@ def message_class(descriptor_set: bytes, name: str) -> Any:
 
     pool = descriptor_pool.DescriptorPool()
     waiting = list(descriptor_pb2.FileDescriptorSet.FromString(descriptor_set).file)
-    known: set[str] = set()
+    added: set[str] = set()
     while waiting:
-        ready = [f for f in waiting if set(f.dependency) <= known]
+        ready = [f for f in waiting if set(f.dependency) <= added]
         if not ready:
             raise FormatError(f"The descriptor of {name} lacks files that it depends on.")
         for file in ready:
             pool.Add(file)
-            known.add(file.name)
-        waiting = [f for f in waiting if f.name not in known]
+            added.add(file.name)
+        waiting = [f for f in waiting if f.name not in added]
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))

@@ -50,7 +50,7 @@ class Info:
 def _told(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
     """Text and JSON types of everything below a path; of a folder of recordings one each."""
     from h3data.recording import Dataset
-    from h3data.recording.parquet.dataset_writer import is_dataset
+    from h3data.recording.parquet.files import is_dataset
 
     if path.is_dir() and is_dataset(path):
         return [_of_dataset(Dataset(path))]

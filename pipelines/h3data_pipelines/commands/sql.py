@@ -108,7 +108,7 @@ def connect(datasets: dict[str, Dataset], *, profile: str | None = "paper") -> d
         import duckdb
     except ImportError:
         raise MissingExtraError('SQL needs DuckDB. Hint: pip install "h3data[sql]"') from None
-    from h3data.recording.tables import record_table, step_source
+    from h3data.recording.parquet.tables import record_table, step_source
 
     connection = duckdb.connect()
     steps = []
@@ -168,7 +168,7 @@ def views(connection: duckdb.DuckDBPyConnection) -> str:
 # --- the views --------------------------------------------------------------------------------------------------------
 def _step_columns(dataset: Dataset) -> list[str]:
     """All stored columns, lists without a fixed length (it differs between datasets), and shorter names for what is common."""
-    from h3data.recording.tables import table_schema
+    from h3data.recording.parquet.tables import table_schema
 
     schema = table_schema(dataset)
     taken = {name.lower() for name in schema.names}

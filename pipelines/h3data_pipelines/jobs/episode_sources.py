@@ -48,7 +48,7 @@ def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
         InputError: there is no such path, or nothing below it.
     """
     from h3data.recording.opening import logs_in
-    from h3data.recording.parquet.dataset_writer import is_dataset
+    from h3data.recording.parquet.files import is_dataset
 
     sources: list[EpisodeSource] = []
     for path in map(place, paths):

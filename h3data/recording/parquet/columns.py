@@ -1,4 +1,4 @@
-"""The rows of one column as a dataset stores them, and back."""
+"""Rows of one column between NumPy and the Arrow arrays that a dataset stores."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from h3data.recording.schema import Column
 
 
 def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[Any]:
-    """Rows in the declared width, flattened to [T, width]; what is not there is NaN, -1, 0 (unsigned) or False."""
+    """Rows in the declared width, flattened to [T, width]; padded with NaN, -1, 0 (unsigned) or False."""
     if values is not None and values.shape[1:] == column.shape:
         return np.ascontiguousarray(values, column.dtype).reshape(steps, column.width)
     kind = np.dtype(column.dtype).kind
@@ -23,7 +23,7 @@ def padded(values: NDArray[Any] | None, column: Column, steps: int) -> NDArray[A
 
 
 def to_arrow(rows: NDArray[Any]) -> pa.Array:
-    """Rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; without a copy but for booleans."""
+    """Rows [T, width] as an Arrow array, a fixed-size list if the width is not 1; copies only booleans."""
     flat = rows.reshape(-1)
     if flat.dtype == bool:
         flat = pa.array(flat)
@@ -32,30 +32,30 @@ def to_arrow(rows: NDArray[Any]) -> pa.Array:
     return flat if rows.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
 
 
-def to_numpy(stored: pa.ChunkedArray | None, column: Column, home: Column, steps: int) -> NDArray[Any]:
-    """One column in its own shape [steps, ...]: a writable copy, padding cut off.
+def to_numpy(stored: pa.ChunkedArray | None, column: Column, declared: Column, steps: int) -> NDArray[Any]:
+    """One column in its own shape [steps, ...]: a writable copy without the padding.
 
-    ``home`` is the column as the dataset declares it; ``stored`` is None where the column has no width.
+    ``declared`` is the column of the dataset; ``stored`` is None if the column has no width.
 
     Raises:
-        ValueError: what is stored is not that.
+        ValueError: ``stored`` has another type or shape than declared.
     """
     if not column.width or stored is None:
         return column.empty(steps)
-    if pa.types.is_fixed_size_list(stored.type) != (home.width > 1):
-        raise ValueError(f"column {column.name} is not {home}")
-    chunks = [c.flatten() if home.width > 1 else c for c in stored.chunks]
+    if pa.types.is_fixed_size_list(stored.type) != (declared.width > 1):
+        raise ValueError(f"column {column.name} is not {declared}")
+    chunks = [c.flatten() if declared.width > 1 else c for c in stored.chunks]
     if any(c.null_count for c in chunks):
         raise ValueError(f"column {column.name} has nulls")
     values = np.concatenate([c.to_numpy(zero_copy_only=False) for c in chunks])
-    wide = _as_declared(values, home.dtype).reshape(steps, *home.shape)
-    if home.shape == column.shape:
+    wide = _as_declared(values, declared.dtype).reshape(steps, *declared.shape)
+    if declared.shape == column.shape:
         return wide
     return wide[(slice(None), *(slice(0, n) for n in column.shape))].copy()
 
 
 def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Stored values in the dtype of their column: since version 1.2 a uint64 lies in the file as an int64 of equal bits."""
+    """Stored values in the dtype of their column: since version 1.2 a uint64 is stored as an int64 of the same bits."""
     if dtype == "uint64" and stored.dtype == np.int64:
         return stored.view(np.uint64)
     if stored.dtype != dtype:
@@ -64,7 +64,12 @@ def _as_declared(stored: NDArray[Any], dtype: str) -> NDArray[Any]:
 
 
 def conform(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The table with the columns of ``schema`` that it has in their declared types; an error if one has others, or nulls."""
+    """The table with its columns cast to the types of ``schema``; columns of either that the other lacks are left alone.
+
+    Raises:
+        ValueError: a column of the schema has nulls.
+        pa.ArrowException: a value does not fit the declared type.
+    """
     for index, name in enumerate(table.column_names):
         if name in schema.names:
             column = table[name].cast(schema.field(name).type)

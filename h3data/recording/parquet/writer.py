@@ -1,8 +1,8 @@
 """Writing a Parquet dataset: one row per step, one row group per episode, LeRobot v3.0 layout, safe against crashes.
 
 Episodes are gathered in *shards* of about 100. A shard is a data file, its sidecars (``h3/bodies``, ``h3/skills``, ...)
-and an episode table. All are written under temporary names and renamed when they are complete, the episode table last:
-its presence is the commit. What is not listed there does not exist for any reader.
+and an episode table. All are written under temporary names and renamed when complete, the episode table last: its
+presence is the commit, and readers ignore episodes that no table lists.
 """
 
 from __future__ import annotations
@@ -22,28 +22,14 @@ from typing import Any, Self
 import pyarrow as pa
 
 from h3data.errors import InputError
-from h3data.recording.parquet.dataset_shard import SIDECARS, Shard
-from h3data.recording.parquet.lerobot_meta import (
-    FILE_MB,
-    STANDARD,
-    DatasetSchema,
-    Totals,
-    merge_into,
-    shard_files,
-    shard_number,
-    union_layout,
-    write_atomic,
-    write_meta,
-)
+from h3data.recording.parquet.files import is_dataset, shard_files, shard_number, write_atomic
+from h3data.recording.parquet.lerobot import FILE_MB, Totals, write_meta
+from h3data.recording.parquet.moments import merge_into
+from h3data.recording.parquet.schema import SIDECARS, STANDARD, DatasetSchema, union_layout
+from h3data.recording.parquet.shard import Shard
 from h3data.recording.records import Recording
-from h3data.recording.schema import (
-    Layout,
-    episode_to_dict,
-    layout_of,
-    layout_to_json,
-    struct_to_dict,
-)
-from h3data.recording.storage import AnyPath, RemotePath, place, put_tree, remove_tree
+from h3data.recording.schema import Layout, episode_to_dict, layout_of, layout_to_json, struct_to_dict
+from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
 
 EPISODES_PER_FILE = 100
 
@@ -51,14 +37,14 @@ EPISODES_PER_FILE = 100
 class DatasetWriter:
     """Writes recordings into a dataset folder.
 
-    The columns of a dataset are fixed by its first episode, or up front by ``like`` (recordings whose columns it must
-    hold as well) and ``max_bodies`` (moving bodies of the fullest scene). Later episodes may be narrower or lack columns
-    - they are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they
-    may have others, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager
-    it commits all episodes that were added completely, also on an exception or Ctrl-C. One writer per folder at a time.
+    The first episode fixes the columns of a dataset, or ``like`` (recordings whose columns must fit as well) and
+    ``max_bodies`` (moving bodies of the fullest scene) do so up front. Later episodes may be narrower or lack columns - they
+    are padded, and read back exactly - but not wider. All have ``fps`` steps per second; with ``nominal_fps`` they may have
+    other rates, and LeRobot's ``timestamp`` is then nominal (``time_ns`` is always the true time). As a context manager it
+    commits all completely added episodes, also on an exception or Ctrl-C. One writer per folder at a time.
 
-    The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and put there whole when it is
-    committed, its episode table last; a second writer is not noticed.
+    The root may be a URI (``s3://bucket/ds``). Each shard is then made in a temporary folder and uploaded when it is
+    committed, its episode table last; a second writer goes unnoticed.
     """
 
     def __init__(
@@ -74,10 +60,14 @@ class DatasetWriter:
         episodes_per_file: int = EPISODES_PER_FILE,
         file_bytes: int = FILE_MB << 20,
     ) -> None:
-        """Open a new folder, replace the dataset in it (``overwrite``), or go on after its last commit (``resume``)."""
+        """Opens a new folder, replaces the dataset in it (``overwrite``), or continues after its last commit (``resume``).
+
+        Raises:
+            InputError: the folder holds anything else, or a dataset without either option.
+        """
         self.root = place(root)
         self._local_root = self.root if isinstance(self.root, Path) else Path(tempfile.mkdtemp(prefix="h3data-"))
-        """Where a shard's files are made: in the dataset itself, or in a temporary folder until they are put to its URI."""
+        """Folder where a shard's files are made: the dataset itself, or a temporary one until they are uploaded."""
         if isinstance(self.root, RemotePath):
             weakref.finalize(self, shutil.rmtree, self._local_root, ignore_errors=True)
         self.closed = False
@@ -87,18 +77,18 @@ class DatasetWriter:
         self._schema: DatasetSchema | None = None
         self._shard: Shard | None = None
         if overwrite and resume:
-            raise InputError("Choose one: overwrite=True starts anew, resume=True goes on.")
+            raise InputError("Choose one: overwrite=True starts anew, resume=True continues.")
         with self._writing():
             self._open_root(overwrite=overwrite, resume=resume)
             if self._schema is None:
                 self._declare(like)
 
     def __len__(self) -> int:
-        """Episodes so far, with those not yet committed: the index of the next one."""
+        """Number of episodes, including those not yet committed: the index of the next one."""
         return self._totals.episodes + (self._shard.episodes if self._shard else 0)
 
     def add(self, recording: Recording) -> int:
-        """Append one episode and return its index. It is durable from the next commit on."""
+        """Appends one episode and returns its index. It is durable from the next commit on."""
         if self.closed:
             raise InputError(f"This dataset writer is closed: {self.root}")
         with self._writing():
@@ -106,7 +96,7 @@ class DatasetWriter:
                 self._declare([recording])
             assert self._schema is not None
             layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
-            row = episode_row(recording, layout)
+            row = _episode_row(recording, layout)
             attachments = {name: self._store_file(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
             sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
@@ -126,7 +116,7 @@ class DatasetWriter:
         return index
 
     def commit(self) -> None:
-        """Finish the current files: all episodes added so far survive whatever comes."""
+        """Finishes the current files: all episodes added so far survive a crash."""
         if self._shard is None or self._schema is None:
             return
         shard, self._shard = self._shard, None
@@ -145,7 +135,7 @@ class DatasetWriter:
             write_meta(self.root, self._schema, self._totals)
 
     def close(self) -> None:
-        """Commit and end. A second call does nothing."""
+        """Commits and closes the dataset. A second call does nothing."""
         if not self.closed:
             self.commit()
             self.closed = True
@@ -161,16 +151,16 @@ class DatasetWriter:
     def __repr__(self) -> str:
         return f"DatasetWriter({str(self.root)!r}, {len(self)} episodes, {self._totals.episodes} committed)"
 
-    # --- inside ---
+    # --- private ---
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         try:
             yield
         except FileExistsError as error:
-            raise InputError(f"Somebody else is writing this dataset: {error.filename}") from None
+            raise InputError(f"Another process is writing this dataset: {error.filename}") from None
         except OSError as error:
             raise InputError(
-                f"Could not write the dataset: {error.strerror or error}. Episodes committed before are safe; go on with "
+                f"Could not write the dataset: {error.strerror or error}. Episodes committed before are safe; continue with "
                 f"resume=True: {self.root}"
             ) from error
 
@@ -191,8 +181,8 @@ class DatasetWriter:
             self._resume()
         else:
             raise InputError(
-                f"The dataset exists; choose another folder, pass overwrite=True (--force) to replace it or resume=True "
-                f"to go on: {root}"
+                f"The dataset exists; choose another folder, pass overwrite=True (--force) to replace it, or "
+                f"resume=True to continue it: {root}"
             )
 
     def _resume(self) -> None:
@@ -210,7 +200,7 @@ class DatasetWriter:
         self._totals = Totals.of(self.root)
 
     def _declare(self, examples: Iterable[Recording]) -> None:
-        """Fix the columns of the dataset so that all of these fit, and write them down; without any, do nothing."""
+        """Fixes the columns of the dataset so that all of these recordings fit; without any, does nothing."""
         layouts, robots = [], []
         for recording in examples:  # may be a generator: one recording in memory at a time
             layouts.append(layout_of(recording.columns))
@@ -227,7 +217,7 @@ class DatasetWriter:
         self._schema = schema
 
     def _store_file(self, name: str, data: bytes) -> str:
-        """Keep an attachment under the hash of its contents; returns the file name below ``h3/files``."""
+        """Stores an attachment under the hash of its contents; returns its file name below ``h3/files``."""
         suffix = "".join(c for c in Path(name).suffix[1:9].lower() if c.isascii() and c.isalnum())
         stored = hashlib.sha256(data).hexdigest() + (f".{suffix}" if suffix else "")
         path = self.root / "h3" / "files" / stored
@@ -236,13 +226,8 @@ class DatasetWriter:
         return stored
 
 
-def is_dataset(root: AnyPath) -> bool:
-    """Whether a folder holds a dataset: LeRobot's info.json or our schema."""
-    return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
-
-
-def episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
-    """What the episode table says about a recording beside its place."""
+def _episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
+    """The row of the episode table for a recording, without its place in the dataset."""
     row = {**episode_to_dict(recording.episode), "columns": layout_to_json(layout)}
     try:
         for value in row.values():
@@ -253,18 +238,18 @@ def episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:
 
 
 def _checked_layout(recording: Recording, schema: DatasetSchema, *, any_rate: bool) -> Layout:
-    """Layout of a recording that fits the dataset; an `InputError` lists every reason why it does not."""
+    """Layout of a recording; an `InputError` lists every reason why it does not fit the dataset."""
     layout = layout_of(recording.columns)
     declared = {c.name: c for c in schema.columns}
     faults = []
     for column in layout:
-        home = declared.get(column.name)
-        if home is None:
+        widest = declared.get(column.name)
+        if widest is None:
             faults.append(f"{column} is not a column of the dataset")
-        elif home.dtype != column.dtype or len(home.shape) != len(column.shape):
-            faults.append(f"{column}, the dataset has {home}")
-        elif any(n > m for n, m in zip(column.shape, home.shape, strict=True)):
-            faults.append(f"{column} is wider than {home}")
+        elif widest.dtype != column.dtype or len(widest.shape) != len(column.shape):
+            faults.append(f"{column}, the dataset has {widest}")
+        elif any(n > m for n, m in zip(column.shape, widest.shape, strict=True)):
+            faults.append(f"{column} is wider than {widest}")
     if faults:
         raise InputError(
             f"Episode {recording.episode.episode_id!r} does not fit this dataset: {'; '.join(faults[:8])}. "

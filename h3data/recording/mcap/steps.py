@@ -1,4 +1,4 @@
-"""Steps of a log by its summary, chunk index and message index."""
+"""Single steps of an MCAP log, found through its summary, chunk index and message index."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.mcap.mcap_header import TOPIC_MESSAGES
-from h3data.recording.mcap.mcap_read import assemble, check_kind, columns_of
-from h3data.recording.mcap.mcap_scan import MAGIC, McapRecords, check_crc, decoding_errors, take, unfold
+from h3data.recording.mcap.header import TOPIC_MESSAGES
+from h3data.recording.mcap.read import assemble, check_kind, columns_of
+from h3data.recording.mcap.scan import MAGIC, McapRecords, check_crc, decoding_errors, decompress, take
 from h3data.recording.records import Recording
 from h3data.recording.schema import layout_of
 from h3data.recording.steps import Steps
@@ -26,14 +26,14 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQH")
 _MESSAGE_HEAD = _RECORD.size + 22
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
-_CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _METADATA_INDEX = 6, 7, 8, 10, 13
+_MESSAGE_OP, _MESSAGE_INDEX, _CHUNK_INDEX, _ATTACHMENT_INDEX, _METADATA_INDEX = 5, 7, 8, 10, 13
 _ONCE = ("/h3/scene", "/h3/skill", "/h3/event", "/h3/input")
 _CHUNKS_KEPT = 2
 _T = TypeVar("_T")
 
 
 class McapSteps(Steps):
-    """The steps of a log; the chunks that were unfolded last are kept."""
+    """The steps of a log; the chunks decompressed last are kept."""
 
     def __init__(self, path: AnyPath) -> None:
         self.path = path
@@ -43,7 +43,7 @@ class McapSteps(Steps):
         except OSError as error:
             raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
         try:
-            self._sound(self._open, "it")
+            self._reported(self._open, "it")
         except BaseException:
             self.close()
             raise
@@ -55,7 +55,7 @@ class McapSteps(Steps):
         self._file.close()
         self._kept.clear()
 
-    # --- the three kinds of questions ---
+    # --- reading ---
     def _open(self) -> None:
         self._log = McapRecords(size=self._file.seek(0, 2))
         self._chunks: list[Any] = []
@@ -73,8 +73,8 @@ class McapSteps(Steps):
         }
         self._per_step = [c for c in self._places if self._log.channels[c][0] not in _ONCE]
         for channel in self._per_step:
-            if (found := self._places[channel][-1]) != self._steps:
-                raise ValueError(f"{self._steps} steps, but {found} on {self._log.channels[channel][0]}")
+            if (count := self._places[channel][-1]) != self._steps:
+                raise ValueError(f"{self._steps} steps, but {count} on {self._log.channels[channel][0]}")
         self.layout = layout_of(self._whole(0, 0, "/h3/scene").columns)
 
     def _rows(self, start: int, stop: int, names: list[str]) -> dict[str, NDArray[Any]]:
@@ -84,8 +84,8 @@ class McapSteps(Steps):
         def read() -> dict[str, NDArray[Any]]:
             return columns_of(self._with_steps(start, stop), steps=stop - start, wanted=set(names), first=start)
 
-        found = self._sound(read, f"steps {start} to {stop - 1}")
-        return {name: found[name] for name in names}
+        columns = self._reported(read, f"steps {start} to {stop - 1}")
+        return {name: columns[name] for name in names}
 
     def _recording(self, start: int, stop: int) -> Recording:
         def read() -> Recording:
@@ -93,10 +93,11 @@ class McapSteps(Steps):
                 take(self._log, *self._record(offset))
             return self._whole(start, stop, *_ONCE)
 
-        return self._sound(read, f"steps {start} to {stop - 1}")
+        return self._reported(read, f"steps {start} to {stop - 1}")
 
-    # --- inside ---
-    def _sound(self, read: Callable[[], _T], what: str) -> _T:
+    # --- private ---
+    def _reported(self, read: Callable[[], _T], what: str) -> _T:
+        """The result of ``read``; a `FormatError` if the bytes it meets are damaged."""
         try:
             return read()
         except FormatError as error:
@@ -118,7 +119,7 @@ class McapSteps(Steps):
         return opcode, memoryview(self._bytes(offset + _RECORD.size, length))
 
     def _read_summary(self) -> None:
-        """Schemas, channels and indexes from the end of the file, the metadata records where these say."""
+        """Reads schemas, channels and indexes at the end of the file, and the metadata records that these point to."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex
 
@@ -152,7 +153,7 @@ class McapSteps(Steps):
         check_kind(log, self.path)
 
     def _places_of(self, channel: int) -> list[int]:
-        """How many messages of a channel lie before each chunk, and in all of them together."""
+        """Number of messages of a channel before each chunk, and in all chunks together."""
         counts = []
         for chunk in self._chunks:
             offset = chunk.message_index_offsets.get(channel)
@@ -160,19 +161,19 @@ class McapSteps(Steps):
             counts.append(size // 16)
         return [0, *accumulate(counts)]
 
-    def _unfolded(self, number: int) -> tuple[memoryview, dict[int, NDArray[np.uint64]]]:
-        """A chunk's records and where in them each channel's messages begin."""
+    def _decompressed(self, number: int) -> tuple[memoryview, dict[int, NDArray[np.uint64]]]:
+        """Decompressed records of a chunk, and the offsets of each channel's messages in them."""
         if number not in self._kept:
             chunk = self._chunks[number]
             data = self._bytes(chunk.chunk_start_offset, chunk.chunk_length + chunk.message_index_length)
             begins: dict[int, NDArray[np.uint64]] = {}
-            (_, folded), *indexes = _records(memoryview(data))
-            for opcode, body in indexes:
+            (_, body), *indexes = _records(memoryview(data))
+            for opcode, index in indexes:
                 if opcode == _MESSAGE_INDEX:
-                    begins[struct.unpack_from("<H", body)[0]] = np.frombuffer(body[6:], "<u8")[1::2]
+                    begins[struct.unpack_from("<H", index)[0]] = np.frombuffer(index[6:], "<u8")[1::2]
             while len(self._kept) >= _CHUNKS_KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            self._kept[number] = (memoryview(unfold(folded)), begins)
+            self._kept[number] = (memoryview(decompress(body)), begins)
         return self._kept[number]
 
     def _messages(self, channel: int, start: int, stop: int) -> Iterator[memoryview]:
@@ -180,20 +181,19 @@ class McapSteps(Steps):
         before = self._places[channel]
         number = bisect_right(before, start) - 1
         while start < stop:
-            data, begins = self._unfolded(number)
-            there = min(stop, before[number + 1])
-            for at in (
-                begins[channel][start - before[number] : there - before[number]].tolist() if there > start else ()
-            ):
-                opcode, length, of = _MESSAGE.unpack_from(data, at)
+            data, begins = self._decompressed(number)
+            chunk_stop = min(stop, before[number + 1])
+            in_chunk = slice(start - before[number], chunk_stop - before[number])
+            for at in begins[channel][in_chunk].tolist() if chunk_stop > start else ():
+                opcode, length, owner = _MESSAGE.unpack_from(data, at)
                 end = at + _RECORD.size + length
-                if of != channel or opcode != 5 or end > len(data):
+                if owner != channel or opcode != _MESSAGE_OP or end > len(data):
                     raise ValueError("a message index does not fit its chunk")
                 yield data[at + _MESSAGE_HEAD : end]
-            start, number = there, number + 1
+            start, number = chunk_stop, number + 1
 
     def _with_steps(self, start: int, stop: int) -> McapRecords:
-        """The log as if it had only these steps."""
+        """The log's records with only these steps."""
         return replace(self._log, messages={c: list(self._messages(c, start, stop)) for c in self._per_step})
 
     def _whole(self, start: int, stop: int, *topics: str) -> Recording:
@@ -206,6 +206,7 @@ class McapSteps(Steps):
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Opcode and body of consecutive records; an `EOFError` if the last is cut off."""
     position = 0
     while position < len(data):
         opcode, length = _RECORD.unpack_from(data, position)

@@ -1,4 +1,4 @@
-"""A file that is called ``<name>.part`` while it is written and gets its name when it is complete and on the disk."""
+"""A file that is called ``<name>.part`` until it is complete and synced to the disk."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def part_path(path: Path) -> Path:
 
 
 def open_part(part: Path, *, overwrite: bool) -> IO[bytes]:
-    """The file under its temporary name; tests replace this by disks that fill up."""
+    """A new file under its temporary name; tests replace this by disks that fill up."""
     return open(part, "wb" if overwrite else "xb")
 
 
 def publish(part: Path, final: Path) -> None:
-    """Give a finished, synced file its final name, durably."""
+    """Gives a finished, synced file its final name; the rename itself is synced too."""
     os.replace(part, final)
     folder = os.open(final.parent, os.O_RDONLY)
     try:
@@ -35,10 +35,10 @@ class PartFile:
     """The file of a log from its first byte to its final name."""
 
     def __init__(self, final: Path, *, overwrite: bool) -> None:
-        """Create ``<final>.part``.
+        """Creates ``<final>.part``.
 
         Raises:
-            InputError: one of the two exists and ``overwrite`` is not given, or the file cannot be made.
+            InputError: either file exists and ``overwrite`` is False, or the file cannot be created.
         """
         self.final, self.path = final, part_path(final)
         with self.writing():
@@ -49,11 +49,11 @@ class PartFile:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """Failures of the disk within the block, told as an `InputError` that says what is left."""
+        """Turns I/O errors within the block into an `InputError` that says what can be recovered."""
         try:
             yield
         except FileExistsError:
-            raise InputError(f"Somebody else is writing this file: {self.path}") from None
+            raise InputError(f"Another process is writing this file: {self.path}") from None
         except OSError as error:
             raise InputError(
                 f"Could not write the recording: {error.strerror or error}. What was flushed before stays "
@@ -61,19 +61,19 @@ class PartFile:
             ) from error
 
     def complete(self) -> None:
-        """Bring everything to the disk and give the file its name."""
+        """Syncs everything to the disk and gives the file its final name."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
         self.stream.close()
         publish(self.path, self.final)
 
     def shut(self) -> None:
-        """Write no more; what is there stays under the name that it has."""
-        with contextlib.suppress(OSError):  # closing flushes; a full disk has been reported already
+        """Closes the file; its contents stay under the current name."""
+        with contextlib.suppress(OSError):  # closing flushes; a full disk was reported before
             self.stream.close()
 
     def discard(self) -> None:
-        """Remove the unfinished file."""
+        """Deletes the unfinished file."""
         self.path.unlink(missing_ok=True)
 
     def _refuse_existing(self, *, overwrite: bool) -> None:
@@ -92,4 +92,4 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"The folder cannot be made ({error.strerror or error}): {folder}") from None
+        raise InputError(f"The folder cannot be created ({error.strerror or error}): {folder}") from None

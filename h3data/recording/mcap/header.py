@@ -1,4 +1,4 @@
-"""What a log says before its first step, as MCAP wants it: metadata records, the scene and other single messages."""
+"""Metadata records, the scene message and log times of an MCAP log."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ TOPIC_MESSAGES: dict[Topic, str] = {"state": "State", "action": "Action", "metri
 
 
 def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> int:
+    """Unix time of step 0 [ns]: ``t0_unix_ns``, or the one in ``episode.info``, or 0."""
     t0 = header.episode.info.get("t0_unix_ns", 0) if t0_unix_ns is None else t0_unix_ns
     try:
         return int(t0)
@@ -25,11 +26,12 @@ def start_time(header: RecordingHeader | Recording, t0_unix_ns: int | None) -> i
 
 
 def log_time(t0_unix_ns: int, time_ns: int) -> int:
-    """Time of a message since 1970 [ns], within what MCAP readers take."""
+    """Time of a message [ns since 1970], clipped to the range that MCAP readers accept."""
     return min(max(t0_unix_ns + time_ns, 0), _LAST_LOG_TIME)
 
 
 def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, str]]:
+    """Metadata records that open a log, by name."""
     episode = episode_metadata(header.episode)
     try:
         for text in [*episode.values(), *header.attachments]:
@@ -40,15 +42,18 @@ def header_metadata(header: RecordingHeader | Recording) -> dict[str, dict[str, 
 
 
 def episode_metadata(episode: Episode) -> dict[str, str]:
+    """The episode as a metadata record, all values as text."""
     return {k: str(v) for k, v in episode_to_dict(episode).items()}
 
 
 def scene_dict(header: RecordingHeader | Recording) -> dict[str, Any]:
+    """Fields of the message on ``/h3/scene``."""
     return {kind: [struct_to_dict(r) for r in getattr(header, kind)] for kind in ("assets", "bodies", "agents")}
 
 
 def encode_record(message: str, values: Mapping[str, Any]) -> bytes:
+    """A serialised message of `struct_descriptor`; an `InputError` if it cannot hold a value."""
     try:
         return message_class(struct_descriptor(), message)(**values).SerializeToString(deterministic=True)
     except (ValueError, TypeError, OverflowError) as error:
-        raise InputError(f"Not a value that {message} can hold: {error}.") from error
+        raise InputError(f"{message} cannot hold this value: {error}.") from error

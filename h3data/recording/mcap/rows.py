@@ -1,4 +1,4 @@
-"""Rows of a log between `RecordingWriter.append` and the file: checked against its columns, held to be encoded together."""
+"""Rows between `LogWriter.append` and the file: checked against the columns, held back to be encoded together."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ Rows = dict[str, NDArray[Any]]
 
 
 def native_rows(rows: Mapping[str, ArrayLike]) -> Rows:
-    """The same as arrays in this machine's byte order."""
+    """Rows as arrays in this machine's byte order."""
     arrays = {name: np.asarray(values) for name, values in rows.items()}
     return {n: a if a.dtype.isnative else a.astype(a.dtype.newbyteorder("=")) for n, a in arrays.items()}
 
 
 class PendingRows:
-    """The steps of one log; those that were not taken yet are held."""
+    """Rows of one log, held until `take` returns them."""
 
     def __init__(self, layout: Layout) -> None:
         self.steps = 0
         """Rows added so far."""
         self.taken = 0
-        """Rows of which `take` returned the content."""
+        """Rows returned by `take` so far."""
         self._kinds = {c.name: (np.dtype(c.dtype), c.shape) for c in layout}
         self._pending: list[Rows] = []
         self._times: list[NDArray[np.int64]] = []
         self._last_time: int | None = None
 
     def add(self, arrays: Rows) -> None:
-        """Hold a copy of rows, every column with shape [n, ...].
+        """Holds a copy of n rows: every column, shape [n, ...].
 
         Raises:
-            InputError: columns are missing or of another kind, or time does not increase.
+            InputError: columns are missing or have another dtype or shape, or time does not increase.
         """
         count = self._check(arrays)
         if not count:
@@ -47,7 +47,7 @@ class PendingRows:
         self.steps += count
 
     def take(self) -> Rows:
-        """All rows that are held, joined; {} if there are none."""
+        """All rows held, joined; {} if there are none."""
         pending, self._pending = self._pending, []
         if not pending:
             return {}
@@ -57,7 +57,7 @@ class PendingRows:
         return rows
 
     def time_of(self, step: int) -> int:
-        """``time_ns`` of a row that was added; the nearest one for other steps."""
+        """``time_ns`` of an added row; of the nearest one for any other step."""
         step = min(step, self.steps - 1)
         if step >= self.taken:
             return self._last_time or 0  # at most one flush interval off
@@ -68,7 +68,7 @@ class PendingRows:
         return int(self._times[0][max(step, 0)])
 
     def _check(self, arrays: Rows) -> int:
-        """Number of rows, if they are all of the same number and of the kind decided on."""
+        """Number of rows; an `InputError` unless all columns have it, with the dtype and shape of the layout."""
         times = arrays.get("time_ns")
         count = len(times) if times is not None and times.ndim else 0
         faults = []

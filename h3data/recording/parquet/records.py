@@ -1,4 +1,4 @@
-"""What a Parquet dataset keeps beside its steps: bodies, assets, agents, skills, events, inputs, and attached files."""
+"""Records of a Parquet dataset that are not steps: bodies, assets, agents, skills, events, inputs, and attached files."""
 
 from __future__ import annotations
 
@@ -14,35 +14,47 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
-from h3data.recording.parquet.arrow_columns import conform
-from h3data.recording.parquet.dataset_shard import SIDECAR_SINCE, SIDECARS, record_schema
-from h3data.recording.parquet.lerobot_meta import shard_path
+from h3data.recording.parquet.columns import conform
+from h3data.recording.parquet.files import shard_path
+from h3data.recording.parquet.schema import SIDECAR_SINCE, SIDECARS, record_schema
 from h3data.recording.schema import struct_from_dict, version_numbers
 from h3data.recording.storage import AnyPath, readable
 
 DAMAGE = (
-    pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError, RecursionError
-)  # fmt: skip
-"""What reading a damaged file can raise."""
+    pa.ArrowException,
+    OSError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+)
+"""Exceptions that reading a damaged file can raise."""
 
 
 class DatasetRecords:
-    """The records of a dataset folder; the tables of the shards that were read last are kept."""
+    """The records of a dataset folder; tables of the shards read last are kept."""
 
     def __init__(self, root: AnyPath, version: str) -> None:
-        """Of the dataset in ``root``, which was begun with a ``version`` of the schema."""
+        """Records of the dataset in ``root``, whose schema version is ``version``."""
         self._root, self._version = root, version
         self._tables: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
 
     def table(self, kind: str, shard: int) -> pa.Table:
-        """The records of a kind in one shard; none where a dataset began before there were any of that kind."""
+        """The records of a kind in one shard; none if the dataset is older than that kind of record."""
         path = shard_path(self._root, f"h3/{kind}", shard)
         if version_numbers(self._version) < SIDECAR_SINCE.get(kind, (0, 0)) and not path.exists():
             return record_schema(SIDECARS[kind]).empty_table()
         return pq.read_table(readable(path), page_checksum_verification=True)
 
     def of_episodes(self, kind: str, shard: int, episodes: range) -> list[tuple[Any, ...]]:
-        """Bodies, assets, ... of each of some consecutive episodes of one shard."""
+        """The records of a kind of each of some consecutive episodes of one shard.
+
+        Raises:
+            FormatError: they are damaged.
+        """
         key = (kind, shard)
         try:
             if key not in self._tables:
@@ -52,9 +64,9 @@ class DatasetRecords:
                 self._tables[key] = (table, table["episode_index"].to_numpy())
             table, owners = self._tables[key]
             bounds = np.searchsorted(owners, [*episodes, episodes.stop])
-            plain = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
-            found = [struct_from_dict(SIDECARS[kind], d) for d in plain]
-            return [tuple(found[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
+            rows = table.slice(bounds[0], bounds[-1] - bounds[0]).to_pylist()
+            records = [struct_from_dict(SIDECARS[kind], row) for row in rows]
+            return [tuple(records[a - bounds[0] : b - bounds[0]]) for a, b in itertools.pairwise(bounds)]
         except DAMAGE as error:
             last = episodes[-1]
             which = f"episode {last}" if len(episodes) == 1 else f"episodes {episodes[0]} to {last}"
@@ -62,7 +74,11 @@ class DatasetRecords:
             raise FormatError(f"The {kind} of {which} cannot be read ({error}): {path}") from error
 
     def attachments(self, row: Mapping[str, Any]) -> dict[str, bytes]:
-        """The attached files of an episode, by its row of the episode table."""
+        """The attached files of an episode, from its row of the episode table.
+
+        Raises:
+            FormatError: one of them is missing.
+        """
         folder = self._root / "h3" / "files"
         try:
             return {

@@ -1,7 +1,7 @@
-"""The session log: one episode per MCAP file, appended while it happens, readable up to the last flush after any crash.
+"""One episode as an MCAP file that is appended to while the episode happens, readable up to the last flush after a crash.
 
-While it is written the file is called ``<name>.part``; only a complete file gets its final name. What is in it:
-``docs/format.md``.
+While it is written the file is called ``<name>.part``; only a complete file gets its final name. ``docs/format.md``
+describes the contents.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import mimetypes
 import os
-import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.recording.mcap.mcap_header import (
+from h3data.recording.mcap.header import (
     PROFILE,
     TOPIC_MESSAGES,
     encode_record,
@@ -31,9 +30,8 @@ from h3data.recording.mcap.mcap_header import (
     scene_dict,
     start_time,
 )
-from h3data.recording.mcap.mcap_part import PartFile, part_path, publish
-from h3data.recording.mcap.mcap_read import read_mcap
-from h3data.recording.mcap.mcap_rows import PendingRows, native_rows
+from h3data.recording.mcap.part import PartFile
+from h3data.recording.mcap.rows import PendingRows, native_rows
 from h3data.recording.mcap.wire import (
     WireLayout,
     encode_block,
@@ -51,30 +49,27 @@ from h3data.recording.schema import (
     layout_to_json,
     struct_to_dict,
 )
-from h3data.recording.storage import AnyPath, RemotePath, local, open_binary, place
+from h3data.recording.storage import RemotePath, local
 
 CHUNK_BYTES = 4 << 20
-"""Uncompressed; a free-form episode of 1500 steps takes 532 B/step, with chunks of 1 MiB 557, of 256 KiB 648."""
+"""Uncompressed size of a chunk: a free-form episode of 1,500 steps takes 532 B/step; with 1 MiB 557, with 256 KiB 648."""
 FLUSH_ROWS = 30
+"""Rows between flushes: one second at 30 steps/s."""
 FLUSH_S = 1.0
 _SLICE_ROWS = 8192
 
 
-class RecordingWriter:
-    """Writes one episode while it happens.
+class LogWriter:
+    """An MCAP log that is open for writing, exactly as it is flushed.
 
-    Used as a context manager it closes the file at the end. On an exception or Ctrl-C it finishes what there is as
-    ``<name>.part``, which `recover_mcap` (``h3data recover``) reads; the final name never shows an unfinished episode.
-    What was appended is handed to the operating system at least every ``flush_rows`` rows or ``flush_s`` seconds.
-
-    A log that was flushed in between consists of small chunks, which are twice the size. `close` gives it its name, reads
-    it back and replaces it by the file that `write_mcap` makes of it (15 ms for 1,500 steps); not with ``compact=False``.
-    Whatever happens meanwhile, there is a whole file under the name: a full disk leaves the small chunks.
+    As a context manager it closes the file at the end; on an exception or Ctrl-C it leaves what there is as
+    ``<name>.part``, which `recover_mcap` (``h3data recover``) reads. Rows reach the operating system at least every
+    ``flush_rows`` rows or ``flush_s`` seconds.
     """
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        path: str | os.PathLike[str] | RemotePath,
         header: RecordingHeader | Recording,
         *,
         overwrite: bool = False,
@@ -82,14 +77,15 @@ class RecordingWriter:
         chunk_bytes: int = CHUNK_BYTES,
         flush_rows: int = FLUSH_ROWS,
         flush_s: float = FLUSH_S,
-        compact: bool = True,
     ) -> None:
-        """Create ``<path>.part`` and write all that is known before the first step.
+        """Creates ``<path>.part`` and writes everything known before the first step.
 
-        ``header.columns`` fixes the columns if it is not empty, else the first `append` does; rows, skills, events and
-        inputs of a `Recording` given as header are not written. Log times are
-        ``t0_unix_ns`` (by default ``episode.info["t0_unix_ns"]``, or 0: then equal episodes make equal files) plus
-        ``time_ns``.
+        ``header.columns`` fixes the columns unless it is empty; then the first `append` does. Rows, skills, events and
+        inputs of a `Recording` given as the header are not written. Log times are ``time_ns`` plus ``t0_unix_ns``, which
+        defaults to ``episode.info["t0_unix_ns"]`` or 0, so that equal episodes make equal files.
+
+        Raises:
+            InputError: the file exists and ``overwrite`` is False, or the header cannot be stored.
         """
         from mcap.writer import CompressionType, Writer
 
@@ -98,7 +94,7 @@ class RecordingWriter:
         self.closed = False
         self._t0 = start_time(header, t0_unix_ns)
         self._chunk_bytes, self._flush_rows, self._flush_s = chunk_bytes, flush_rows, flush_s
-        self._compact, self._blocks = compact, 0
+        self._blocks = 0
         self._rows: PendingRows | None = None
         self._topics: dict[Topic, tuple[int, WireLayout]] = {}
         self._spans = 0
@@ -120,7 +116,7 @@ class RecordingWriter:
                     self._mcap.add_attachment(self._log_time(0), self._log_time(0), name, media, bytes(data))
                 self._open_channels()
                 self._mcap.add_message(self._scene_channel, self._log_time(0), scene, self._log_time(0))
-                self._mcap.flush()  # a chunk of its own: whoever wants one step need not unfold a thousand for the scene
+                self._mcap.flush()  # a chunk of its own: reading the scene or one step does not unpack the other
             if header.columns:
                 self._rows = self._fix_layout({n: np.asarray(a)[:0] for n, a in header.columns.items()})
         except BaseException:
@@ -139,7 +135,7 @@ class RecordingWriter:
         return 0 if self._rows is None else self._rows.steps
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
-        """Write one or more steps: every column, time first, shape [n, ...]; n is the same for all."""
+        """Writes one or more steps: every column, time first, shape [n, ...] with the same n for all."""
         self._require_open()
         arrays = native_rows(rows)
         if self._rows is None:
@@ -151,8 +147,20 @@ class RecordingWriter:
         if self._rows.steps > before and (due or late):
             self.flush()
 
+    def append_recording(self, recording: Recording) -> None:
+        """Writes all steps of a recording, flushed together, then its skills, events and inputs."""
+        for start in range(0, max(len(recording), 1), _SLICE_ROWS):  # slices: `append` copies what it is given
+            self.append({name: column[start : start + _SLICE_ROWS] for name, column in recording.columns.items()})
+        self.flush()
+        for span in recording.skills:
+            self.skill(span)
+        for event in recording.events:
+            self.event(event)
+        for event in recording.inputs:
+            self.input(event)
+
     def event(self, event: Event) -> None:
-        """Write something that happened."""
+        """Writes something that happened."""
         self._require_open()
         data = encode_record("h3.Event", struct_to_dict(event))
         t = self._log_time(self._time_of(event.step))
@@ -160,20 +168,20 @@ class RecordingWriter:
             self._mcap.add_message(self._event_channel, t, data, t)
 
     def input(self, event: InputEvent) -> None:
-        """Write what a person's input device said, when it came."""
+        """Writes one message of a person's input device."""
         self._require_open()
         data = encode_record("h3.Input", struct_to_dict(event))
         t = self._log_time(event.time_ns)
         with self._file.writing():
-            if self._input_channel is None:  # most recordings have none
+            if self._input_channel is None:  # opened on demand: most recordings have no inputs
                 self._input_channel = self._struct_channel("Input")
             self._mcap.add_message(self._input_channel, t, data, t)
 
     def skill(self, span: SkillSpan, *, replaces: int | None = None) -> int:
-        """Write a high-level action and return its number.
+        """Writes a high-level action and returns its number.
 
-        A skill that has just begun can be written as ``running`` and, when it ends, once more with
-        ``replaces=<its number>``: readers keep the last. So a crash does not lose what was going on.
+        A skill that has just begun can be written as ``running`` and again with ``replaces=<its number>`` when it ends:
+        readers keep the last one. A crash then does not lose the action under way.
         """
         self._require_open()
         if replaces is not None and not 0 <= replaces < self._spans:
@@ -187,7 +195,7 @@ class RecordingWriter:
         return number
 
     def flush(self) -> None:
-        """Hand everything appended so far to the operating system, so that it survives the end of this process."""
+        """Hands everything appended so far to the operating system, where it survives the end of this process."""
         self._require_open()
         with self._file.writing():
             self._write_pending()
@@ -195,13 +203,12 @@ class RecordingWriter:
         self._flushed_at = time.monotonic()
 
     def close(self, *, info: Mapping[str, Any] | None = None) -> Path:
-        """Finish, sync and rename the file; returns its final path. A second call does nothing.
+        """Finishes, syncs and renames the file; returns its final path. A second call does nothing.
 
-        ``info`` adds to ``episode.info`` what is known only at the end, e.g. how the episode ended.
+        ``info`` is merged into ``episode.info``: facts known only at the end, such as how the episode ended.
 
         Raises:
-            InputError: the disk is full, ...; what was flushed stays as ``<name>.part``.
-            FormatError: the storage did not keep what was written to it, as the reading back shows.
+            InputError: the disk is full or fails; what was flushed stays as ``<name>.part``.
         """
         if self.closed:
             return self.path
@@ -211,7 +218,7 @@ class RecordingWriter:
             with self._file.writing():
                 self._write_pending()
                 self._mcap.flush()
-                if info:  # readers take the last record of a name
+                if info:  # readers keep the last metadata record of a name
                     episode = dataclasses.replace(self.header.episode, info={**self.header.episode.info, **info})
                     self._mcap.add_metadata("h3.episode", episode_metadata(episode))
                 self._mcap.add_metadata("h3.end", {"steps": str(self.steps), "skills": str(self._spans)})
@@ -219,18 +226,14 @@ class RecordingWriter:
                 self._file.complete()
         finally:
             self._shut()
-        if self._compact and self._blocks > 1:
-            _compact(self.path, t0_unix_ns=self._t0, chunk_bytes=self._chunk_bytes)
         return self.path
 
     def abort(self, *, keep: bool = True) -> None:
-        """Stop here: what was appended stays as ``<name>.part`` for `recover_mcap`, or is deleted if not ``keep``."""
+        """Stops here. The rows so far stay as ``<name>.part`` for `recover_mcap`, or are deleted if ``keep`` is False."""
         if self.closed:
             return
         try:
-            with contextlib.suppress(
-                OSError, ValueError
-            ):  # the disk may be full: what was flushed can still be recovered
+            with contextlib.suppress(OSError, ValueError):  # the disk may be full; earlier flushes can be recovered
                 self._write_pending()
                 self._mcap.finish()
                 self._file.stream.flush()
@@ -252,9 +255,9 @@ class RecordingWriter:
 
     def __repr__(self) -> str:
         state = "closed" if self.closed else "open"
-        return f"RecordingWriter({str(self.path)!r}, {self.steps} steps, {state})"
+        return f"{type(self).__name__}({str(self.path)!r}, {self.steps} steps, {state})"
 
-    # --- inside ---
+    # --- private ---
     def _shut(self) -> None:
         self.closed = True
         self._file.shut()
@@ -272,7 +275,7 @@ class RecordingWriter:
         return self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
-        """Decide the columns from arrays without rows, check them against the header, announce them in the file."""
+        """Takes the columns from arrays without rows, checks them against the header and announces them in the file."""
         layout = layout_of(empty)
         h = self.header
         Recording(episode=h.episode, assets=h.assets, bodies=h.bodies, agents=h.agents, columns=empty)
@@ -287,7 +290,7 @@ class RecordingWriter:
         return PendingRows(layout)
 
     def _write_pending(self) -> None:
-        """Encode the rows appended since the last flush as one block, message by message into the open chunk."""
+        """Encodes the rows since the last flush as one block and adds its messages to the open chunk."""
         rows = {} if self._rows is None else self._rows.take()
         if self._rows is None or not rows:
             return
@@ -308,52 +311,3 @@ class RecordingWriter:
 
     def _log_time(self, time_ns: int) -> int:
         return log_time(self._t0, time_ns)
-
-
-def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> AnyPath:
-    """Write a finished recording as one MCAP file and return its path; equal recordings make equal files.
-
-    To a URI it is written in a temporary folder first and then put there whole.
-    """
-    target = place(path)
-    if isinstance(target, RemotePath):
-        if target.exists() and not overwrite:
-            raise InputError(f"The file exists; pass overwrite=True (--force) to replace it: {target}")
-        with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
-            written = write_mcap(recording, Path(folder) / target.name)
-            with open_binary(written) as stream:
-                target.put(stream)
-        return target
-    with RecordingWriter(target, recording, overwrite=overwrite, compact=False) as writer:
-        _write_all(writer, recording)
-    return writer.path
-
-
-def _write_all(writer: RecordingWriter, recording: Recording) -> None:
-    for start in range(0, max(len(recording), 1), _SLICE_ROWS):  # each append copies what it is given
-        writer.append({name: column[start : start + _SLICE_ROWS] for name, column in recording.columns.items()})
-    writer.flush()
-    for span in recording.skills:
-        writer.skill(span)
-    for event in recording.events:
-        writer.event(event)
-    for given in recording.inputs:
-        writer.input(given)
-
-
-def _compact(path: Path, *, t0_unix_ns: int, chunk_bytes: int) -> None:
-    """Replace a finished log by the same in large chunks; if there is no room for it, it stays as it is."""
-    tight = path.with_name(f".{path.name}.compact")
-    try:
-        recording = read_mcap(path)
-        with RecordingWriter(
-            tight, recording, overwrite=True, t0_unix_ns=t0_unix_ns, chunk_bytes=chunk_bytes, compact=False
-        ) as writer:
-            _write_all(writer, recording)
-        publish(tight, path)
-    except BaseException as error:
-        for leftover in (tight, part_path(tight)):
-            leftover.unlink(missing_ok=True)
-        no_room = isinstance(error, OSError | MemoryError) or isinstance(error.__cause__, OSError)
-        if not no_room:
-            raise

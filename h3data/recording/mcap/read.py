@@ -1,4 +1,4 @@
-"""Reading MCAP logs: whole files exactly, damaged ones up to the damage."""
+"""Reading MCAP logs: whole files exactly, the records of damaged ones up to the damage."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.recording.mcap.mcap_header import PROFILE, TOPIC_MESSAGES
-from h3data.recording.mcap.mcap_scan import McapRecords, decoding_errors, scan_records
+from h3data.recording.mcap.header import PROFILE, TOPIC_MESSAGES
+from h3data.recording.mcap.scan import McapRecords, decoding_errors, scan_records
 from h3data.recording.mcap.wire import decode_messages, fields_from_metadata, message_class
 from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
@@ -31,8 +31,11 @@ from h3data.recording.storage import AnyPath, RemotePath, place
 def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[str] | None = None) -> Recording:
     """The recording in an MCAP file, exactly as it was written.
 
-    With ``columns`` only these and the ones that no recording can do without (time, object and base poses) are decoded.
-    A truncated or damaged file is a `FormatError` that says how much `recover_mcap` can save.
+    With ``columns`` only these and the indispensable ones (time, object and base poses) are decoded.
+
+    Raises:
+        InputError: the file does not exist or cannot be read, or lacks a column.
+        FormatError: it is no log of h3data, or truncated or damaged; the message says how much `recover_mcap` can save.
     """
     path = place(path)
     log = scan_records(load(path))
@@ -55,6 +58,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
 
 # --- kinds of files --------------------------------------------------------------------------------------------------
 def load(path: AnyPath) -> bytes:
+    """Contents of a file; an `InputError` or `FormatError` if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -66,6 +70,7 @@ def load(path: AnyPath) -> bytes:
 
 
 def check_kind(log: McapRecords, path: AnyPath) -> None:
+    """Raises a `FormatError` unless the records are those of an h3data log of a version we read."""
     if not log.readable_bytes:
         raise FormatError(f"Expected an MCAP log, the file does not begin like one ({log.fault}): {path}")
     if log.profile != PROFILE and (log.profile or log.fault is None):
@@ -94,7 +99,7 @@ def _messages(log: McapRecords, topic: str) -> list[Any]:
 
 
 def _plain(message: Any) -> dict[str, Any]:
-    """Fields of a protobuf message as plain values; lists of messages are left out."""
+    """Fields of a protobuf message as plain values, except lists of messages."""
     out = {}
     for f in message.DESCRIPTOR.fields:
         if f.message_type is None:
@@ -113,7 +118,7 @@ def _skills(log: McapRecords) -> tuple[SkillSpan, ...]:
 def columns_of(
     log: McapRecords, *, steps: int | None, wanted: set[str] | None, first: int = 0
 ) -> dict[str, NDArray[Any]]:
-    """Columns of all topics; exactly ``steps`` rows from ``first`` on, or as many as are in unbroken order if None."""
+    """Columns of all topics: exactly ``steps`` rows from row ``first``, or the unbroken rows from there if None."""
     parts: list[dict[str, NDArray[Any]]] = []
     for topic, message in TOPIC_MESSAGES.items():
         channel = log.channel_of(f"/h3/{topic}")
@@ -154,7 +159,7 @@ def _layout(log: McapRecords) -> Layout | None:
 def assemble(
     log: McapRecords, path: AnyPath, *, steps: int | None, wanted: Sequence[str] | None, first: int = 0
 ) -> Recording:
-    """The recording of these records; ``steps`` and ``first`` as for `columns_of`."""
+    """The recording in these records; ``steps`` and ``first`` as for `columns_of`."""
     episode = _episode(log, path)
     scenes = _messages(log, "/h3/scene")
     if not scenes:
@@ -166,12 +171,11 @@ def assemble(
     layout = _layout(log)
     names = None
     if wanted is not None:
-        known = [c.name for c in layout or ()]
-        unknown = sorted(set(wanted) - set(known))
+        existing = [c.name for c in layout or ()]
+        unknown = sorted(set(wanted) - set(existing))
         if unknown:
-            raise InputError(
-                f"No columns {unknown} in this log.{did_you_mean(unknown[0], known)} It has: {', '.join(known)}. File: {path}"
-            )
+            near = did_you_mean(unknown[0], existing)
+            raise InputError(f"No columns {unknown} in this log.{near} It has: {', '.join(existing)}. File: {path}")
         names = set(wanted) | required_columns(len(scene["agents"]))
     columns = columns_of(log, steps=steps, wanted=names, first=first)
     if not columns:

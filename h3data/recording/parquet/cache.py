@@ -1,9 +1,9 @@
-"""Columns of a dataset as memory-mapped Arrow files: for training, which reads the same episodes over and over in any order.
+"""Columns of a dataset as memory-mapped Arrow files, for training that reads the same episodes in random order many times.
 
-A Parquet row group is decoded as a whole, a mapped file gives any row at once, and all workers share its pages. One file
+A Parquet row group is decoded as a whole; a mapped file returns any row at once, and all workers share its pages. One file
 holds some columns of one shard, an uncompressed record batch for each row group. The cache lies in ``$H3DATA_CACHE/arrow``
-or ``~/.cache/h3data/arrow`` (`h3data.files.cache_folder`), keeps what was used last up to ``H3DATA_CACHE_GB`` gigabytes (20),
-and may be deleted at any time.
+or ``~/.cache/h3data/arrow`` (`h3data.files.cache_folder`). It keeps the most recently used files up to ``H3DATA_CACHE_GB``
+gigabytes (default 20) and may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -15,26 +15,23 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
 from h3data.errors import InputError
 from h3data.files import cache_folder, part_file
-from h3data.recording import tables
-from h3data.recording.parquet.lerobot_meta import shard_path
+from h3data.recording.parquet import tables
+from h3data.recording.parquet.files import shard_path
+from h3data.recording.parquet.folder import DatasetFolder
 from h3data.recording.storage import AnyPath, RemotePath
-
-if TYPE_CHECKING:
-    from h3data.recording.parquet.dataset import Dataset
 
 log = logging.getLogger(__name__)
 
 FORMAT = 1
 
 
-def open_cached(dataset: Dataset, shard: int, columns: Sequence[str]) -> pa.ipc.RecordBatchFileReader | None:
-    """The mapped columns of a shard, batch k for row group k; made now if they are not there.
+def open_cached(dataset: DatasetFolder, shard: int, columns: Sequence[str]) -> pa.ipc.RecordBatchFileReader | None:
+    """The mapped columns of a shard, batch k for row group k; written now if the cache does not have them.
 
     None if there is no cache (``H3DATA_CACHE=off``) or it cannot be written.
     """
@@ -54,13 +51,13 @@ def open_cached(dataset: Dataset, shard: int, columns: Sequence[str]) -> pa.ipc.
             with suppress(FileNotFoundError):  # other workers evict too
                 _evict(folder, keep=path)
         return reader
-    except OSError as fault:
-        log.info("The columns are not cached: %s", fault)
+    except OSError as error:
+        log.info("The columns are not cached: %s", error)
         return None
 
 
 def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFileReader | None:
-    """A file of the cache, marked as used; None if it is not there or not what it should be."""
+    """A file of the cache, marked as used; None if it does not exist or does not hold these columns."""
     if not path.is_file():
         return None
     try:
@@ -68,21 +65,21 @@ def _opened(path: Path, schema: pa.Schema, batches: int) -> pa.ipc.RecordBatchFi
         if reader.schema.equals(schema) and reader.num_record_batches == batches:
             os.utime(path)
             return reader
-    except pa.ArrowException as fault:
-        log.warning("A cached file is broken and is made again (%s): %s", fault, path)
+    except pa.ArrowException as error:
+        log.warning("A cached file is broken and is made again (%s): %s", error, path)
     return None
 
 
-def _key(dataset: Dataset, shard: int, episodes: Sequence[int], schema: pa.Schema) -> str:
-    """Name of the file for these columns of this very data file."""
+def _key(dataset: DatasetFolder, shard: int, episodes: Sequence[int], schema: pa.Schema) -> str:
+    """Name of the cached file for these columns of the shard as it is now: size and time of its data file count."""
     path = shard_path(dataset.root, "data", shard)
     uids = [dataset.rows[k]["uid"] for k in episodes]
-    told = [FORMAT, *_identity(path), [[f.name, str(f.type)] for f in schema], uids]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:32]
+    identity = [FORMAT, *_identity(path), [[f.name, str(f.type)] for f in schema], uids]
+    return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]
 
 
 def _identity(path: AnyPath) -> tuple[str, int, int]:
-    """Where a file is, its size and when it was changed [ns]."""
+    """Location, size and time of the last change [ns] of a file."""
     if isinstance(path, RemotePath):
         info = path.filesystem.get_file_info(path.key)
         return str(path), info.size or 0, info.mtime_ns or 0
@@ -91,15 +88,15 @@ def _identity(path: AnyPath) -> tuple[str, int, int]:
 
 
 def _evict(folder: Path, *, keep: Path) -> None:
-    """Delete the files that were not used for longest until the rest fits; who has one open keeps it."""
+    """Deletes the least recently used files until the rest fits; processes that have one open keep their pages."""
     text = os.environ.get("H3DATA_CACHE_GB", "20")
     try:
         room = float(text) * 1e9
     except ValueError:
         raise InputError(f"H3DATA_CACHE_GB must be a number of gigabytes, got {text!r}.") from None
-    found = [(path.stat(), path) for path in folder.glob("*.arrow") if path != keep]
+    files = [(path.stat(), path) for path in folder.glob("*.arrow") if path != keep]
     room -= keep.stat().st_size
-    for status, path in sorted(found, key=lambda file: file[0].st_mtime_ns, reverse=True):
+    for status, path in sorted(files, key=lambda file: file[0].st_mtime_ns, reverse=True):
         room -= status.st_size
         if room < 0:
             path.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """A Parquet dataset as tables: Arrow, polars, pandas, torch; and as a lazy Arrow dataset for query engines.
 
-Tables hold what the files hold: a row per step, arrays of a row flattened in C order to fixed-size lists of the declared
-width, narrower episodes padded (docs/format.md). Vectors are not split into columns.
+A table has one row per step, like the files: arrays are flattened in C order to fixed-size lists of the declared width,
+narrower episodes are padded (docs/format.md). Vectors are not split into columns.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.dataset as pads
 
 from h3data.errors import InputError, MissingExtraError, did_you_mean
-from h3data.recording.parquet.dataset_shard import SIDECARS, data_schema, record_schema
-from h3data.recording.parquet.lerobot_meta import STANDARD, shard_path
+from h3data.recording.parquet.files import shard_path
+from h3data.recording.parquet.folder import DatasetFolder
+from h3data.recording.parquet.schema import SIDECARS, STANDARD, arrow_rows, data_schema, record_schema
 from h3data.recording.storage import RemotePath
 
 if TYPE_CHECKING:
@@ -24,20 +25,18 @@ if TYPE_CHECKING:
     import polars
     import torch
 
-    from h3data.recording.parquet.dataset import Dataset
-
 
 def to_arrow(
-    dataset: Dataset, *, columns: Sequence[str] | None = None, episodes: Iterable[int] | None = None
+    dataset: DatasetFolder, *, columns: Sequence[str] | None = None, episodes: Iterable[int] | None = None
 ) -> pa.Table:
-    """The steps of ``episodes`` in their order, a chunk for each or for several; see `Dataset.to_arrow`."""
+    """The steps of ``episodes`` in their order, one chunk for one or several episodes; see `Dataset.to_arrow`."""
     schema = table_schema(dataset, columns)
     tables = [_typed(dataset.read_group(group, schema.names), schema) for group in _groups(dataset, episodes)]
     return pa.concat_tables(tables) if tables else pa.Table.from_batches([_no_rows(schema)])
 
 
 def to_polars(table: pa.Table) -> polars.DataFrame:
-    """The same memory as a polars frame; fixed-size lists are polars arrays."""
+    """A polars frame in the same memory; fixed-size lists become polars arrays."""
     try:
         import polars
     except ImportError:
@@ -48,7 +47,7 @@ def to_polars(table: pa.Table) -> polars.DataFrame:
 
 
 def to_pandas(table: pa.Table) -> pandas.DataFrame:
-    """A pandas frame: plain columns of numpy, vectors in the same Arrow memory (``frame[name].list[0]``)."""
+    """A pandas frame: scalars as NumPy columns, vectors in the same Arrow memory (``frame[name].list[0]``)."""
     try:
         import pandas
     except ImportError:
@@ -61,7 +60,7 @@ def to_pandas(table: pa.Table) -> pandas.DataFrame:
 
 
 def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
-    """Tensors [T, *shape]; those of one chunk share its memory, except bool, which Arrow packs into bits."""
+    """Tensors [T, *shape]. A column of one chunk shares its memory, except bool, which Arrow packs into bits."""
     import torch
 
     tensors = {}
@@ -75,11 +74,11 @@ def to_torch(table: pa.Table, shapes: dict[str, tuple[int, ...]]) -> dict[str, t
     return tensors
 
 
-def table_schema(dataset: Dataset, columns: Sequence[str] | None = None) -> pa.Schema:
+def table_schema(dataset: DatasetFolder, columns: Sequence[str] | None = None) -> pa.Schema:
     """Names and declared types of the columns of the data files: all, or ``columns`` in their order.
 
     Raises:
-        InputError: there is no such column, or it is of width 0 in the whole dataset and therefore not stored.
+        InputError: there is no such column, or its width is 0 in the whole dataset, so that it is not stored.
     """
     kinds = {name: (dtype, 1) for name, dtype in STANDARD.items()}
     kinds |= {c.name: (c.dtype, c.width) for c in dataset.schema.columns if c.width}
@@ -88,16 +87,12 @@ def table_schema(dataset: Dataset, columns: Sequence[str] | None = None) -> pa.S
         raise InputError(
             f"No columns {unknown} in this dataset.{did_you_mean(unknown[0], kinds)} It has: {', '.join(kinds)}: {dataset.root}"
         )
-    fields = []
-    for name in dict.fromkeys(kinds if columns is None else columns):
-        dtype, width = kinds[name]
-        item = pa.from_numpy_dtype(np.dtype(dtype))
-        fields.append(pa.field(name, item if width == 1 else pa.list_(item, width)))
-    return pa.schema(fields)
+    names = dict.fromkeys(kinds if columns is None else columns)
+    return pa.schema([pa.field(name, arrow_rows(*kinds[name])) for name in names])
 
 
-def chosen_episodes(dataset: Dataset, episodes: Iterable[int] | None) -> Sequence[int]:
-    """``episodes``, or all; an `InputError` if there is no such one."""
+def chosen_episodes(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Sequence[int]:
+    """``episodes``, or all; an `InputError` if one does not exist."""
     chosen = range(len(dataset)) if episodes is None else list(episodes)
     for index in chosen:
         if not 0 <= index < len(dataset):
@@ -105,13 +100,13 @@ def chosen_episodes(dataset: Dataset, episodes: Iterable[int] | None) -> Sequenc
     return chosen
 
 
-def shapes_of(dataset: Dataset) -> dict[str, tuple[int, ...]]:
-    """Declared shape of a row of each stored column."""
+def shapes_of(dataset: DatasetFolder) -> dict[str, tuple[int, ...]]:
+    """Declared shape of one row of each stored column."""
     return {**dict.fromkeys(STANDARD, ()), **{c.name: c.shape for c in dataset.schema.columns if c.width}}
 
 
-def step_source(dataset: Dataset) -> pads.Dataset:
-    """All committed steps, lazily: engines read the columns and row groups that they need. float16 becomes float32."""
+def step_source(dataset: DatasetFolder) -> pads.Dataset:
+    """All committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
     schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
     paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
     if not paths:
@@ -122,28 +117,28 @@ def step_source(dataset: Dataset) -> pads.Dataset:
     return pads.dataset([str(path) for path in paths], schema=schema, format="parquet")
 
 
-def record_table(dataset: Dataset, kind: str) -> pa.Table:
+def record_table(dataset: DatasetFolder, kind: str) -> pa.Table:
     """All records with their ``episode_index``: ``bodies``, ``assets``, ``agents``, ``skills``, ``events`` or ``inputs``."""
     schema = record_schema(SIDECARS[kind])
     tables = [dataset.sidecar(kind, shard).select(schema.names) for shard in committed_shards(dataset)]
     return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")
 
 
-def committed_shards(dataset: Dataset, *, with_steps: bool = False) -> list[int]:
-    """Numbers of the shards that the episode tables list."""
+def committed_shards(dataset: DatasetFolder, *, with_steps: bool = False) -> list[int]:
+    """Numbers of the shards in the episode tables, optionally only those that have steps."""
     rows = dataset.rows
     return list(dict.fromkeys(dataset.shard_of(row) for row in rows if row["length"] or not with_steps))
 
 
 def _without_halves(kind: pa.DataType) -> pa.DataType:
-    """DuckDB refuses every table with a column of half floats."""
+    """float32 in place of float16, because DuckDB refuses any table with a float16 column."""
     if pa.types.is_fixed_size_list(kind):
         return pa.list_(_without_halves(kind.value_type), kind.list_size)
     return pa.float32() if kind == pa.float16() else kind
 
 
 def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The same bits under the declared types: uint64 are stored as int64."""
+    """The same bits under the declared types; uint64 is stored as int64."""
     for k, field in enumerate(schema):
         column = table.column(k)
         if column.type != field.type:
@@ -155,8 +150,8 @@ def _no_rows(schema: pa.Schema) -> pa.RecordBatch:
     return pa.record_batch([pa.array([], field.type) for field in schema], schema=schema)
 
 
-def _groups(dataset: Dataset, episodes: Iterable[int] | None) -> Iterator[list[int]]:
-    """Episodes with steps, in their order, in runs that lie in one shard."""
+def _groups(dataset: DatasetFolder, episodes: Iterable[int] | None) -> Iterator[list[int]]:
+    """Episodes with steps, in their order, in runs within one shard."""
     rows = dataset.rows
     with_steps = (index for index in chosen_episodes(dataset, episodes) if rows[index]["length"])
     for _, group in itertools.groupby(with_steps, key=lambda index: dataset.shard_of(rows[index])):

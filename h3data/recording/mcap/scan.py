@@ -1,4 +1,8 @@
-"""The records of an MCAP file up to its first damage: all checksums checked, nothing trusted, nothing raised."""
+"""The records of an MCAP file up to its first damage: every checksum is checked, no length is trusted, nothing is raised."""
+
+# The mcap package parses the rare records. Messages are sorted here: for a log of 1,500 steps that takes 1.4 ms, mcap's
+# `StreamReader` 10 ms and its `SeekingReader` 20 ms, of 2.2 ms for all of `read_mcap`; and neither says how far a damaged
+# file is sound. Single steps likewise (mcap/steps.py): 1.9 ms each in a log of 30,000 steps, 46 ms with `SeekingReader`.
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ _MESSAGE_OP, _CHUNK, _ATTACHMENT, _METADATA, _DATA_END = 5, 6, 9, 12, 15
 
 @dataclass
 class McapRecords:
-    """What the records of a file hold, up to the first damage."""
+    """Contents of the records of a file, up to the first damage."""
 
     size: int
     profile: str = ""
@@ -29,13 +33,13 @@ class McapRecords:
     attachments: dict[str, bytes] = field(default_factory=dict)
     schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
     channels: dict[int, tuple[str, int, dict[str, str]]] = field(default_factory=dict)
-    """Topic, schema and metadata."""
+    """Topic, schema id and metadata of each channel id."""
     messages: dict[int, list[memoryview]] = field(default_factory=dict)
     readable_bytes: int = 0
     fault: str | None = None
 
     def channel_of(self, topic: str) -> int | None:
-        """The channel with that topic; a `FormatError` if several carry messages."""
+        """Id of the channel with a topic, None if there is none; a `FormatError` if several carry messages."""
         used = [c for c, (name, _, _) in self.channels.items() if name == topic]
         used = [c for c in used if self.messages.get(c)] or used[:1]
         if len(used) > 1:
@@ -44,7 +48,7 @@ class McapRecords:
 
 
 def decoding_errors() -> tuple[type[Exception], ...]:
-    """All that mcap, zstd and protobuf raise on bytes that are not what they should be."""
+    """Exceptions that mcap, zstd and protobuf raise on damaged bytes."""
     import zstandard
     from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
@@ -66,7 +70,7 @@ def decoding_errors() -> tuple[type[Exception], ...]:
 
 
 def scan_records(data: bytes) -> McapRecords:
-    """Everything up to the first damage; never raises. Checks every checksum that the file has."""
+    """All records up to the first damage, which `McapRecords.fault` names; checks every checksum of the file."""
     log = McapRecords(size=len(data))
     if data[: len(MAGIC)] != MAGIC:
         log.fault = "empty" if not data else f"starts with {data[:8]!r}"
@@ -83,7 +87,7 @@ def scan_records(data: bytes) -> McapRecords:
             if end > len(data):
                 raise EOFError(f"truncated inside a record that starts at byte {position}")
             body = view[position + _RECORD.size : end]
-            if not ended:  # the summary only repeats, and may be damaged
+            if not ended:  # the summary only repeats records, and may be damaged
                 take(log, opcode, body)
             if opcode == _DATA_END:
                 check_crc(struct.unpack_from("<I", body)[0], view[:position], "data section")
@@ -104,18 +108,18 @@ def scan_records(data: bytes) -> McapRecords:
 
 
 def check_crc(expected: int, data: memoryview, what: str) -> None:
-    """A `ValueError` if there is a checksum (not 0) and it is another."""
+    """Raises a `ValueError` if there is a checksum (not 0) and the data have another."""
     if expected and zlib.crc32(data) != expected:
         raise ValueError(f"the checksum of the {what} does not match")
 
 
 def take(log: McapRecords, opcode: int, body: memoryview) -> None:
-    """Add what one record holds to the log; indexes and what is unknown are passed over."""
+    """Adds the contents of one record to the log; skips indexes and unknown records."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
     if opcode == _CHUNK:
-        _take_chunk(log, unfold(body))
+        _take_chunk(log, decompress(body))
         return
     if opcode == _MESSAGE_OP:
         (channel,) = struct.unpack_from("<H", body)
@@ -139,8 +143,8 @@ def take(log: McapRecords, opcode: int, body: memoryview) -> None:
         log.metadata[record.name] = record.metadata
 
 
-def unfold(body: memoryview) -> bytes:
-    """The records in the body of a chunk, its checksum checked."""
+def decompress(body: memoryview) -> bytes:
+    """Decompressed records of a chunk; a `ValueError` if its checksum does not match."""
     import zstandard
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk
@@ -162,7 +166,7 @@ def unfold(body: memoryview) -> bytes:
 
 
 def _take_chunk(log: McapRecords, data: bytes) -> None:
-    """Sort the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
+    """Sorts the messages of a chunk by channel. The inner loop of reading: 0.6 us per message."""
     view, position, size = memoryview(data), 0, len(data)
     skip, unpack, messages = _RECORD.size + _MESSAGE_HEAD, _MESSAGE.unpack_from, log.messages
     while position < size:
@@ -171,10 +175,10 @@ def _take_chunk(log: McapRecords, data: bytes) -> None:
         if end > size:
             raise ValueError("a record exceeds its chunk")
         if opcode == _MESSAGE_OP:
-            kept = messages.get(channel)
-            if kept is None:
-                kept = messages[channel] = []
-            kept.append(view[position + skip : end])
+            of_channel = messages.get(channel)  # `setdefault` would make a list per message
+            if of_channel is None:
+                of_channel = messages[channel] = []
+            of_channel.append(view[position + skip : end])
         else:
             take(log, opcode, view[position + _RECORD.size : end])
         position = end

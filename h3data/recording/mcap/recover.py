@@ -1,4 +1,4 @@
-"""What can be saved of a log that was cut off, damaged or never finished."""
+"""Saves the readable part of a log that was cut off, damaged or never finished."""
 
 from __future__ import annotations
 
@@ -7,32 +7,36 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from h3data.errors import FormatError, InputError
-from h3data.recording.mcap.mcap_log import write_mcap
-from h3data.recording.mcap.mcap_part import publish
-from h3data.recording.mcap.mcap_read import assemble, check_kind, load
-from h3data.recording.mcap.mcap_scan import decoding_errors, scan_records
+from h3data.recording.mcap.part import publish
+from h3data.recording.mcap.read import assemble, check_kind, load
+from h3data.recording.mcap.scan import decoding_errors, scan_records
+from h3data.recording.mcap.writer import write_mcap
 from h3data.recording.storage import RemotePath, local, place
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """What `recover_mcap` saved."""
+    """Result of `recover_mcap`."""
 
     path: Path
     steps: int
     bytes_read: int
     bytes_total: int
     reason: str
-    """Why the original could not be read as a whole."""
+    """Why the whole original could not be read."""
 
 
 def recover_mcap(
     path: str | os.PathLike[str] | RemotePath, out: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Recovery:
-    """Save all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
+    """Saves all complete steps of a truncated, damaged or unfinished log (also ``*.part``) as a new, whole one.
 
-    The new episode says so in ``info["recovered"]``. Reading stops at the first damage; nothing is guessed. The original
-    stays as it is, also when ``out`` is the name that it should have got.
+    ``info["recovered"]`` of the new episode says why. Reading stops at the first damage; nothing is guessed. The original
+    is kept, even if ``out`` is the name it was meant to have.
+
+    Raises:
+        InputError: ``out`` exists and ``overwrite`` is False, or the file cannot be read.
+        FormatError: nothing can be recovered, or it is no log of h3data.
     """
     path, out = place(path), local(out)
     if os.path.exists(out) and not overwrite:

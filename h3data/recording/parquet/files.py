@@ -1,0 +1,49 @@
+"""Names of the files in a dataset folder, after LeRobot v3.0, and small files that appear whole."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import overload
+
+from h3data.files import part_file
+from h3data.recording.storage import AnyPath, RemotePath
+
+FILES_PER_CHUNK = 1000
+"""LeRobot's ``chunks_size``: files per folder ``chunk-000``, ``chunk-001``, ..."""
+
+
+@overload
+def shard_path(root: Path, kind: str, shard: int) -> Path: ...
+@overload
+def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath: ...
+def shard_path(root: AnyPath, kind: str, shard: int) -> AnyPath:
+    """File number ``shard`` of a kind (``data``, ``meta/episodes``, ``h3/bodies``, ...)."""
+    return root / kind / f"chunk-{shard // FILES_PER_CHUNK:03d}" / f"file-{shard % FILES_PER_CHUNK:03d}.parquet"
+
+
+def shard_files(root: AnyPath, kind: str) -> list[AnyPath]:
+    """All complete files of a kind, in order."""
+    return sorted((root / kind).glob("chunk-*/file-*.parquet"), key=shard_number)
+
+
+def shard_number(path: AnyPath) -> int:
+    """The inverse of `shard_path`."""
+    return int(path.parent.name.split("-")[1]) * FILES_PER_CHUNK + int(path.stem.split("-")[1])
+
+
+def is_dataset(root: AnyPath) -> bool:
+    """Whether a folder holds a dataset: LeRobot's info.json or our schema."""
+    return (root / "meta" / "info.json").is_file() or (root / "h3" / "schema.json").is_file()
+
+
+def write_atomic(path: AnyPath, data: bytes) -> None:
+    """Writes a small file that appears under its name with all of its contents, synced to the disk."""
+    if isinstance(path, RemotePath):
+        path.put(data)
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with part_file(path) as part, part.open("wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())

@@ -1,0 +1,171 @@
+"""The committed episodes of a dataset folder as Arrow tables: its episode table, row groups and records."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.parquet.columns import conform
+from h3data.recording.parquet.files import FILES_PER_CHUNK, is_dataset, shard_files, shard_path
+from h3data.recording.parquet.records import DAMAGE, DatasetRecords
+from h3data.recording.parquet.schema import EPISODE_SCHEMA, DatasetSchema
+from h3data.recording.schema import check_version
+from h3data.recording.storage import RemotePath, place, readable
+
+_OPEN_FILES = 4
+
+
+class DatasetFolder:
+    """Committed episodes of a dataset folder. Reads lazily; safe to open while a writer is at work."""
+
+    def __init__(self, root: str | os.PathLike[str] | RemotePath) -> None:
+        """Opens a folder written by `DatasetWriter`, by path or URI (``s3://bucket/ds``).
+
+        Raises:
+            InputError: there is no such folder, or it cannot be read.
+            FormatError: it is not a dataset of h3data, or its metadata are damaged.
+        """
+        self.root = place(root)
+        try:
+            exists, dataset = self.root.exists(), is_dataset(self.root)
+        except OSError as error:
+            raise InputError(f"The folder cannot be read ({error.strerror or error}): {self.root}") from error
+        if not exists:
+            raise InputError(f"There is no such folder: {self.root}")
+        if not dataset:
+            raise FormatError(f"Expected a dataset folder (with meta/info.json): {self.root}")
+        if not (self.root / "h3" / "schema.json").exists():
+            raise FormatError(
+                f"A LeRobot dataset, but not written by h3data: it lacks h3/schema.json and with it bodies and agents. "
+                f"Hint: open it with lerobot or Rerun: {self.root}"
+            )
+        self._promised = self._promised_episodes()
+        self.schema = DatasetSchema.load(self.root)
+        self._files: dict[int, pq.ParquetFile] = {}
+        self._records = DatasetRecords(self.root, self.schema.version)
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """One row per episode: LeRobot's columns (place, length) and ours (uid, task, scene, seed, info as JSON, ...).
+
+        Raises:
+            FormatError: a table is damaged, or tables are missing.
+        """
+        paths = shard_files(self.root, "meta/episodes")
+        try:
+            tables = [
+                pq.read_table(readable(p), page_checksum_verification=True).replace_schema_metadata(None) for p in paths
+            ]
+            table = pa.concat_tables(tables, promote_options="default") if tables else pa.table({"episode_index": []})
+            table = conform(table, EPISODE_SCHEMA)
+            if tables and (lacking := [name for name in EPISODE_SCHEMA.names if name not in table.column_names]):
+                raise ValueError(f"it lacks {', '.join(lacking)}")
+            faults = _chain_faults(table) if tables else []
+        except DAMAGE as error:
+            raise FormatError(f"An episode table is damaged ({error}): {self.root / 'meta' / 'episodes'}") from error
+        if len(table) < self._promised:
+            faults.append(f"info.json counts {self._promised} episodes, there are {len(table)}: files are missing")
+        if faults:
+            raise FormatError(f"The episode table is not consistent: {'; '.join(faults)}: {self.root}")
+        return table
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """`episodes` as Python values."""
+        return self.episodes.to_pylist()
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def row(self, index: int) -> dict[str, Any]:
+        """Row ``index`` of `episodes`.
+
+        Raises:
+            InputError: there is no such episode.
+        """
+        if not 0 <= index < len(self):
+            raise InputError(f"Episode {index}: the dataset has episodes 0..{len(self) - 1}: {self.root}")
+        return self.rows[index]
+
+    def shard_of(self, row: Mapping[str, Any]) -> int:
+        """Number of the files that hold an episode, from its row of `episodes`."""
+        return row["data/chunk_index"] * FILES_PER_CHUNK + row["data/file_index"]
+
+    def read_group(self, group: Sequence[int], names: Sequence[str]) -> pa.Table:
+        """Stored columns of some episodes of one shard, at least one of them with steps.
+
+        Raises:
+            FormatError: they are damaged.
+        """
+        rows = [self.row(index) for index in group]
+        try:
+            row_groups = [row["row_group"] for row in rows if row["length"]]
+            file = self._file(self.shard_of(rows[0]))
+            table = file.read_row_groups(row_groups, columns=list(names), use_threads=False).select(names)
+            if len(table) != (steps := sum(row["length"] for row in rows)):
+                raise ValueError(f"expected {steps} rows, got {len(table)}")
+        except DAMAGE as error:
+            raise self._damage(group, error) from error
+        return table.replace_schema_metadata(None)
+
+    def sidecar(self, kind: str, shard: int) -> pa.Table:
+        """The records of a kind in one shard; none if the dataset is older than that kind of record."""
+        return self._records.table(kind, shard)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The same episodes in another process, which opens the files for itself."""
+        return {**self.__dict__, "_files": {}, "_records": DatasetRecords(self.root, self.schema.version)}
+
+    # --- private ---
+    def _promised_episodes(self) -> int:
+        """Number of episodes in info.json: a lower bound, as it is written after the episode tables."""
+        path = self.root / "meta" / "info.json"
+        if not path.exists():
+            return 0  # before the first commit
+        try:
+            info = json.loads(path.read_bytes())
+            version, episodes = info["h3data"]["schema_version"], int(info["total_episodes"])
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise FormatError(
+                f"info.json is damaged ({error!r}). Hint: h3data.recording.rebuild_meta makes it again: {path}"
+            ) from error
+        check_version(version, path=path)
+        return episodes
+
+    def _damage(self, group: Sequence[int], error: Exception) -> FormatError:
+        path = shard_path(self.root, "data", self.shard_of(self.row(group[0])))
+        which = f"Episode {group[0]}" if len(group) == 1 else f"One of the episodes {group[0]} to {group[-1]}"
+        return FormatError(f"{which} cannot be read, its data are damaged ({error}): {path}")
+
+    def _file(self, shard: int) -> pq.ParquetFile:
+        if shard not in self._files:
+            if len(self._files) >= _OPEN_FILES:
+                self._files.pop(next(iter(self._files))).close()
+            path = shard_path(self.root, "data", shard)
+            local = isinstance(path, Path)
+            self._files[shard] = pq.ParquetFile(
+                readable(path), memory_map=local, pre_buffer=not local, page_checksum_verification=True
+            )
+        return self._files[shard]
+
+
+def _chain_faults(table: pa.Table) -> list[str]:
+    """Gaps and overlaps between the episodes of an episode table: no episode is ever lost silently."""
+    index, length, start, end = (
+        table[n].to_numpy() for n in ("episode_index", "length", "dataset_from_index", "dataset_to_index")
+    )
+    faults = []
+    if not np.array_equal(index, np.arange(len(index))):
+        faults.append(f"expected episodes 0..{len(index) - 1} in order, got {index[:5].tolist()}...")
+    if not np.array_equal(end - start, length) or not np.array_equal(start[1:], end[:-1]):
+        faults.append("episode boundaries do not follow each other")
+    return faults

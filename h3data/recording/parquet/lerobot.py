@@ -1,0 +1,134 @@
+"""The metadata that make a folder of Parquet files a LeRobot v3.0 dataset: info.json, tasks.parquet, stats.json.
+
+They only summarise: `rebuild_meta` makes them again from ``h3/schema.json`` and ``meta/episodes``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from h3data.errors import FormatError
+from h3data.recording.parquet.columns import conform
+from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_files, write_atomic
+from h3data.recording.parquet.moments import Moments, merge_into, unpack_moments
+from h3data.recording.parquet.schema import STANDARD, DatasetSchema
+from h3data.recording.schema import layout_hash
+from h3data.recording.storage import AnyPath, RemotePath, place, readable
+
+FILE_MB = 128
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+_POSE7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+_COUNTED = pa.schema([("length", pa.int64()), ("task", pa.string()), ("task_index", pa.int64())])
+
+
+@dataclass
+class Totals:
+    """Numbers of info.json, tasks.parquet and stats.json."""
+
+    episodes: int = 0
+    frames: int = 0
+    tasks: dict[str, int] = field(default_factory=dict)
+    """Index of each task name."""
+    moments: dict[str, Moments] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, root: AnyPath) -> Self:
+        """Totals of all committed episodes of a dataset.
+
+        Raises:
+            FormatError: an episode table is damaged.
+        """
+        totals = cls()
+        for path in shard_files(root, "meta/episodes"):
+            try:
+                table = conform(pq.read_table(readable(path), columns=_COUNTED.names), _COUNTED)
+                moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
+                totals.episodes += len(table)
+                totals.frames += sum(table["length"].to_pylist())
+                totals.tasks |= dict(zip(table["task"].to_pylist(), table["task_index"].to_pylist(), strict=True))
+                merge_into(totals.moments, moments)
+            except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
+                raise FormatError(f"The episode table is damaged ({error}): {path}") from error
+        return totals
+
+
+def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
+    """Writes ``meta/tasks.parquet``, ``meta/stats.json`` and, last, ``meta/info.json``."""
+    write_atomic(root / "meta" / "tasks.parquet", _tasks_parquet(totals.tasks))
+    stats = {name: _lerobot_stats(m, totals.frames) for name, m in totals.moments.items()}
+    write_atomic(root / "meta" / "stats.json", json.dumps(stats).encode())
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": schema.robot_type,
+        "total_episodes": totals.episodes,
+        "total_frames": totals.frames,
+        "total_tasks": len(totals.tasks),
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": FILE_MB,
+        "video_files_size_in_mb": 200,
+        "fps": schema.fps,
+        "splits": {"train": f"0:{totals.episodes}"},
+        "data_path": DATA_PATH,
+        "video_path": VIDEO_PATH,
+        "features": _features(schema),
+        "h3data": {"schema_version": schema.version, "layout_hash": layout_hash(schema.columns)},
+    }
+    write_atomic(root / "meta" / "info.json", json.dumps(info, indent=1, ensure_ascii=False).encode())
+
+
+def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
+    """Writes info.json, tasks.parquet and stats.json again from the committed episodes; returns their number."""
+    at = place(root)
+    schema, totals = DatasetSchema.load(at), Totals.of(at)
+    write_meta(at, schema, totals)
+    return totals.episodes
+
+
+def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
+    """``features`` of info.json: every column of the data files, as LeRobot requires."""
+    ours: dict[str, dict[str, Any]] = {
+        c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _POSE7 if c.shape == (7,) else None}
+        for c in schema.columns
+        if c.width
+    }
+    return ours | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in STANDARD.items()}
+
+
+def _lerobot_stats(m: Moments, frames: int) -> dict[str, list[float]]:
+    """min, max, mean, std and count as LeRobot stores them; 0 for a value that was never finite, as JSON has no NaN."""
+    any_finite = m.count > 0
+    std = np.sqrt(m.m2 / np.maximum(m.count, 1))
+    named = {"min": m.low, "max": m.high, "mean": m.mean, "std": std}
+    out = {k: np.nan_to_num(np.where(any_finite, v, 0.0)).tolist() for k, v in named.items()}
+    return {**out, "count": [frames]}
+
+
+def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:
+    """A pandas table whose *index* is the task string, as LeRobot reads it; written without pandas."""
+    index = "__index_level_0__"
+    table = pa.table(
+        {"task_index": pa.array(list(tasks.values()), pa.int64()), index: pa.array(list(tasks), pa.string())}
+    )
+    encoding = {"name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object"}
+    number = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
+    text = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
+    pandas = {
+        "index_columns": [index],
+        "column_indexes": [{**encoding, "metadata": {"encoding": "UTF-8"}}],
+        "columns": [{**number, "metadata": None}, text],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.2.0",
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), sink, compression="zstd")
+    return sink.getvalue().to_pybytes()

@@ -1,0 +1,83 @@
+"""Running moments of the features of a dataset, for LeRobot's statistics."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class Moments:
+    """Count, mean, sum of squared deviations and extremes of the finite values of one feature, each of shape [width]."""
+
+    count: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    m2: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    def to_lists(self) -> list[list[float]]:
+        return [v.tolist() for v in (self.count, self.mean, self.m2, self.low, self.high)]
+
+    @classmethod
+    def from_lists(cls, lists: Iterable[Iterable[float]]) -> Self:
+        return cls(*(np.array(list(v), np.float64) for v in lists))
+
+
+def moments_of(values: NDArray[Any]) -> Moments:
+    """Moments of rows [T, width]; NaN and infinities do not count."""
+    x = values if values.dtype.kind == "f" and values.dtype != np.float16 else values.astype(np.float64)
+    with np.errstate(all="ignore"):
+        finite = np.isfinite(x)
+        if len(x) and finite.all():
+            mean = x.mean(0, dtype=np.float64)
+            deviation = x - mean
+            m2 = np.einsum("ij,ij->j", deviation, deviation)
+            return Moments(np.full(x.shape[1], float(len(x))), mean, m2, x.min(0) * 1.0, x.max(0) * 1.0)
+        count = finite.sum(0).astype(np.float64)
+        mean = np.where(finite, x, 0).sum(0, dtype=np.float64) / np.maximum(count, 1)
+        m2 = (np.where(finite, x - mean, 0) ** 2).sum(0, dtype=np.float64)
+        low, high = (
+            f(np.where(finite, x, fill), axis=0, initial=fill) for f, fill in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        return Moments(count, mean, m2, np.asarray(low, np.float64), np.asarray(high, np.float64))
+
+
+def merged(a: Moments, b: Moments) -> Moments:
+    """Moments of both samples together (Chan et al. 1979)."""
+    with np.errstate(all="ignore"):
+        count = a.count + b.count
+        share = b.count / np.maximum(count, 1)
+        gap = b.mean - a.mean
+        return Moments(
+            count,
+            a.mean + gap * share,
+            a.m2 + b.m2 + gap * gap * a.count * share,
+            np.minimum(a.low, b.low),
+            np.maximum(a.high, b.high),
+        )
+
+
+def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
+    """Adds the moments of more rows to ``total``, feature by feature."""
+    for name, moments in more.items():
+        total[name] = merged(total[name], moments) if name in total else moments
+
+
+def pack_moments(moments: Mapping[str, Moments]) -> str:
+    """Moments as text for Parquet metadata: base64 of deflated JSON, a third of its size."""
+    text = json.dumps({name: m.to_lists() for name, m in moments.items()})
+    return base64.b64encode(zlib.compress(text.encode())).decode()
+
+
+def unpack_moments(packed: bytes) -> dict[str, Moments]:
+    """The inverse of `pack_moments`; empty bytes give none."""
+    lists = json.loads(zlib.decompress(base64.b64decode(packed))) if packed else {}
+    return {name: Moments.from_lists(v) for name, v in lists.items()}

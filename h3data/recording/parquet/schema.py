@@ -1,0 +1,171 @@
+"""Schemas of the files of a dataset: the declared columns of its steps, its records and its episode tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import pyarrow as pa
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.records import SCHEMA_VERSION
+from h3data.recording.schema import (
+    CONVENTIONS,
+    STRUCTS,
+    Column,
+    Layout,
+    check_version,
+    layout_from_json,
+    layout_hash,
+    version_numbers,
+)
+from h3data.recording.storage import AnyPath
+
+STANDARD = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+"""Columns that LeRobot requires in every data file."""
+
+SIDECARS = {
+    "bodies": "Body",
+    "assets": "Asset",
+    "agents": "Agent",
+    "skills": "Skill",
+    "events": "Event",
+    "inputs": "Input",
+}
+"""Tables beside the data files, with the struct that each holds."""
+SIDECAR_SINCE = {"inputs": (1, 3)}
+"""Schema version from which every shard has this sidecar."""
+
+EPISODE_SCHEMA = pa.schema(
+    [
+        ("episode_index", pa.int64()),
+        ("tasks", pa.list_(pa.string())),
+        ("length", pa.int64()),
+        ("data/chunk_index", pa.int64()),
+        ("data/file_index", pa.int64()),
+        ("dataset_from_index", pa.int64()),
+        ("dataset_to_index", pa.int64()),
+        ("meta/episodes/chunk_index", pa.int64()),
+        ("meta/episodes/file_index", pa.int64()),
+        ("uid", pa.string()),
+        ("episode_id", pa.string()),
+        ("task", pa.string()),
+        ("scene", pa.string()),
+        ("seed", pa.int64()),
+        ("dt_ns", pa.int64()),
+        ("task_index", pa.int64()),
+        ("created_by", pa.string()),
+        ("schema_version", pa.string()),
+        ("info", pa.string()),
+        ("row_group", pa.int64()),
+        ("columns", pa.string()),
+        ("attachments", pa.string()),
+    ]
+)
+
+_ARROW = {"string": pa.string(), "int64": pa.int64(), "double": pa.float64(), "float": pa.float32()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSchema:
+    """Columns that every data file of a dataset holds, decided before the first one is written."""
+
+    columns: Layout
+    """Widest shape of every column."""
+    fps: int
+    robot_type: str
+    version: str = SCHEMA_VERSION
+    """Schema version of the whole dataset, also of files added to it later."""
+
+    def stored_dtype(self, column: Column) -> str:
+        """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
+
+        Torch tensors hold no uint64, so LeRobot's loader would refuse the whole dataset.
+        """
+        return "int64" if column.dtype == "uint64" and version_numbers(self.version) >= (1, 2) else column.dtype
+
+    def to_json(self) -> bytes:
+        """Contents of ``h3/schema.json``."""
+        columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
+        values = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
+        values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
+        return json.dumps(values, indent=1, ensure_ascii=False).encode()
+
+    @classmethod
+    def load(cls, root: AnyPath) -> Self:
+        """The schema of an existing dataset.
+
+        Raises:
+            FormatError: there is none, it is damaged, or a newer h3data wrote it.
+        """
+        path = root / "h3" / "schema.json"
+        try:
+            values = json.loads(path.read_bytes())
+            check_version(values["schema_version"], path=path)
+            text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
+            fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
+            version_numbers(version)
+            return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version)
+        except FileNotFoundError:
+            raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
+        except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
+            raise FormatError(f"The schema of the dataset is damaged ({error!r}): {path}") from error
+
+
+def union_layout(layouts: Iterable[Layout], *, max_bodies: int | None = None) -> Layout:
+    """The narrowest layout that all of these fit; ``max_bodies`` widens ``object_pose``.
+
+    Raises:
+        InputError: columns of one name differ in dtype or number of axes.
+    """
+    union: dict[str, Column] = {}
+    faults = []
+    for layout in layouts:
+        for column in layout:
+            widest = union.setdefault(column.name, column)
+            if widest.dtype != column.dtype or len(widest.shape) != len(column.shape):
+                faults.append(f"{widest} and {column}")
+            else:
+                shape = tuple(max(a, b) for a, b in zip(widest.shape, column.shape, strict=True))
+                union[column.name] = Column(column.name, column.dtype, shape)
+    if faults:
+        raise InputError(f"These columns cannot share a dataset: {'; '.join(faults[:8])}.")
+    if max_bodies is not None:
+        poses = union.get("object_pose", Column("object_pose", "float32", (0, 7)))
+        union["object_pose"] = Column("object_pose", poses.dtype, (max(max_bodies, poses.shape[0]), *poses.shape[1:]))
+    return tuple(union.values())
+
+
+def data_schema(schema: DatasetSchema) -> pa.Schema:
+    """Arrow schema of the data files: LeRobot's columns, then ours that have a width."""
+    fields = [pa.field(name, arrow_rows(dtype, 1)) for name, dtype in STANDARD.items()]
+    fields += [pa.field(c.name, arrow_rows(schema.stored_dtype(c), c.width)) for c in schema.columns if c.width]
+    return pa.schema(
+        fields, metadata={"h3data.schema_version": schema.version, "h3data.layout_hash": layout_hash(schema.columns)}
+    )
+
+
+def record_schema(struct: str) -> pa.Schema:
+    """Arrow schema of a sidecar: the fields of one of `STRUCTS` and the episode they belong to."""
+    fields = [(name, _arrow_type(spec)) for name, spec in STRUCTS[struct].items()]
+    return pa.schema([("episode_index", pa.int64()), *fields])
+
+
+def arrow_rows(dtype: str, width: int) -> pa.DataType:
+    """Arrow type of one row of a column: a scalar, or a fixed-size list if the width is not 1."""
+    item = pa.from_numpy_dtype(np.dtype(dtype))
+    return item if width == 1 else pa.list_(item, width)
+
+
+def _arrow_type(spec: str) -> pa.DataType:
+    plain = _ARROW[spec.rstrip("*")]
+    return pa.list_(plain) if spec.endswith("*") else plain
