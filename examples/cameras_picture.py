@@ -23,7 +23,7 @@ from h3data.render import (
     visible_boxes,
     write_png,
 )
-from h3data.render.files import write_jpg
+from h3data.render.image_files import write_jpg
 from h3data.replay import camera_track
 from h3data.replay.stage import Stage
 

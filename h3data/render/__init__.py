@@ -1,6 +1,11 @@
-"""Cameras, renderers (`Renderer`: one interface to all back ends), colour maps, overlays, pictures and videos.
+"""Rendering: depth, ids, normals and RGB of a scene from any camera.
 
-`Camera` and its helpers are cheap; everything else is imported at its first use (numba, OpenCV, PyAV).
+- `camera`, `scene`: what to render; `renderer`: `Renderer`, one interface to all back ends; `outputs`: their outputs
+- back ends: `raster/` with `shade/` (CPU), `gpu/` (CUDA), `rays` (Embree) and `hybrid` (CPU rasteriser plus rays)
+- from images: `colors`, `flow`, `boxes`, `overlay`; to files: `image_files`, `video`
+- `sheets/`: contact sheets of bodies, robots and motions, and plans of scenes
+
+`Camera` and its helpers are cheap; all other names are imported at first use (numba, OpenCV, PyAV).
 """
 
 from __future__ import annotations
@@ -22,10 +27,11 @@ from h3data.render.camera import (
 
 if TYPE_CHECKING:
     from h3data.render import overlay
+    from h3data.render.boxes import Boxes, visible_boxes, visible_masks
     from h3data.render.colors import depth_to_rgb, instance_to_rgb, normalize_depth
-    from h3data.render.files import write_depth_png, write_png
-    from h3data.render.motion import Boxes, flow_to_rgb, optical_flow, visible_boxes, visible_masks
-    from h3data.render.pictures import Output, Poses
+    from h3data.render.flow import flow_to_rgb, optical_flow
+    from h3data.render.image_files import write_depth_png, write_png
+    from h3data.render.outputs import Output, Poses
     from h3data.render.rays import RayCaster, lidar
     from h3data.render.renderer import Renderer
     from h3data.render.scene import RenderInstance, RenderScene
@@ -64,33 +70,24 @@ __all__ = [
     "write_png",
 ]
 
-_HOMES = {
-    "Boxes": "motion",
-    "RayCaster": "rays",
-    "flow_to_rgb": "motion",
-    "lidar": "rays",
-    "optical_flow": "motion",
-    "visible_boxes": "motion",
-    "visible_masks": "motion",
-    "Light": "shade.shading",
-    "Output": "pictures",
-    "Poses": "pictures",
-    "RenderInstance": "scene",
-    "RenderScene": "scene",
-    "Renderer": "renderer",
-    "VideoWriter": "video",
-    "depth_to_rgb": "colors",
-    "instance_to_rgb": "colors",
-    "normalize_depth": "colors",
-    "write_depth_png": "files",
-    "write_png": "files",
+_MODULES = {
+    "boxes": "Boxes visible_boxes visible_masks",
+    "colors": "depth_to_rgb instance_to_rgb normalize_depth",
+    "flow": "flow_to_rgb optical_flow",
+    "image_files": "write_depth_png write_png",
+    "outputs": "Output Poses",
+    "rays": "RayCaster lidar",
+    "renderer": "Renderer",
+    "scene": "RenderInstance RenderScene",
+    "shade.shading": "Light",
+    "video": "VideoWriter",
 }
-"""Module of each name that is imported late."""
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     if name == "overlay":
         return import_module("h3data.render.overlay")
-    if name not in _HOMES:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -1,6 +1,6 @@
 """Cameras: perspective, orthographic, fisheye and equirectangular.
 
-Inside h3data: OpenCV frame (x right, y down, z forward), pixel centres at +0.5; `CONVENTIONS` turns other frames into it.
+h3data uses the OpenCV frame (x right, y down, z forward) with pixel centres at +0.5; `CONVENTIONS` converts other frames.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ class Camera:
     pose: NDArray[np.float64]
     """4x4, camera (OpenCV) to world."""
     hidden_layers: tuple[str, ...] = ()
-    """Instances in these layers are left out, e.g. ``("ceiling",)`` in views from above."""
+    """Layers whose instances are hidden, e.g. ``("ceiling",)`` in views from above."""
     projection: Projection = "perspective"
     near: float = 0.0
-    """What is nearer than this depth is cut away [m]; 0: all that lies in front of the camera's plane is seen."""
+    """Surfaces nearer than this depth are cut away [m]; 0 keeps everything in front of the camera's plane."""
     far: float = float("inf")
-    """What is farther than this depth counts as nothing [m]."""
+    """Surfaces beyond this depth count as misses [m]."""
 
     def at(self, pose: ArrayLike) -> Camera:
-        """The same camera at another pose [4, 4]."""
+        """The same camera at another pose [4, 4], camera to world."""
         return replace(self, pose=np.asarray(pose, np.float64))
 
     def __repr__(self) -> str:
@@ -54,7 +54,7 @@ class Camera:
 
     @property
     def hfov_deg(self) -> float:
-        """Horizontal field of view [deg]; 0 if orthographic."""
+        """Horizontal field of view [deg]; 0 for orthographic cameras."""
         if self.projection == "orthographic":
             return 0.0
         half = self.width / 2 / self.fx
@@ -66,10 +66,10 @@ class Camera:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
     def checked(self) -> Camera:
-        """Itself.
+        """This camera.
 
         Raises:
-            InputError: no picture can be taken with it; the message lists why.
+            InputError: its parameters are invalid; the message lists all faults.
         """
         faults = []
         if self.width < 1 or self.height < 1:
@@ -85,7 +85,7 @@ class Camera:
         if not 0 <= self.near < self.far:
             faults.append(f"near {self.near} and far {self.far} (expected 0 <= near < far)")
         if self.projection not in get_args(Projection):
-            faults.append(f"projection {self.projection!r} (there are: {', '.join(get_args(Projection))})")
+            faults.append(f"projection {self.projection!r} (expected one of: {', '.join(get_args(Projection))})")
         if faults:
             raise InputError(f"Camera {self.name!r} cannot be used, it has: {'; '.join(faults)}.")
         return self
@@ -97,16 +97,16 @@ class Camera:
         return (p - self.pose[:3, 3]) @ self.pose[:3, :3]
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where world points [N, 3] appear: pixel coordinates [N, 2] and depth [N] [m].
+        """Pixel coordinates [N, 2] and depth [N] [m] of world points [N, 3].
 
-        The first pixel's centre is (0.5, 0.5). Depth is along z; for fisheye and equirectangular cameras it is the distance.
-        Points at or behind the plane of a perspective camera (z <= 0) get NaN pixels.
+        The centre of the first pixel is (0.5, 0.5). Depth is along z; for fisheye and equirectangular cameras it is the
+        distance. Points at or behind the plane of a perspective camera (z <= 0) get NaN pixels.
         """
         p = self.to_camera(points)
         return self.to_pixels(p), p[:, 2] if self.is_planar else np.linalg.norm(p, axis=1)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """As `project`, of points [N, 3] in the camera's frame: pixel coordinates [N, 2]."""
+        """Pixel coordinates [N, 2] of points [N, 3] in the camera's frame; see `project`."""
         x, y, z = points.T
         if self.projection == "perspective":
             ahead = np.where(z > 0, z, np.nan)
@@ -122,10 +122,10 @@ class Camera:
         return np.stack([u * self.fx + self.cx, v * self.fy + self.cy], axis=-1)
 
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the ray through each pixel's centre starts and its direction, in the camera's frame, each [H, W, 3].
+        """Start and direction, each [H, W, 3], of the ray through each pixel's centre, in the camera's frame.
 
-        A point at depth d lies at ``start + d * direction``. NaN where a fisheye's picture shows nothing (beyond 180 degrees
-        off its axis).
+        A point at depth d lies at ``start + d * direction``. Directions are NaN outside a fisheye's image circle (more
+        than 180 degrees off its axis).
         """
         v, u = np.mgrid[0 : self.height, 0 : self.width] + 0.5
         u, v = (u - self.cx) / self.fx, (v - self.cy) / self.fy
@@ -145,11 +145,11 @@ class Camera:
 
     @property
     def is_planar(self) -> bool:
-        """Whether straight lines stay straight and depth is along z: perspective and orthographic cameras."""
+        """Whether straight lines stay straight and depth is along z (perspective and orthographic cameras)."""
         return self.projection in ("perspective", "orthographic")
 
 
-# --- making cameras -----------------------------------------------------------------------------------------------------
+# --- constructors -------------------------------------------------------------------------------------------------------
 def pinhole(
     width: int,
     height: int,
@@ -161,12 +161,14 @@ def pinhole(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """A camera with square pixels and centred principal point, as Habitat's sensors (spec/habitat.md 1.5).
+    """A perspective camera with square pixels and centred principal point, like Habitat's sensors (spec/habitat.md 1.5).
 
-    ``width`` x ``height`` in pixels; ``hfov_deg`` spans the width.
+    ``width`` x ``height`` are in pixels; ``hfov_deg`` spans the width.
     """
     if not 0 < hfov_deg < 180:
-        raise InputError(f"The field of view of a perspective camera is between 0 and 180 degrees, got {hfov_deg}.")
+        raise InputError(
+            f"The field of view of a perspective camera must be between 0 and 180 degrees, got {hfov_deg}."
+        )
     f = width / 2 / float(np.tan(np.radians(hfov_deg) / 2))
     return _centred(width, height, f, f, "perspective", name, pose, hidden_layers, near, far)
 
@@ -182,7 +184,7 @@ def orthographic(
     near: float = 0.0,
     far: float = float("inf"),
 ) -> Camera:
-    """A camera whose rays are parallel: ``width_m`` [m] across the width, everywhere the same scale."""
+    """A camera with parallel rays; the image is ``width_m`` [m] wide at any depth."""
     if not 0 < width_m < np.inf:
         raise InputError(f"The width of an orthographic view must be a positive number of metres, got {width_m}.")
     f = width / width_m
@@ -200,7 +202,7 @@ def fisheye(
 ) -> Camera:
     """An equidistant fisheye (distance from the centre proportional to the angle); ``hfov_deg`` spans the width."""
     if not 0 < hfov_deg <= 360:
-        raise InputError(f"The field of view of a fisheye is between 0 and 360 degrees, got {hfov_deg}.")
+        raise InputError(f"The field of view of a fisheye must be above 0 and at most 360 degrees, got {hfov_deg}.")
     f = width / float(np.radians(hfov_deg))
     return _centred(width, height, f, f, "fisheye", name, pose, hidden_layers)
 
@@ -213,30 +215,48 @@ def equirectangular(
     pose: ArrayLike | None = None,
     hidden_layers: tuple[str, ...] = (),
 ) -> Camera:
-    """All around: longitude across 360 degrees, latitude down 180; ``height`` is half the width unless given."""
+    """A panorama: 360 degrees of longitude across, 180 of latitude down; ``height`` defaults to half the width."""
     height = height or width // 2
     fx, fy = width / (2 * np.pi), height / np.pi
     return _centred(width, height, fx, fy, "equirectangular", name, pose, hidden_layers)
 
 
 def _centred(
-    width: int, height: int, fx: float, fy: float, projection: Projection, name: str, pose: ArrayLike | None,
-    hidden_layers: tuple[str, ...], near: float = 0.0, far: float = float("inf"),
-) -> Camera:  # fmt: skip
-    matrix = np.eye(4) if pose is None else np.asarray(pose, np.float64)
+    width: int,
+    height: int,
+    fx: float,
+    fy: float,
+    projection: Projection,
+    name: str,
+    pose: ArrayLike | None,
+    hidden_layers: tuple[str, ...],
+    near: float = 0.0,
+    far: float = float("inf"),
+) -> Camera:
+    """A camera with its principal point at the centre of the image."""
     return Camera(
-        name=name, width=width, height=height, fx=fx, fy=fy, cx=width / 2, cy=height / 2, pose=matrix,
-        hidden_layers=hidden_layers, projection=projection, near=near, far=far,
-    )  # fmt: skip
+        name=name,
+        width=width,
+        height=height,
+        fx=fx,
+        fy=fy,
+        cx=width / 2,
+        cy=height / 2,
+        pose=np.eye(4) if pose is None else np.asarray(pose, np.float64),
+        hidden_layers=hidden_layers,
+        projection=projection,
+        near=near,
+        far=far,
+    )
 
 
 def camera_from_matrix(
     matrix: ArrayLike, width: int, height: int, *, name: str = "camera", pose: ArrayLike | None = None
 ) -> Camera:
-    """A perspective camera of a calibrated 3x3 matrix K [[fx 0 cx] [0 fy cy] [0 0 1]] [px].
+    """A perspective camera with a calibrated 3x3 matrix K = [[fx 0 cx] [0 fy cy] [0 0 1]] [px].
 
     Raises:
-        InputError: it is no such matrix: singular, skewed, not finite, or with focal lengths that are not positive.
+        InputError: the matrix has another form: singular, skewed, not finite, or focal lengths that are not positive.
     """
     k = np.asarray(matrix, np.float64)
     if k.shape != (3, 3) or not np.isfinite(k).all():
@@ -254,9 +274,9 @@ def camera_from_matrix(
 
 # --- poses --------------------------------------------------------------------------------------------------------------
 def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
-    """4x4 camera (OpenCV) to world, at ``eye`` and looking at ``target``; ``up`` is the world direction shown upwards.
+    """Camera pose [4, 4] (OpenCV to world) at ``eye`` looking at ``target``; ``up`` points upwards in the image.
 
-    If the view is along ``up``, the picture's upper edge points to -Z.
+    When looking along ``up``, the top of the image points towards -Z.
     """
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
     forward = normalized(target - eye)
@@ -270,10 +290,11 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = (0.0, 1.0, 0.0
 
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Right-multiply an OpenGL / Habitat camera pose (x right, y up, looks along -z) by this to get ours, and back."""
+"""Converts camera poses between OpenGL / Habitat (x right, y up, looking along -z) and OpenCV, both directions, when
+multiplied from the right."""
 CONVENTIONS: dict[Convention, NDArray[np.float64]] = {
     "opencv": np.eye(4),
     "opengl": OPENGL_TO_OPENCV,
     "habitat": OPENGL_TO_OPENCV,
 }
-"""Right-multiply a camera pose in one of these conventions by its matrix to get ours."""
+"""Matrix that converts a camera pose of each convention to OpenCV when multiplied from the right."""

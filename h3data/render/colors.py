@@ -1,4 +1,4 @@
-"""Depth and ids as pictures, and depth as Habitat's observation."""
+"""Colour maps for depth and ids, and depth normalised as in Habitat's observations."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from h3data.errors import InputError
 from h3data.kernels import kernel
 
 MISS_COLOR = (18, 18, 22)
+"""Colour of pixels without a surface."""
 _PALETTE_SIZE = 1024
 
 
 def normalize_depth(depth: ArrayLike, min_m: float, max_m: float) -> NDArray[np.float32]:
-    """Depth clipped to ``min_m..max_m`` and scaled to 0..1, as Habitat's depth sensor (spec/habitat.md 1.5).
+    """Depth clipped to ``min_m..max_m`` and scaled to 0..1, like Habitat's depth sensor (spec/habitat.md 1.5).
 
-    A miss has depth 0 and therefore becomes 0, as there.
+    A miss has depth 0 and becomes 0, as in Habitat.
     """
     _check_range(min_m, max_m)
     d = np.clip(np.asarray(depth, np.float32), np.float32(min_m), np.float32(max_m))
@@ -26,7 +27,7 @@ def normalize_depth(depth: ArrayLike, min_m: float, max_m: float) -> NDArray[np.
 
 
 def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]:
-    """Depth [H, W] [m] as colours [H, W, 3] (viridis): ``near`` and less is yellow, ``far`` violet, a miss nearly black."""
+    """Depth [H, W] [m] as viridis colours [H, W, 3]: yellow up to ``near``, violet from ``far``, misses `MISS_COLOR`."""
     _check_range(near, far)
     d = np.ascontiguousarray(depth, np.float32)
     out = np.empty((*d.shape, 3), np.uint8)
@@ -35,7 +36,7 @@ def depth_to_rgb(depth: ArrayLike, near: float, far: float) -> NDArray[np.uint8]
 
 
 def instance_to_rgb(ids: ArrayLike) -> NDArray[np.uint8]:
-    """Distinct colours [..., 3] of ids [...]: the same id always has the same colour; negative ids are nearly black."""
+    """Distinct colours [..., 3] for ids [...]: equal ids always get equal colours; negative ids get `MISS_COLOR`."""
     i = np.ascontiguousarray(ids)
     if i.dtype.kind not in "iu":
         raise InputError(f"Ids must be integers, got {i.dtype}.")
@@ -64,7 +65,7 @@ def _paint_ids(ids, palette, out):
 
 @lru_cache(maxsize=1)
 def _depth_palette() -> NDArray[np.uint8]:
-    """Viridis from far to near and, last, the colour of a miss, shape [257, 3]."""
+    """Viridis from far to near, followed by `MISS_COLOR`, shape [257, 3]."""
     import cv2
 
     bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
@@ -73,7 +74,8 @@ def _depth_palette() -> NDArray[np.uint8]:
 
 @lru_cache(maxsize=1)
 def _palette() -> NDArray[np.uint8]:
-    """Hues by steps of the golden ratio, with saturation and brightness in turns, and the colour of nothing, [1025, 3]."""
+    """Colours by id, followed by `MISS_COLOR`, shape [1025, 3]: hues in steps of the golden ratio, alternating saturation
+    and brightness, so that neighbouring ids differ clearly."""
     colors = [
         colorsys.hsv_to_rgb((0.13 + 0.6180339887 * k) % 1, (0.55, 0.8, 0.4)[k % 3], (0.95, 0.8, 0.65, 0.9)[k % 4])
         for k in range(_PALETTE_SIZE)

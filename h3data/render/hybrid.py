@@ -1,4 +1,4 @@
-"""The rasteriser, with rays where it cannot draw: other projections, shadows of the sun, and the back end ``rays``."""
+"""The CPU rasteriser, with rays for what it cannot do: other projections, shadows of the sun, and the back end ``rays``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KEPT_CASTERS = 8
 
 
 class HybridEngine(CpuEngine):
-    """A `CpuEngine` that draws every camera and casts shadows; with ``only_rays`` nothing but colours is rasterised."""
+    """A `CpuEngine` that supports every camera and casts shadows; with ``only_rays``, only colours are rasterised."""
 
     def __init__(
         self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1, only_rays: bool = False
@@ -31,14 +31,18 @@ class HybridEngine(CpuEngine):
         self._still: dict[bytes, Part] = {}
         self._casters: dict[tuple[int, tuple[str, ...]], tuple[int, RayCaster]] = {}
         if only_rays:
-            self._caster(self.worlds[0], ())  # tells at once if Embree is missing
+            self._caster(self.worlds[0], ())  # fails early if Embree is missing
 
     def render(
-        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[str], samples: int,
+        self,
+        cameras: Sequence[Camera],
+        worlds: Sequence[int],
+        outputs: Sequence[str],
+        samples: int,
         out: Mapping[str, NDArray] | None,
-    ) -> dict[str, NDArray]:  # fmt: skip
+    ) -> dict[str, NDArray]:
         geometry = any(name != "rgb" for name in outputs)
-        for camera, world in zip(cameras, worlds, strict=True):  # built here, before the threads start
+        for camera, world in zip(cameras, worlds, strict=True):  # casters are built before the threads start
             if self._shadows(outputs) or (geometry and self._casts(camera)):
                 self._caster(self.worlds[world], camera.hidden_layers)
         return super().render(cameras, worlds, outputs, samples, out)
@@ -50,7 +54,7 @@ class HybridEngine(CpuEngine):
         return "rgb" in outputs and self.light.shadow_rays > 0
 
     def _caster(self, world: World, hidden_layers: tuple[str, ...]) -> RayCaster:
-        """What stands still and what moves as two parts, each built again only when it has changed."""
+        """Rays through a world. Static and moving instances are separate parts, rebuilt only when they have changed."""
         key = (self.worlds.index(world), hidden_layers)
         version, caster = self._casters.pop(key, (-1, None))
         if caster is None or version != world.version:
@@ -76,12 +80,12 @@ class HybridEngine(CpuEngine):
         if not camera.is_planar:
             if colors:
 
-                def draw(side: Camera) -> NDArray[np.uint8]:
+                def render_face(side: Camera) -> NDArray[np.uint8]:
                     face = np.zeros((side.height, side.width, 3), np.uint8)
                     self._rasterise_planar(side, world, targets, {"rgb": face}, samples)
                     return face
 
-                picture_from_cube(camera, draw, colors["rgb"])
+                picture_from_cube(camera, render_face, colors["rgb"])
         elif results:
             self._rasterise_planar(camera, world, targets, results, samples)
 
@@ -94,6 +98,7 @@ class HybridEngine(CpuEngine):
         size = (camera.height, camera.width)
         more = {"depth": np.zeros(size, np.float32), "normal": np.zeros((*size, 3), np.float32), **results}
         super()._rasterise(camera, world, targets, more, samples)
+        # Shaded once with and once without the sun; each pixel is blended by the share of the sun that it sees.
         fine = 2 if samples == 4 else 1
         view, target = self._draw(camera, world, targets, fine=fine)
         shaded, dark = results["rgb"], np.zeros((*size, 3), np.uint8)
@@ -107,6 +112,6 @@ class HybridEngine(CpuEngine):
         shaded[:] = linear_to_bytes(mixed)
 
 
-def _drop_oldest(kept: dict[Any, Any], most: int) -> None:
-    while len(kept) > most:
-        del kept[next(iter(kept))]
+def _drop_oldest(cache: dict[Any, Any], size: int) -> None:
+    while len(cache) > size:
+        del cache[next(iter(cache))]

@@ -1,4 +1,4 @@
-"""Lines, dots and labels drawn over a picture at points of the world."""
+"""Lines, dots and labels drawn onto an image at world points."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Color = tuple[int, int, int]
 _NEAR_M = 0.01
 _SUBPIXEL_BITS = 4
 _FAR_PX = 1 << 20
-"""Ends of lines are kept within this many pixels, so that OpenCV's integers do not overflow."""
+"""Lines are clipped to this many pixels around the origin, so that OpenCV's integers do not overflow."""
 
 
 def draw_polyline(
     image: NDArray[np.uint8], camera: Camera, points: ArrayLike, color: Color, thickness: int = 2
 ) -> None:
-    """Draw the line through world points [N, 3] [m] into ``image`` [H, W, 3]; a point of NaN interrupts it.
+    """Draws the line through world points [N, 3] [m] onto ``image`` [H, W, 3]; NaN points interrupt it.
 
-    What is behind the camera is cut away; nothing in the scene hides the line.
+    The line is clipped behind the camera but not occluded by the scene.
     """
     _check(image, camera)
     p = camera.to_camera(points)
     if len(p) and np.isfinite(p).all() and p[:, 2].min() >= _NEAR_M:
         pixels = camera.to_pixels(p)
-        if np.abs(pixels).max() < _FAR_PX:  # nothing to cut: one call draws it all
+        if np.abs(pixels).max() < _FAR_PX:  # nothing to clip: one call draws the whole line
             import cv2
 
             line = [_fixed(pixels)[:, None]]
@@ -39,14 +39,14 @@ def draw_polyline(
     for start, end in pairwise(p):
         if not (np.isfinite(start).all() and np.isfinite(end).all()) or max(start[2], end[2]) < _NEAR_M:
             continue
-        a, b = (_cut(start, end), _cut(end, start))
+        a, b = (_clip_to_front(start, end), _clip_to_front(end, start))
         _line(image, camera, a, b, color, thickness)
 
 
 def draw_circle(
     image: NDArray[np.uint8], camera: Camera, point: ArrayLike, color: Color, *, radius_px: int = 5, thickness: int = -1
 ) -> None:
-    """Draw a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
+    """Draws a dot (``thickness`` -1) or circle at a world point [3] [m], unless it is behind the camera."""
     import cv2
 
     at = _pixel(image, camera, point)
@@ -57,7 +57,7 @@ def draw_circle(
 def draw_label(
     image: NDArray[np.uint8], camera: Camera, point: ArrayLike, text: str, color: Color, *, scale: float = 0.45
 ) -> None:
-    """Write ``text`` centred above a world point [3] [m], with a dark rim, unless it is behind the camera."""
+    """Writes ``text`` centred above a world point [3] [m], with a dark outline, unless it is behind the camera."""
     import cv2
 
     at = _pixel(image, camera, point)
@@ -69,7 +69,7 @@ def draw_label(
         cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, paint, rim, cv2.LINE_AA)
 
 
-def _cut(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+def _clip_to_front(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """``point``, moved along the line to ``other`` until it is in front of the camera."""
     if point[2] >= _NEAR_M:
         return point
@@ -79,7 +79,7 @@ def _cut(point: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.f
 def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, color: Color, thickness: int) -> None:
     import cv2
 
-    pixels = _cut_to_square(camera.to_pixels(np.stack([a, b])))
+    pixels = _clip_to_square(camera.to_pixels(np.stack([a, b])))
     if pixels is None:
         return
     start, end = ((int(x), int(y)) for x, y in _fixed(pixels))
@@ -87,23 +87,23 @@ def _line(image: NDArray[np.uint8], camera: Camera, a: NDArray, b: NDArray, colo
 
 
 def _fixed(pixels: NDArray[np.float64]) -> NDArray[np.int32]:
-    """OpenCV's fixed-point coordinates; it counts from the middle of the first pixel."""
+    """OpenCV's fixed-point coordinates, which count from the centre of the first pixel."""
     return np.rint((pixels - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
 
 
-def _cut_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The part of a line [2, 2] within +-2^20 pixels (Liang & Barsky 1984), None if there is none."""
+def _clip_to_square(pixels: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The part of a line [2, 2] within +-`_FAR_PX` (Liang & Barsky 1984); None if there is none."""
     start, step = pixels[0], pixels[1] - pixels[0]
     low, high = 0.0, 1.0
     for axis in range(2):
         for sign in (1.0, -1.0):
-            room, speed = _FAR_PX - sign * start[axis], sign * step[axis]
-            if speed == 0 and room < 0:
+            distance, speed = _FAR_PX - sign * start[axis], sign * step[axis]
+            if speed == 0 and distance < 0:
                 return None
             if speed > 0:
-                high = min(high, room / speed)
+                high = min(high, distance / speed)
             elif speed < 0:
-                low = max(low, room / speed)
+                low = max(low, distance / speed)
     return np.stack([start + low * step, start + high * step]) if low < high else None
 
 
@@ -126,7 +126,7 @@ def _check(image: NDArray[np.uint8], camera: Camera) -> None:
 def draw_boxes(
     image: NDArray[np.uint8], boxes: ArrayLike, labels: Sequence[str], colors: ArrayLike, *, thickness: int = 2
 ) -> None:
-    """Draw boxes [B, 4] (as `h3data.render.visible_boxes` gives them) with their labels, in colours [B, 3]."""
+    """Draws boxes [B, 4] (see `h3data.render.visible_boxes`) with labels, in colours [B, 3]."""
     import cv2
 
     rows, paints = np.asarray(boxes).reshape(-1, 4), np.asarray(colors).reshape(-1, 3)

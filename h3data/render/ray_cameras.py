@@ -1,7 +1,7 @@
-"""Pictures by rays: fisheye and equirectangular cameras, and every camera of the back end ``rays``.
+"""Images by rays: fisheye and equirectangular cameras, and every camera of the back end ``rays``.
 
-Depth, ids and normals come from one ray per pixel, exactly. Colours of a camera that is not planar are taken from pictures
-of the six sides of a cube around it, drawn by the rasteriser.
+Depth, ids and normals are exact, from one ray per pixel. Colours of a non-planar camera are resampled from the six faces
+of a cube around it, which the rasteriser renders.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from h3data.render.camera import Camera, pinhole
 from h3data.render.rays import RayCaster
 
 _MARGIN_PX = 2
-"""Faces of the cube reach this far beyond their side, for interpolation."""
+"""Margin around the faces of the cube, for interpolation."""
 _LARGEST_FACE_PX = 4096
 
 
 def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArray]) -> None:
-    """Write every output but ``rgb`` [H, W, ...] of a camera of any projection."""
+    """Fills every output [H, W, ...] except ``rgb``, for a camera of any projection."""
     start, directions = camera.rays()
     turn, eye = camera.pose[:3, :3], camera.pose[:3, 3]
     origins, directions = (start + camera.near * directions) @ turn.T + eye, directions @ turn.T
@@ -38,8 +38,10 @@ def cast_picture(caster: RayCaster, camera: Camera, results: Mapping[str, NDArra
         results["normal"][:] = caster.normals(hits, -np.nan_to_num(directions))
 
 
-def picture_from_cube(camera: Camera, draw: Callable[[Camera], NDArray[np.uint8]], rgb: NDArray[np.uint8]) -> None:
-    """Write ``rgb`` [H, W, 3] of a camera that is not planar; ``draw`` gives the picture of a perspective one."""
+def picture_from_cube(
+    camera: Camera, render_face: Callable[[Camera], NDArray[np.uint8]], rgb: NDArray[np.uint8]
+) -> None:
+    """Fills ``rgb`` [H, W, 3] of a non-planar camera; ``render_face`` renders a perspective one."""
     import cv2
 
     size = int(min(2 * np.ceil(max(camera.fx, camera.fy)), _LARGEST_FACE_PX)) + 2 * _MARGIN_PX
@@ -56,14 +58,14 @@ def picture_from_cube(camera: Camera, draw: Callable[[Camera], NDArray[np.uint8]
         face = pinhole(size, size, hfov_deg=float(np.degrees(2 * np.arctan(size / 2 / focal))))
         pose = camera.pose.copy()
         pose[:3, :3] = pose[:3, :3] @ turn
-        picture = draw(replace(face, pose=pose, hidden_layers=camera.hidden_layers, name=camera.name))
+        picture = render_face(replace(face, pose=pose, hidden_layers=camera.hidden_layers, name=camera.name))
         local = np.where(mask[..., None], d @ turn, (0.0, 0.0, 1.0))
         x, y = ((local[..., a] / local[..., 2] * focal + size / 2 - 0.5).astype(np.float32) for a in (0, 1))
         rgb[mask] = cv2.remap(picture, x, y, cv2.INTER_LINEAR)[mask]
 
 
 def _face(k: int) -> NDArray[np.float64]:
-    """Rotation, face to camera: face k looks along +x -x +y -y +z -z."""
+    """Rotation [3, 3] from face k to the camera; faces look along +x, -x, +y, -y, +z, -z."""
     turn = np.zeros((3, 3))
     axis, sign = k // 2, 1.0 - 2 * (k % 2)
     turn[axis, 2] = sign

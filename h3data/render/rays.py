@@ -1,6 +1,6 @@
 """Rays through a scene with Embree: distances, line of sight, lidar, shadows of the sun. Needs the extra ``rays``.
 
-Embree scenes are built robust, or rays would slip between triangles at shared edges.
+Embree scenes are built in robust mode; otherwise rays slip between triangles at shared edges.
 """
 
 from __future__ import annotations
@@ -13,32 +13,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.geometry import normalized
-from h3data.render.pictures import Poses
+from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
 from h3data.render.shade.cutouts import solid_points
 from h3data.render.shade.shading import Light
 
 _FAR_M = 1e30
-_HAIR = 1e-6
+_STEP_PAST_HIT = 1e-6
+"""Relative step behind a hole, so that the next ray does not meet the same triangle again."""
 _OFFSET_M = 2e-3
-"""Shadow rays start so far off their surface."""
+"""Distance of shadow rays' starts from their surface, so that it does not shadow itself."""
 
 
 class Hits(NamedTuple):
-    """What rays [...] met first."""
+    """The first surface that each ray [...] meets."""
 
     distance: NDArray[np.float32]
-    """In lengths of the ray's direction: metres for unit directions; 0 = nothing hit. Shape [...]."""
+    """Distance in lengths of the ray's direction (metres for unit directions), 0 = miss. Shape [...]."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = nothing. Shape [...]."""
+    """Index into the scene's instances, -1 = miss. Shape [...]."""
     triangle: NDArray[np.int32]
-    """Of the instance's mesh, -1 = nothing. Shape [...]."""
+    """Triangle of the instance's mesh, -1 = miss. Shape [...]."""
     barycentric: NDArray[np.float32]
     """Weights of the triangle's second and third vertex, shape [..., 2]."""
 
 
 class Part:
-    """Some instances as one Embree scene, or two: what is cut out (`cutouts`) apart from the rest."""
+    """A group of instances as Embree scenes: one of whole triangles, one of triangles with holes (`cutouts`)."""
 
     def __init__(self, scene: RenderScene, poses: Poses, instances: NDArray[np.intp]) -> None:
         self._surface, self._tables = scene.surface, scene.cutouts
@@ -60,7 +61,7 @@ class Part:
         self.instance = np.repeat(instances.astype(np.int32), counts)
         cut_out = scene.cut_out_faces[self._scene_face]
         self._whole = int((~cut_out).sum())
-        """Triangles that are not cut out; they come first."""
+        """Number of triangles without holes; they come first."""
         if self._whole < len(cut_out):
             order = np.argsort(cut_out, kind="stable")
             self._faces = self._faces[order]
@@ -70,14 +71,14 @@ class Part:
         self._cut_scene = _embree_scene(self._vertices, self._faces[self._whole :])
 
     def cast(self, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
-        """Embree's answer for rays [N, 3] up to ``limits`` [N]; holes stop none."""
-        found = _run(self._scene, origins, directions, limits)
+        """Embree's result for rays [N, 3] up to ``limits`` [N]; rays pass through holes."""
+        hits = _run(self._scene, origins, directions, limits)
         if self._whole == len(self._faces):
-            return found
+            return hits
         rays = np.arange(len(limits))
         start, ahead = origins, np.zeros(len(limits), np.float32)
         while len(rays):
-            limit = np.minimum(found["tfar"][rays], limits[rays])
+            limit = np.minimum(hits["tfar"][rays], limits[rays])
             behind = _run(self._cut_scene, start, directions[rays], np.maximum(limit - ahead, 0))
             hit = behind["primID"] >= 0
             rays, behind = rays[hit], {name: values[hit] for name, values in behind.items()}
@@ -85,17 +86,18 @@ class Part:
             behind["primID"] += self._whole
             solid = self._solid(behind["primID"], origins[rays], directions[rays])
             for name, values in behind.items():
-                found[name][rays[solid]] = values[solid]
+                hits[name][rays[solid]] = values[solid]
             rays, passed = rays[~solid], behind["tfar"][~solid]
-            # a hair further, as far as float32 can tell points there apart
+            # scaled with the coordinates, because float32 resolves large ones less finely
             reach = np.abs(origins[rays]).max(1, initial=0) + np.abs(directions[rays]).max(1, initial=0) * passed
-            ahead = passed + (_HAIR * (1 + reach) / np.linalg.norm(directions[rays], axis=1)).astype(np.float32)
+            step = _STEP_PAST_HIT * (1 + reach) / np.linalg.norm(directions[rays], axis=1)
+            ahead = passed + step.astype(np.float32)
             start = origins[rays] + directions[rays] * ahead[:, None]
-        return found
+        return hits
 
     def _solid(self, triangles: NDArray[np.int32], origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
-        """Whether rays meet their triangles where these have no hole."""
-        # Embree's own barycentrics have few digits on slivers (Moeller & Trumbore 1997)
+        """Whether rays meet their triangles outside any hole."""
+        # Recomputed in double (Moeller & Trumbore 1997): Embree's float32 barycentrics are too coarse on slivers.
         a, b, c = self._vertices[self._faces[triangles]].astype(np.float64).swapaxes(0, 1)
         ray, start = directions.astype(np.float64), origins - a
         p, q = np.cross(ray, c - a), np.cross(start, b - a)
@@ -109,28 +111,32 @@ class Part:
         return solid_points(self._tables.maps, self._tables.opacity, self._surface.face_textures[face], uv)
 
     def occluded(self, origins: NDArray, directions: NDArray, limits: NDArray) -> NDArray[np.bool_]:
-        """Whether rays [N, 3] meet anything up to ``limits`` [N]."""
+        """Whether rays [N, 3] meet any surface up to ``limits`` [N]."""
         return self.cast(origins, directions, limits)["primID"] >= 0
 
 
 class RayCaster:
     """The triangles of a scene at one moment, ready for rays from anywhere.
 
-    ``poses`` (of `Renderer.poses`) says where everything is and what is shown, by default as the scene was built; ``shown``
-    [I] says it in its place. Building takes about a second per million triangles.
+    ``poses`` (from `Renderer.poses`) holds transforms and visibility, by default those the scene was built with;
+    ``shown`` [I] overrides the visibility. Building takes about a second per million triangles.
     """
 
     def __init__(
-        self, scene: RenderScene, poses: Poses | None = None, *, shown: ArrayLike | None = None,
+        self,
+        scene: RenderScene,
+        poses: Poses | None = None,
+        *,
+        shown: ArrayLike | None = None,
         parts: Sequence[Part] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.scene = scene
         self.poses = poses or Poses(scene.instance_matrix, {}, np.ones(len(scene.instances), np.bool_))
         mask = self.poses.visible if shown is None else np.asarray(shown, np.bool_)
         self.parts = [Part(scene, self.poses, np.flatnonzero(mask))] if parts is None else list(parts)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> Hits:
-        """The first surface that each ray meets; rays [..., 3] (shapes are broadcast), NaN meets nothing.
+        """The first surface that each ray [..., 3] meets (origins and directions are broadcast); NaN rays always miss.
 
         ``max_m`` limits the distance, in lengths of the direction.
         """
@@ -139,18 +145,18 @@ class RayCaster:
         instance, triangle = np.full(len(limits), -1, np.int32), np.full(len(limits), -1, np.int32)
         weights = np.zeros((len(limits), 2), np.float32)
         for part in self.parts:
-            found = part.cast(origins, directions, nearest)
-            hit = found["primID"] >= 0
-            nearest[hit] = found["tfar"][hit]
-            instance[hit], triangle[hit] = part.instance[found["primID"][hit]], part.triangle[found["primID"][hit]]
-            weights[hit, 0], weights[hit, 1] = found["u"][hit], found["v"][hit]
+            hits = part.cast(origins, directions, nearest)
+            hit = hits["primID"] >= 0
+            nearest[hit] = hits["tfar"][hit]
+            instance[hit], triangle[hit] = part.instance[hits["primID"][hit]], part.triangle[hits["primID"][hit]]
+            weights[hit, 0], weights[hit, 1] = hits["u"][hit], hits["v"][hit]
         distance = np.where(instance >= 0, nearest, np.float32(0))
         return Hits(
             distance.reshape(shape), instance.reshape(shape), triangle.reshape(shape), weights.reshape(*shape, 2)
         )
 
     def blocked(self, origins: ArrayLike, directions: ArrayLike, *, max_m: ArrayLike = np.inf) -> NDArray[np.bool_]:
-        """Whether rays [..., 3] meet anything, shape [...]."""
+        """Whether rays [..., 3] meet any surface, shape [...]."""
         origins, directions, limits, shape = _rays(origins, directions, max_m)
         hit = np.zeros(len(limits), np.bool_)
         for part in self.parts:
@@ -158,20 +164,20 @@ class RayCaster:
         return hit.reshape(shape)
 
     def line_of_sight(self, start: ArrayLike, end: ArrayLike, *, margin_m: float = 0.01) -> NDArray[np.bool_]:
-        """Whether nothing stands between points [..., 3] [m]; what is within ``margin_m`` of either end does not count.
+        """Whether the segments between points [..., 3] [m] are clear; surfaces within ``margin_m`` of an end are ignored.
 
-        Leave the bodies at both ends out with ``shown`` when the caster is built.
+        Exclude the bodies at both ends with ``shown`` when building the caster.
         """
         a, b = np.broadcast_arrays(np.asarray(start, np.float64), np.asarray(end, np.float64))
         length = np.linalg.norm(b - a, axis=-1)
         direction = (b - a) / np.maximum(length, 1e-9)[..., None]
-        way = length - 2 * margin_m
-        blocked = self.blocked(a + margin_m * direction, direction, max_m=np.maximum(way, 0.0))
-        return ~(blocked & (way > 0))
+        distance = length - 2 * margin_m
+        blocked = self.blocked(a + margin_m * direction, direction, max_m=np.maximum(distance, 0.0))
+        return ~(blocked & (distance > 0))
 
     def normals(self, hits: Hits, toward: ArrayLike) -> NDArray[np.float32]:
-        """Unit world normals [..., 3] at hits, smooth where the mesh has them, on the side of the geometric normal that
-        faces ``toward`` [..., 3]; 0 = nothing hit."""
+        """Unit world normals [..., 3] at hits, smooth if the mesh has vertex normals, on the side of the surface that faces
+        the direction ``toward`` [..., 3]; 0 for misses."""
         out = np.zeros((*hits.instance.shape, 3), np.float32)
         mask = hits.instance >= 0
         view = np.broadcast_to(np.asarray(toward, np.float64), out.shape)[mask]
@@ -199,43 +205,48 @@ class RayCaster:
         return out
 
     def sunlight(self, points: NDArray, normals: NDArray, light: Light) -> NDArray[np.float32]:
-        """Share of the sun's disc that points [H, W, 3] with unit normals [H, W, 3] see, shape [H, W].
+        """Share of the sun's disc, shape [H, W], visible from points [H, W, 3] with unit normals [H, W, 3].
 
-        ``light.shadow_rays`` rays each, spread over the disc (Vogel's spiral), turned from pixel to pixel.
+        Casts ``light.shadow_rays`` rays per pixel, spread over the disc (Vogel's spiral) and rotated from pixel to pixel.
         """
         sun = normalized(np.array(light.sun_direction, np.float64))
         side = normalized(np.cross(sun, (0.0, 0.0, 1.0) if abs(sun[2]) < 0.9 else (1.0, 0.0, 0.0)))
         across = np.stack([side, np.cross(sun, side)])
         radius = np.tan(np.radians(light.sun_size_deg) / 2)
         y, x = np.mgrid[0 : points.shape[0], 0 : points.shape[1]]
-        turn = 2 * np.pi * np.modf(52.9829189 * np.modf(0.06711056 * x + 0.00583715 * y)[0])[0]  # Jimenez 2014
+        turn = 2 * np.pi * np.modf(52.9829189 * np.modf(0.06711056 * x + 0.00583715 * y)[0])[0]  # noise of Jimenez 2014
         start = points + (normals + sun) * _OFFSET_M
         facing = normals @ sun > 0
-        seen = np.zeros(points.shape[:2], np.float32)
+        unblocked = np.zeros(points.shape[:2], np.float32)
         for k in range(light.shadow_rays):
             angle, length = turn + k * np.pi * (3 - np.sqrt(5)), radius * np.sqrt((k + 0.5) / light.shadow_rays)
             offset = np.stack([np.cos(angle), np.sin(angle)], -1) * length
-            seen += ~self.blocked(np.where(facing[..., None], start, np.nan), sun + offset @ across)
-        return seen / np.float32(light.shadow_rays)
+            unblocked += ~self.blocked(np.where(facing[..., None], start, np.nan), sun + offset @ across)
+        return unblocked / np.float32(light.shadow_rays)
 
 
 class LidarScan(NamedTuple):
-    """One turn of a lidar."""
+    """One revolution of a lidar."""
 
     distance: NDArray[np.float32]
-    """Shape [L, C] [m]; 0 = nothing within reach."""
+    """Shape [L, C] [m]; 0 = no surface within range."""
     instance: NDArray[np.int32]
-    """Index into the scene's instances, -1 = nothing, shape [L, C]."""
+    """Index into the scene's instances, -1 = miss, shape [L, C]."""
     points: NDArray[np.float64]
-    """World points, NaN = nothing, shape [L, C, 3] [m]."""
+    """World points, NaN = miss, shape [L, C, 3] [m]."""
 
 
 def lidar(
     caster: RayCaster, pose: ArrayLike, *, elevations_deg: ArrayLike = (0.0,), columns: int = 360, max_m: float = 30.0
 ) -> LidarScan:
-    """One turn of a lidar with L lasers: ``pose`` is 4x4, sensor (x forward, y up, z right) to world.
+    """One revolution of a lidar with L lasers.
 
-    Column 0 looks forward, then to the left all around; ``elevations_deg`` [L] are upwards.
+    Args:
+        caster: The scene.
+        pose: 4x4 matrix, sensor (x forward, y up, z right) to world.
+        elevations_deg: Elevation of each laser above the horizon, shape [L].
+        columns: Number of directions per laser; column 0 looks forward, the others follow to the left.
+        max_m: Range [m].
     """
     matrix, elevation = np.asarray(pose, np.float64), np.radians(np.atleast_1d(np.asarray(elevations_deg, np.float64)))
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or columns < 1:
@@ -252,7 +263,7 @@ def lidar(
 def _rays(
     origins: ArrayLike, directions: ArrayLike, max_m: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], tuple[int, ...]]:
-    """Rays [N, 3], [N, 3], limits [N] for Embree, and the shape [...]; rays that are not finite have no length."""
+    """Origins [N, 3], directions [N, 3] and limits [N] for Embree, and the shape [...]; NaN rays get a limit of 0."""
     o, d = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
     if o.ndim == 0 or o.shape[-1] != 3:
         raise InputError(
@@ -264,9 +275,7 @@ def _rays(
     valid = np.isfinite(o).all(1) & np.isfinite(d).all(1) & d.any(1) & (limit > 0)
     o, d = np.where(valid[:, None], o, 0.0), np.where(valid[:, None], d, (0.0, 0.0, 1.0))
     limits = np.where(valid, np.minimum(limit, _FAR_M), 0.0)
-    return (
-        np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d, np.float32), limits.astype(np.float32), shape,
-    )  # fmt: skip
+    return np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d, np.float32), limits.astype(np.float32), shape
 
 
 def _embree_scene(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
@@ -278,7 +287,7 @@ def _embree_scene(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> An
 
 
 def _run(scene: Any, origins: NDArray, directions: NDArray, limits: NDArray) -> dict[str, NDArray]:
-    # Embree writes into the limits
+    # Embree overwrites the limits
     return scene.run(origins, directions, dists=limits.copy(), query="INTERSECT", output=1)
 
 

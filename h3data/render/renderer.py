@@ -1,4 +1,4 @@
-"""`Renderer`: one interface to all back ends, for one camera or for batches of cameras over many worlds."""
+"""`Renderer`, one interface to all back ends, for single cameras or batches of cameras over many worlds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.render.camera import Camera
-from h3data.render.pictures import Output, Poses, check_outputs
+from h3data.render.outputs import Output, Poses, check_outputs
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading import Light
 
@@ -18,36 +18,40 @@ Backend = Literal["auto", "cpu", "gpu", "rays"]
 
 
 class Engine(Protocol):
-    """A back end. It holds what moves, per world, and draws; its arguments have been checked by `Renderer`."""
+    """A back end. It keeps the state of each world and renders; `Renderer` has already checked its arguments."""
 
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
-        """Place instances [n] by matrices [n, 3, 4]."""
+        """Sets the transforms [n, 3, 4] of instances [n]."""
         ...
 
     def set_visible(self, world: int, instances: NDArray[np.intp], visible: NDArray[np.bool_]) -> None:
-        """Show or hide instances [n]."""
+        """Shows or hides instances [n]."""
         ...
 
     def set_vertices(self, world: int, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Replace the vertices [V, 3] of a deformable mesh; the array may be kept."""
+        """Replaces the vertices [V, 3] of a deformable mesh; the engine may keep the array."""
         ...
 
     def poses(self, world: int) -> Poses:
-        """A copy of where everything is."""
+        """A copy of the state of a world."""
         ...
 
     def render(
-        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[str], samples: int,
+        self,
+        cameras: Sequence[Camera],
+        worlds: Sequence[int],
+        outputs: Sequence[str],
+        samples: int,
         out: Mapping[str, Any] | None,
-    ) -> dict[str, Any]:  # fmt: skip
-        """Pictures [N, H, W, ...] of N cameras of one size, each of its world."""
+    ) -> dict[str, Any]:
+        """Images [N, H, W, ...] of N cameras of one size, each in its own world."""
         ...
 
 
 class Renderer:
-    """Draws a `RenderScene`. Holds the poses of its worlds and its buffers.
+    """Renders a `RenderScene`; holds the state of its worlds and the buffers.
 
-    Use one renderer per thread, or one with ``threads`` that draws batches in parallel. A fresh renderer shows the scene
+    Use one renderer per thread, or one with ``threads``, which renders batches in parallel. A new renderer shows the scene
     as it was built, in every world.
     """
 
@@ -60,9 +64,15 @@ class Renderer:
         worlds: int = 1,
         threads: int = 1,
     ) -> None:
-        """``backend``: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
-        (Embree, NumPy arrays) or ``auto``, which is ``gpu`` where there is one and else ``cpu``; what the GPU does not
-        draw (cameras that are not perspective, shadows) is then drawn by the CPU and copied to the device.
+        """
+        Args:
+            scene: The scene.
+            light: Light; default `Light()`.
+            backend: ``cpu`` (rasteriser, NumPy arrays), ``gpu`` (CUDA, torch tensors that stay on the device), ``rays``
+                (Embree, NumPy arrays) or ``auto``: ``gpu`` if there is one, else ``cpu``. With ``auto`` on a GPU, cast
+                shadows and non-perspective cameras are rendered on the CPU and copied to the device.
+            worlds: Number of worlds.
+            threads: Number of threads that render a batch on the CPU.
 
         Raises:
             InputError: there is no such back end.
@@ -75,9 +85,10 @@ class Renderer:
         self.world_count = worlds
         self.backend, self._engine = _engine(scene, self.light, backend, worlds, threads)
 
-    # --- what moves -----------------------------------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------------------------------
     def set_transforms(self, indices: ArrayLike, matrices: ArrayLike, *, world: int = 0) -> None:
-        """Place instances [n] by matrices [n, 4, 4] (or [n, 3, 4]), mesh to world; NaN hides one until it is set again."""
+        """Sets the transforms [n, 4, 4] or [n, 3, 4], mesh to world, of instances [n]; NaN hides one until it is set
+        again."""
         index = self._checked(indices)
         m = np.asarray(matrices, np.float64)
         if m.ndim == 2:
@@ -87,29 +98,29 @@ class Renderer:
         self._engine.set_transforms(self._world(world), index, m[:, :3])
 
     def set_visible(self, indices: ArrayLike, visible: ArrayLike, *, world: int = 0) -> None:
-        """Show or hide instances [n]; ``visible`` is one bool or [n]."""
+        """Shows or hides instances [n]; ``visible`` is one bool or [n]."""
         index = self._checked(indices)
         self._engine.set_visible(self._world(world), index, np.broadcast_to(np.asarray(visible, np.bool_), index.shape))
 
     def set_vertices(self, mesh: int, vertices: ArrayLike, *, world: int = 0) -> None:
-        """Replace the vertices [V, 3] [m] of a deformable mesh; its smooth normals follow."""
+        """Replaces the vertices [V, 3] [m] of a deformable mesh; its smooth normals are updated."""
         scene = self.scene
         if mesh not in scene.deformable:
             raise InputError(
                 f"Mesh {mesh} is not deformable (these are: {list(scene.deformable)}). "
-                "Hint: name it in RenderScene(..., deformable=...)."
+                "Hint: list it in RenderScene(..., deformable=...)."
             )
         v = np.array(vertices, np.float32, order="C")
         expected = scene.meshes[mesh].vertices.shape
         if v.shape != expected or not np.isfinite(v).all():
-            what = "values that are not finite" if v.shape == expected else f"shape {list(v.shape)}"
+            fault = "values that are not finite" if v.shape == expected else f"shape {list(v.shape)}"
             raise InputError(
-                f"Mesh {mesh} needs {list(expected)} finite vertices, got {what}. Hint: hide it with set_visible."
+                f"Mesh {mesh} needs {list(expected)} finite vertices, got {fault}. Hint: hide it with set_visible."
             )
         self._engine.set_vertices(self._world(world), mesh, v)
 
     def poses(self, world: int = 0) -> Poses:
-        """A copy of where everything is in a world, as `h3data.render.optical_flow` needs it."""
+        """A copy of the state of a world, e.g. for `h3data.render.optical_flow`."""
         return self._engine.poses(self._world(world))
 
     def _world(self, world: int) -> int:
@@ -125,10 +136,10 @@ class Renderer:
         if index.size == 0:
             return np.zeros(0, np.intp)
         if index.ndim != 1 or index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
-            raise InputError(f"Expected instance numbers from 0 to {count - 1}, got {indices!r}.")
+            raise InputError(f"Expected instance indices from 0 to {count - 1}, got {indices!r}.")
         return index.astype(np.intp)
 
-    # --- pictures -------------------------------------------------------------------------------------------------
+    # --- images ---------------------------------------------------------------------------------------------------
     def render(
         self,
         camera: Camera,
@@ -138,14 +149,14 @@ class Renderer:
         out: Mapping[str, Any] | None = None,
         world: int = 0,
     ) -> dict[str, Any]:
-        """What the camera sees, by name, each [H, W, ...], top row first.
+        """Images of one camera by output, each [H, W, ...], top row first.
 
-        - ``depth`` float32: z-depth [m] (distance for fisheye and equirectangular cameras), 0 = nothing hit
-        - ``instance``, ``semantic``, ``triangle`` (of the mesh) int32, -1 = nothing hit
-        - ``rgb`` uint8 [H, W, 3] sRGB; ``samples=4`` smooths its edges (the other outputs always take the pixel centre)
-        - ``normal`` float32 [H, W, 3]: unit world normal that faces the camera, 0 = nothing hit
+        - ``depth`` float32: z-depth [m] (distance for fisheye and equirectangular cameras), 0 = miss
+        - ``instance``, ``semantic``, ``triangle`` (of the mesh) int32, -1 = miss
+        - ``rgb`` uint8 [H, W, 3] sRGB; ``samples=4`` smooths edges (all other outputs sample the pixel centre)
+        - ``normal`` float32 [H, W, 3]: unit world normal facing the camera, 0 = miss
 
-        The arrays are new and yours, except those given in ``out``, which are written and returned.
+        Arrays given in ``out`` are filled and returned; the others are newly allocated.
         """
         given = None if out is None else {name: array[None] for name, array in out.items() if array is not None}
         pictures = self.render_batch([camera], worlds=[world], outputs=outputs, samples=samples, out=given)
@@ -160,7 +171,7 @@ class Renderer:
         samples: Literal[1, 4] = 1,
         out: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """What N cameras of one size see, each of its world (of world 0 by default): as `render`, each [N, H, W, ...]."""
+        """Images of N cameras of one size, each in its own world (default 0), as in `render`, each [N, H, W, ...]."""
         check_outputs(outputs)
         if samples not in (1, 4):
             raise InputError(f"samples must be 1 or 4, got {samples!r}.")
@@ -171,17 +182,17 @@ class Renderer:
         sizes = sorted({(camera.width, camera.height) for camera in cameras})
         if len(sizes) > 1:
             raise InputError(f"The cameras of a batch must have one size, got {sizes}. Hint: one batch per size.")
-        seen = [0] * len(cameras) if worlds is None else [self._world(world) for world in worlds]
-        if len(seen) != len(cameras):
-            raise InputError(f"Expected one world for each of {len(cameras)} cameras, got {len(seen)}.")
-        return self._engine.render(cameras, seen, outputs, samples, out)
+        world_of_camera = [0] * len(cameras) if worlds is None else [self._world(world) for world in worlds]
+        if len(world_of_camera) != len(cameras):
+            raise InputError(f"Expected one world for each of {len(cameras)} cameras, got {len(world_of_camera)}.")
+        return self._engine.render(cameras, world_of_camera, outputs, samples, out)
 
     def __repr__(self) -> str:
         return f"Renderer({self.scene!r}, backend={self.backend!r}, worlds={self.world_count})"
 
 
 def _gpu_engines() -> tuple[Any, str]:
-    """The module of the GPU back end, or why there is none here."""
+    """The module of the GPU back end, and why it cannot be used (empty if it can)."""
     try:
         from h3data.render import gpu
     except ImportError as error:
@@ -193,7 +204,7 @@ def _gpu_engines() -> tuple[Any, str]:
 
 def _engine(scene: RenderScene, light: Light, backend: str, worlds: int, threads: int) -> tuple[Backend, Engine]:
     if backend not in get_args(Backend):
-        raise InputError(f"Unknown back end {backend!r}. There are: {', '.join(get_args(Backend))}.")
+        raise InputError(f"Unknown back end {backend!r}. Available: {', '.join(get_args(Backend))}.")
     if backend in ("auto", "gpu"):
         gpu, fault = _gpu_engines()
         if not fault and backend == "auto":

@@ -1,4 +1,4 @@
-"""What is drawn: meshes cut into clusters, and instances of them. Built once, shared by any number of renderers."""
+"""`RenderScene`: meshes cut into clusters, and instances of them. Built once, shared by any number of renderers."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ class RenderInstance:
     mesh: int
     """Index into the scene's meshes."""
     matrix: NDArray[np.float64]
-    """Mesh to world, 4x4; may hold any scale. NaN: not there."""
+    """Mesh to world, 4x4, with any scale; NaN if it is absent."""
     semantic_id: int = 0
     layer: str = ""
-    """Cameras can leave layers out (`Camera.hidden_layers`)."""
+    """Layer, which cameras can hide (`Camera.hidden_layers`)."""
     name: str = ""
     id: int = -1
-    """Its id in pictures; -1: its position in the scene's list."""
+    """Id in instance images; -1 = its index in the scene."""
 
 
 class RenderScene:
-    """Meshes and instances, ready to be drawn. Immutable; what changes over time lives in a `Renderer`.
+    """Meshes and instances, ready for rendering. Immutable; everything that changes over time lives in a `Renderer`.
 
-    Textures are packed once, however many meshes share one (the same object). Where one is less than half opaque there is
-    a hole (`cutouts`).
+    A texture shared by several meshes (the same object) is packed once. Where a texture is less than half opaque, the
+    surface has a hole (`cutouts`).
     """
 
     def __init__(
         self, meshes: Sequence[Mesh], instances: Sequence[RenderInstance], *, deformable: Sequence[int] = ()
     ) -> None:
-        """``deformable`` names the meshes whose vertices will be replaced, e.g. skinned bodies."""
+        """``deformable`` lists the meshes whose vertices will be replaced, e.g. skinned bodies."""
         self.meshes = tuple(meshes)
         self.instances = tuple(instances)
         self.deformable = tuple(sorted({int(m) for m in deformable}))
@@ -60,7 +60,7 @@ class RenderScene:
 
         cut_out = [_cut_out(mesh) for mesh in self.meshes]
         self.cut_out_faces = np.concatenate([np.zeros(0, np.bool_), *cut_out])
-        """Triangles that may have holes (`cutouts`), of all meshes one after another, shape [F]."""
+        """Whether each triangle may have holes (`cutouts`), for all meshes one after another, shape [F]."""
         parts = [build_clusters(mesh.vertices, mesh.faces, cut) for mesh, cut in zip(self.meshes, cut_out, strict=True)]
         self.geometry, self.packet_triangles = _join(parts, self.deformable)
         mesh_first = self.geometry.mesh_first
@@ -106,18 +106,18 @@ class RenderScene:
         return surface
 
     def own_packet_range(self, mesh: int) -> slice:
-        """Where a deformable mesh's packets lie in a renderer's own soup."""
+        """Range of a deformable mesh's packets within the packets that every renderer keeps for itself."""
         packets = _packet_range(self.geometry, mesh)
         shared = len(self.geometry.shared_packets)
         return slice(packets.start - shared, packets.stop - shared)
 
     def cluster_range(self, mesh: int) -> slice:
-        """Where a mesh's clusters lie."""
+        """Range of a mesh's clusters."""
         return slice(int(self.geometry.mesh_first[mesh]), int(self.geometry.mesh_first[mesh + 1]))
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of all instances together."""
+        """Number of triangles of all instances together."""
         return int(np.diff(self.first_face)[self.instance_mesh].sum()) if len(self.instances) else 0
 
     def __repr__(self) -> str:
@@ -128,7 +128,7 @@ class RenderScene:
 
 
 def _cut_out(mesh: Mesh) -> NDArray[np.bool_]:
-    """Which triangles may have holes, shape [F]."""
+    """Whether each triangle may have holes, shape [F]."""
     out = np.zeros(len(mesh.faces), np.bool_)
     if mesh.uv is not None:
         numbers = face_texture_indices(mesh)
@@ -143,15 +143,15 @@ def _starts(lengths: Iterable[int]) -> NDArray[np.int64]:
 
 
 def _packet_range(geometry: Geometry, mesh: int) -> slice:
-    """The packets of one mesh, numbered through shared and own ones."""
+    """Range of a mesh's packets, counted through shared and own packets."""
     clusters = geometry.cluster_packets[geometry.mesh_first[mesh] : geometry.mesh_first[mesh + 1]]
     return slice(int(clusters[0, 0]), int(clusters[-1, 1])) if len(clusters) else slice(0, 0)
 
 
 def _join(parts: list[Clusters], deformable: tuple[int, ...]) -> tuple[Geometry, NDArray[np.int32]]:
-    """One `Geometry` of all meshes, and the mesh triangle of every lane [P, 8].
+    """One `Geometry` of all meshes, and the mesh triangle in every lane [P, 8].
 
-    Clusters are numbered mesh by mesh; the packets of the deformable meshes come after all the others.
+    Clusters are numbered mesh by mesh; the packets of deformable meshes come after all others.
     """
     storage = [m for m in range(len(parts)) if m not in deformable] + list(deformable)
     start = dict(zip(storage, _starts(len(parts[m].packets) for m in storage), strict=False))
@@ -181,10 +181,12 @@ def _check(meshes: tuple[Mesh, ...], instances: tuple[RenderInstance, ...], defo
     for k, instance in enumerate(instances):
         label = f"instance {k}" + (f" ({instance.name})" if instance.name else "")
         if not 0 <= instance.mesh < len(meshes):
-            faults.append(f"{label} refers to mesh {instance.mesh}, there are {len(meshes)}")
+            faults.append(f"{label} refers to mesh {instance.mesh}, but there are {len(meshes)}")
         if np.shape(instance.matrix) not in ((4, 4), (3, 4)):
             faults.append(f"{label} needs a 4x4 matrix, got shape {list(np.shape(instance.matrix))}")
-    faults += [f"deformable names mesh {m}, there are {len(meshes)}" for m in deformable if not 0 <= m < len(meshes)]
+    faults += [
+        f"deformable lists mesh {m}, but there are {len(meshes)}" for m in deformable if not 0 <= m < len(meshes)
+    ]
     if faults:
         more = f" and {len(faults) - 5} more faults" if len(faults) > 5 else ""
-        raise InputError("Not a scene that can be drawn: " + "; ".join(faults[:5]) + more + ".")
+        raise InputError("The scene cannot be rendered: " + "; ".join(faults[:5]) + more + ".")

@@ -1,4 +1,4 @@
-"""Videos: H.264 or AV1 that a browser plays, in MP4 with the index in front; FFV1 for depth that must stay exact."""
+"""Videos: H.264 or AV1 for browsers, in MP4 with the index at the front; lossless FFV1 for depth."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class _Settings(NamedTuple):
     options: dict[str, str]
 
 
-# The same frames must make the same file on every run and machine. x264: without mbtree, whose result differs from run to
-# run (seen on depth videos), and with a fixed number of threads, which shows in the file. SVT-AV1 does not depend on them.
-# Its preset ultrafast takes a fifth of veryfast's time; at crf 23 pictures are as good as there at 20 (41.6 against 41.0 dB
-# luma PSNR of a walk through a home), files 1.6 times as large.
+# The same frames must give the same file on every run and machine. For x264 this means no mbtree, whose result differed
+# between runs on depth videos, and a fixed number of threads, which leaves traces in the file; SVT-AV1 is deterministic.
+# x264's preset ultrafast takes a fifth of veryfast's time. At crf 23 its quality equals veryfast's at 20 (41.6 and 41.0 dB
+# luma PSNR on a walk through a home), with files 1.6 times as large.
 _SETTINGS = {
     "h264": _Settings("libx264", "yuv420p", "mp4", {"preset": "ultrafast", "x264-params": "mbtree=0:threads=4"}),
     "av1": _Settings("libsvtav1", "yuv420p", "mp4", {"preset": "10"}),
@@ -38,16 +38,16 @@ _SETTINGS = {
 }
 _CRF = {"h264": 23, "av1": 32}
 _BT601, _LIMITED_RANGE = 6, 1
-"""FFmpeg's numbers of the colour space of `_to_yuv`."""
+"""FFmpeg's constants for the colour space of `_to_yuv`."""
 
 
 class VideoWriter:
     """Writes frames to a video file; use it as a context manager.
 
     ``h264`` and ``av1`` take RGB uint8 [H, W, 3]; odd sizes are padded to even ones by repeating the last row or column.
-    ``ffv1`` takes uint16 [H, W] and is lossless. The file is written as ``<path>.part`` and gets its name only when the
-    block ends without an exception; otherwise nothing remains, but for ``<path>.part`` when the disk failed (`OSError`). The
-    same frames make the same bytes.
+    ``ffv1`` takes uint16 [H, W] and is lossless. The file is written as ``<path>.part`` and renamed when the block ends
+    without an exception; otherwise it is removed, except after an `OSError` (a full disk), which keeps ``<path>.part``.
+    The same frames give the same bytes.
     """
 
     def __init__(
@@ -61,8 +61,16 @@ class VideoWriter:
         crf: int | None = None,
         preset: str | None = None,
     ) -> None:
-        """``crf`` is the quality (0 best; default 23 for H.264, 32 for AV1), ``preset`` the encoder's effort, both as x264
-        and SVT-AV1 name them."""
+        """
+        Args:
+            path: The file to write.
+            width: Width of the frames [px].
+            height: Height of the frames [px].
+            fps: Frames per second.
+            codec: Video codec.
+            crf: Quality, 0 is best; default 23 for H.264, 32 for AV1.
+            preset: Effort of the encoder, in the terms of x264 or SVT-AV1.
+        """
         if width < 1 or height < 1 or not fps > 0:
             raise InputError(f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.")
         if codec not in _SETTINGS:
@@ -98,11 +106,11 @@ class VideoWriter:
         return self
 
     def write(self, image: NDArray[Any]) -> None:
-        """Append one frame."""
+        """Appends one frame."""
         self.write_planes(self.planes(image))
 
     def planes(self, image: NDArray[Any]) -> NDArray[Any]:
-        """A frame as `write_planes` takes it; any thread may prepare it."""
+        """A frame converted for `write_planes`; may run in any thread."""
         if self.codec == "ffv1":
             shape, dtype = (self.height, self.width), np.dtype(np.uint16)
         else:
@@ -122,7 +130,7 @@ class VideoWriter:
         return planes
 
     def write_planes(self, planes: NDArray[Any]) -> None:
-        """Append one frame that `planes` has prepared."""
+        """Appends one frame converted by `planes`."""
         if self._stack is None:
             raise InputError(
                 f"The video is not open. Hint: with VideoWriter(...) as video: video.write(image). {self.path}"
@@ -139,9 +147,9 @@ class VideoWriter:
         if stack is None:
             return
         if error is not None:
-            stack.__exit__(kind, error, trace)  # closes the container, removes the file; the error goes on
+            stack.__exit__(kind, error, trace)  # closes the container and removes the file; the error propagates
             return
-        with stack:  # the same if the last frames cannot be written; else the file gets its name
+        with stack:  # likewise if the last frames cannot be written; otherwise renames the file
             if not self.frame_count:
                 raise InputError(f"No frame was written to the video. {self.path}")
             for packet in self._stream.encode():
@@ -150,9 +158,9 @@ class VideoWriter:
 
 @kernel(boundscheck=False)
 def _to_yuv(rgb, y, u, v):
-    """BT.601, limited range, 8-bit fixed point; colour is the mean of 2x2 pixels. rgb [H, W, 3], y [H, W], u and v half.
+    """Converts rgb [H, W, 3] to y [H, W] and u, v [H/2, W/2]: BT.601, limited range; chroma is the mean of 2x2 pixels.
 
-    In 32 bits and over flat lines, so that it becomes SIMD.
+    In 32-bit fixed point over flat rows, so that LLVM vectorises it.
     """
     for row in range(y.shape[0]):
         line, luma = rgb[row].reshape(-1), y[row]

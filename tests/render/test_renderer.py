@@ -130,9 +130,9 @@ def test_far_leaves_nothing_and_near_shows_what_is_behind():
         assert (blind["triangle"] == -1).all()
 
 
-def test_what_cannot_be_drawn_is_refused(monkeypatch):
+def test_invalid_arguments_are_refused(monkeypatch):
     drawn, camera = scene(), pinhole(8, 8, hfov_deg=60)
-    with pytest.raises(InputError, match="There are: auto, cpu, gpu, rays"):
+    with pytest.raises(InputError, match="Available: auto, cpu, gpu, rays"):
         Renderer(drawn, backend="vulkan")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="at least one world"):
         Renderer(drawn, worlds=0)

@@ -11,7 +11,7 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.render import VideoWriter, write_depth_png, write_png
-from h3data.render.files import stored_ids
+from h3data.render.image_files import stored_ids
 
 
 def frame(k: int, width: int, height: int) -> np.ndarray:

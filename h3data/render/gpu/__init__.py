@@ -1,9 +1,14 @@
-"""The renderer for NVIDIA GPUs: thousands of worlds a launch, outputs as torch tensors on the device."""
+"""The renderer for NVIDIA GPUs: thousands of worlds per launch, outputs as torch tensors on the device (docs/gpu.md).
+
+- `renderer`: `GpuRenderer`; `engine`, `auto`: the back ends ``gpu`` and ``auto`` of `h3data.render.Renderer`
+- `gpu_scene`: the moving parts of a scene; `packing`, `pool`, `deformables`, `meshlets`: scenes as arrays for the kernels
+- `cuda`: NVRTC and the driver; `layout`: the kernels' structs; `views`: cameras; `shader`: ids, normals and RGB
+"""
 
 from h3data.render.gpu.auto import AutoEngine
 from h3data.render.gpu.cuda import GpuError, gpu_problem
 from h3data.render.gpu.engine import GpuEngine
+from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.renderer import GpuRenderer
-from h3data.render.gpu.stage import GpuScene
 
 __all__ = ["AutoEngine", "GpuEngine", "GpuError", "GpuRenderer", "GpuScene", "gpu_problem"]

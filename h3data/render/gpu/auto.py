@@ -1,4 +1,4 @@
-"""The GPU behind `h3data.render.Renderer` with ``backend="auto"``: the CPU draws what the GPU does not."""
+"""The back end ``auto`` of `h3data.render.Renderer`: the GPU, with the CPU for what the GPU does not support."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.gpu.cuda import chosen_device
-from h3data.render.gpu.engine import GpuEngine, handed_out
+from h3data.render.gpu.cuda import resolve_device
+from h3data.render.gpu.engine import GpuEngine, copied_to
 from h3data.render.gpu.views import tensor_of
 from h3data.render.hybrid import HybridEngine
 from h3data.render.scene import RenderScene
@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 
 class AutoEngine(GpuEngine):
-    """A `GpuEngine` that leaves cast shadows, and cameras that are not perspective, to the CPU. All pictures are tensors on
-    the device. A batch with one such camera is drawn by the CPU as a whole."""
+    """A `GpuEngine` that leaves cast shadows and non-perspective cameras to the CPU.
+
+    A batch with one such camera is rendered by the CPU as a whole. All images are tensors on the device.
+    """
 
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         super().__init__(scene, light=replace(light, shadow_rays=0), worlds=worlds)
@@ -46,32 +48,36 @@ class AutoEngine(GpuEngine):
             self._cpu.set_vertices(world, mesh, vertices)
 
     def render(
-        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[Any], samples: Any,
+        self,
+        cameras: Sequence[Camera],
+        worlds: Sequence[int],
+        outputs: Sequence[Any],
+        samples: Any,
         out: Mapping[str, Any] | None,
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         shadows = "rgb" in outputs and self._cpu_light.shadow_rays > 0
         if not shadows and all(camera.projection == "perspective" for camera in cameras):
             return super().render(cameras, worlds, outputs, samples, out)
         self._cpu = self._cpu or self._cpu_engine()
         pictures = self._cpu.render(cameras, worlds, outputs, samples, None)
         device = self._device()
-        return handed_out({name: tensor_of(array, device) for name, array in pictures.items()}, out)
+        return copied_to(out, {name: tensor_of(array, device) for name, array in pictures.items()})
 
     def _device(self) -> torch.device:
-        return chosen_device(None)
+        return resolve_device(None)
 
     def _cpu_engine(self) -> HybridEngine:
-        """The CPU with everything where it is now."""
+        """A CPU engine in the current state of all worlds."""
         scene, count = self.scene, self.world_count
         engine = HybridEngine(scene, light=self._cpu_light, worlds=count, threads=self._threads)
         for world in range(count):
-            now = self.poses(world)
-            same = np.isclose(now.matrix, scene.instance_matrix, rtol=0, atol=0, equal_nan=True).all((1, 2))
-            moved, gone = np.flatnonzero(~same), np.flatnonzero(~now.visible)
+            poses = self.poses(world)
+            same = np.isclose(poses.matrix, scene.instance_matrix, rtol=0, atol=0, equal_nan=True).all((1, 2))
+            moved, hidden = np.flatnonzero(~same), np.flatnonzero(~poses.visible)
             if len(moved):
-                engine.set_transforms(world, moved, now.matrix[moved])
-            if len(gone):
-                engine.set_visible(world, gone, now.visible[gone])
-            for mesh, vertices in now.vertices.items():
+                engine.set_transforms(world, moved, poses.matrix[moved])
+            if len(hidden):
+                engine.set_visible(world, hidden, poses.visible[hidden])
+            for mesh, vertices in poses.vertices.items():
                 engine.set_vertices(world, mesh, vertices)
         return engine

@@ -1,7 +1,7 @@
 """CUDA C compiled at first use and launched on torch's stream: NVRTC and the driver through ctypes, nothing to build.
 
-NVRTC comes with torch's own CUDA packages. What it compiled is kept in ``~/.cache/h3data`` (or ``$XDG_CACHE_HOME``), one
-file per source, options, device and NVRTC version.
+NVRTC comes with torch's own CUDA packages. Compiled code is cached (`h3data.files.cache_folder`), one file per source,
+options, device and NVRTC version.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import H3DataError, InputError
-from h3data.files import part_file
+from h3data.files import cache_folder, part_file
 
 if TYPE_CHECKING:
     import torch
@@ -26,17 +26,17 @@ _DYNAMIC_SHARED_BYTES = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 
 
 class GpuError(H3DataError):
-    """CUDA refused something; the message holds its own words."""
+    """A CUDA call failed; the message quotes CUDA's own error text."""
 
 
 def gpu_problem() -> str | None:
-    """Why there is no GPU to draw on, in words; None where there is one."""
+    """Why no GPU can be used, as a sentence; None if one can."""
     import torch
 
     if not torch.cuda.is_available():
         built = torch.version.cuda
-        why = "this torch is built without CUDA" if built is None else f"torch (CUDA {built}) sees no device"
-        return f"No CUDA device: {why}. Hint: use the CPU renderer (h3data.render.Renderer)."
+        reason = "this torch is built without CUDA" if built is None else f"torch (CUDA {built}) sees no device"
+        return f"No CUDA device: {reason}. Hint: use the CPU renderer (h3data.render.Renderer)."
     try:
         _nvrtc()
     except GpuError as error:
@@ -44,11 +44,11 @@ def gpu_problem() -> str | None:
     return None
 
 
-def chosen_device(device: str | torch.device | None) -> torch.device:
-    """The CUDA device to use, with its index.
+def resolve_device(device: str | torch.device | None) -> torch.device:
+    """The CUDA device, including its index; the current one for None.
 
     Raises:
-        InputError: there is none, or ``device`` is not one.
+        InputError: there is no CUDA device, or ``device`` is not one.
     """
     import torch
 
@@ -62,7 +62,7 @@ def chosen_device(device: str | torch.device | None) -> torch.device:
 
 
 def source_text() -> str:
-    """All the CUDA C of this package."""
+    """All CUDA C sources of this package, concatenated."""
     folder = Path(__file__).parent
     return "".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in SOURCES)
 
@@ -86,7 +86,7 @@ class Program:
     def launch(
         self, name: str, blocks: int, threads: int, argument: ctypes.Structure, *, shared_bytes: int = 0
     ) -> None:
-        """Start a kernel on torch's current stream; its one parameter is a struct."""
+        """Launches a kernel on torch's current stream; its only parameter is a struct."""
         import torch
 
         if blocks == 0:
@@ -123,10 +123,10 @@ class Program:
 
 
 def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -> bytes:
-    """Machine code (or PTX, for devices newer than NVRTC) of CUDA C, from the cache if it is there.
+    """Machine code of CUDA C (PTX for devices newer than NVRTC), from the cache if possible.
 
     Raises:
-        GpuError: it does not compile.
+        GpuError: the source does not compile.
     """
     nvrtc = _nvrtc()
     version = (ctypes.c_int(), ctypes.c_int())
@@ -148,7 +148,10 @@ def compiled(source: str, capability: tuple[int, int], options: Sequence[str]) -
 
 
 def _cache_folder() -> Path | None:
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "h3data" / "gpu"
+    """The folder for compiled code; None if caching is off or the folder cannot be written."""
+    folder = cache_folder("gpu")
+    if folder is None:
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -173,7 +176,7 @@ def _compile(nvrtc: Any, source: str, options: Sequence[str], *, ptx: bool) -> b
             nvrtc.nvrtcGetProgramLogSize(program, ctypes.byref(size))
             log = ctypes.create_string_buffer(size.value)
             nvrtc.nvrtcGetProgramLog(program, log)
-            raise GpuError(f"The CUDA code does not compile:\n{log.value.decode(errors='replace')}")
+            raise GpuError(f"The CUDA code did not compile:\n{log.value.decode(errors='replace')}")
         kind = "PTX" if ptx else "CUBIN"
         _call(nvrtc, f"nvrtcGet{kind}Size", program, ctypes.byref(size))
         image = ctypes.create_string_buffer(size.value)
@@ -194,19 +197,19 @@ def _driver() -> Any:
 
 @functools.cache
 def _nvrtc() -> Any:
-    """NVRTC of torch's CUDA version: beside torch, in NVIDIA's packages, or wherever the system finds it."""
+    """NVRTC of torch's CUDA version, from torch itself, from NVIDIA's packages, or from the system."""
     import torch
 
     major = (torch.version.cuda or "").split(".")[0]
     beside = Path(torch.__file__).parent / "lib"
     site = Path(torch.__file__).parents[1]
-    found = [
+    candidates = [
         path
         for path in sorted([*beside.glob("libnvrtc*.so*"), *site.glob("nvidia/*/lib/libnvrtc.so*")])
         if "builtins" not in path.name and "alt" not in path.name
     ]
-    exact = [path for path in found if re.search(rf"\.so\.{major}\b", path.name)]
-    for name in [*map(str, exact), f"libnvrtc.so.{major}", *map(str, found), "libnvrtc.so"]:
+    exact = [path for path in candidates if re.search(rf"\.so\.{major}\b", path.name)]
+    for name in [*map(str, exact), f"libnvrtc.so.{major}", *map(str, candidates), "libnvrtc.so"]:
         try:
             return ctypes.CDLL(name)
         except OSError:

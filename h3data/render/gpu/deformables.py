@@ -1,4 +1,4 @@
-"""The deformable meshes of scenes: their clusters, skins, and the faces around every vertex for normals."""
+"""The deformable meshes of scenes: clusters, skins, and the faces around every vertex for normals."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.layout import GROUP
 from h3data.render.gpu.meshlets import Meshlets, build_meshlets
 from h3data.render.gpu.pool import Pool, mesh_arrays
-from h3data.render.gpu.stage import GpuScene
 from h3data.render.scene import RenderScene
 
 
 class Deformables:
-    """The deformable meshes of all scenes. They go into the pool first, so that tables per vertex of theirs stay short."""
+    """The deformable meshes of all scenes. They precede all others in the pool, so that their per-vertex tables are short."""
 
     def __init__(self, scenes: Sequence[GpuScene]) -> None:
         self.scenes = scenes
         self.rows: list[dict[str, int]] = []
         self.boxes: list[dict[int, tuple[NDArray[Any], int]]] = []
-        """Of each scene, by mesh: its groups, and the number of the first among the scene's."""
+        """For each scene, by mesh: its groups, and the index of the first one within the scene."""
         self.sources: list[NDArray[np.float32]] = []
         self.source_first: list[dict[int, int]] = []
         self.counts = np.zeros(3, np.int64)
-        """Most vertices, clusters and groups of a scene."""
+        """Largest number of vertices, clusters and groups of any scene."""
         self.group_count = self.normal_group_count = 0
         self.joint_count = max((len(bind) for s in scenes for _, bind in s.skins.values()), default=1)
         self.bodies = max((len(s.scene.deformable) for s in scenes), default=0)
@@ -35,7 +35,7 @@ class Deformables:
         )
 
     def pack(self, pool: Pool, number: int) -> None:
-        """Append one scene's."""
+        """Appends the deformable meshes of one scene."""
         stage = self.scenes[number]
         scene, before = stage.scene, (pool.vertex_count, pool.cluster_count, self.group_count)
         self.rows.append({"first_group": before[2], "first_vertex": before[0], "first_cluster": before[1]})
@@ -44,33 +44,34 @@ class Deformables:
         sources = [np.zeros((0, 3), np.float32)]
         first_texture = sum(len(s.scene.surface.textures.first_level) for s in self.scenes[:number])
         for body, mesh in enumerate(scene.deformable):
-            own = mesh_arrays(scene, mesh, first_texture)
-            own["colors"][:, 3] = mesh in scene.groups
-            faces = own.pop("faces")
-            cut = build_meshlets(own["vertices"], faces, own.pop("cut_out"))
+            arrays = mesh_arrays(scene, mesh, first_texture)
+            arrays["colors"][:, 3] = mesh in scene.groups
+            faces = arrays.pop("faces")
+            meshlets = build_meshlets(arrays["vertices"], faces, arrays.pop("cut_out"))
             first_vertex = pool.vertex_count
-            groups = pool.add(cut, **own)
+            groups = pool.add(meshlets, **arrays)
             first_source = -1
             if mesh in stage.skins:
                 skin, bind = stage.skins[mesh]
                 joints, weights = skin.joints.astype(np.uint8), skin.weights.astype(np.float32)
                 self.inverse_bind[number, body, : len(bind)] = bind
             else:
-                joints, weights = np.zeros((len(own["vertices"]), 4), np.uint8), np.zeros((len(own["vertices"]), 4))
+                count = len(arrays["vertices"])
+                joints, weights = np.zeros((count, 4), np.uint8), np.zeros((count, 4))
                 first_source = sum(map(len, sources))
                 self.source_first[number][mesh] = first_source
-                sources.append(own["vertices"])
+                sources.append(arrays["vertices"])
             rows = np.zeros(len(groups), GROUP)
             rows["first_cluster"], rows["clusters"] = groups["first"], groups["second"]
             rows["body"], rows["first_source"] = body, first_source
             self.boxes[number][mesh] = groups, self.group_count - before[2]
             pool.keep(
                 groups=rows,
-                skin_joints=joints[cut.vertices],
-                skin_weights=weights[cut.vertices].astype(np.float32),
-                source_vertex=cut.vertices,
+                skin_joints=joints[meshlets.vertices],
+                skin_weights=weights[meshlets.vertices].astype(np.float32),
+                source_vertex=meshlets.vertices,
             )
-            self._pack_normals(pool, scene, mesh, cut, faces, first_vertex)
+            self._pack_normals(pool, scene, mesh, meshlets, faces, first_vertex)
             self.group_count += len(groups)
         self.sources.append(np.concatenate(sources))
         after = (pool.vertex_count, pool.cluster_count, self.group_count)
@@ -78,29 +79,29 @@ class Deformables:
         self.counts = np.maximum(self.counts, np.subtract(after, before))
 
     def _pack_normals(
-        self, pool: Pool, scene: RenderScene, mesh: int, cut: Meshlets, faces: NDArray[np.int32], first_vertex: int
+        self, pool: Pool, scene: RenderScene, mesh: int, meshlets: Meshlets, faces: NDArray[np.int32], first_vertex: int
     ) -> None:
-        """The faces around every vertex, by groups of vertices that share a normal."""
+        """Appends the faces around every group of vertices that share a normal."""
         if mesh not in scene.groups:
-            pool.keep(normal_groups=np.zeros(len(cut.vertices), np.int32))
+            pool.keep(normal_groups=np.zeros(len(meshlets.vertices), np.int32))
             return
         group_of = scene.groups[mesh]
-        place = np.zeros(len(scene.meshes[mesh].vertices), np.int32)  # one of a vertex' places in the pool
-        place[cut.vertices] = np.arange(len(cut.vertices), dtype=np.int32) + first_vertex
+        place = np.zeros(len(scene.meshes[mesh].vertices), np.int32)  # one of each vertex's copies in the pool
+        place[meshlets.vertices] = np.arange(len(meshlets.vertices), dtype=np.int32) + first_vertex
         around = group_of[faces].reshape(-1)
         order = np.argsort(around, kind="stable")
         count = int(group_of.max(initial=-1)) + 1
         first_face = sum(map(len, pool.parts.get("group_faces", [])))
         starts = np.concatenate([[0], np.cumsum(np.bincount(around, minlength=count))])
         pool.keep(
-            normal_groups=(group_of[cut.vertices] + self.normal_group_count).astype(np.int32),
+            normal_groups=(group_of[meshlets.vertices] + self.normal_group_count).astype(np.int32),
             group_first=(starts[:-1] + first_face).astype(np.int32),
             group_faces=place[faces][order // 3],
         )
         self.normal_group_count += count
 
     def arrays(self, pool: Pool) -> dict[str, Any]:
-        """Their part of `Packed`."""
+        """The fields of `Packed` that concern deformable meshes."""
         faces = pool.joined("group_faces", (0, 3), np.int32)
         return {
             "groups": pool.joined("groups", (0,), GROUP),

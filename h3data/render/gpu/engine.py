@@ -1,6 +1,6 @@
-"""The GPU behind `h3data.render.Renderer` (``backend="gpu"``): the same calls as on the CPU, tensors on the device.
+"""The back end ``gpu`` of `h3data.render.Renderer`: the same calls as on the CPU, tensors on the device.
 
-For thousands of worlds, or where poses already lie on the device, use `GpuRenderer`: here poses come from the host.
+Poses come from the host. For thousands of worlds, or if poses are on the device already, use `GpuRenderer`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
+from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.renderer import GpuRenderer
-from h3data.render.gpu.stage import GpuScene
-from h3data.render.pictures import Poses
+from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading import Light
 
 
 class GpuEngine:
-    """Every instance may move; what was changed goes to the device with the next picture."""
+    """An engine in which every instance may move; changes are uploaded with the next image."""
 
     renderer_class = GpuRenderer
 
@@ -31,12 +31,12 @@ class GpuEngine:
         self._matrix = np.tile(scene.instance_matrix, (worlds, 1, 1, 1))
         self._visible = np.ones((worlds, len(scene.instances)), np.bool_)
         self._vertices: dict[int, NDArray[np.float32]] = {}
-        self._given: list[set[int]] = [set() for _ in range(worlds)]
+        self._changed_meshes: list[set[int]] = [set() for _ in range(worlds)]
         self._renderer: GpuRenderer | None = None
         self._poses_stale = True
         self._stale_meshes: set[int] = set()
 
-    # --- what moves ---------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         self._matrix[world, instances] = matrices
         self._poses_stale = True
@@ -49,23 +49,27 @@ class GpuEngine:
         if mesh not in self._vertices:
             self._vertices[mesh] = np.tile(self.scene.meshes[mesh].vertices, (self.world_count, 1, 1))
         self._vertices[mesh][world] = vertices
-        self._given[world].add(mesh)
+        self._changed_meshes[world].add(mesh)
         self._stale_meshes.add(mesh)
 
     def poses(self, world: int) -> Poses:
-        vertices = {mesh: self._vertices[mesh][world].copy() for mesh in sorted(self._given[world])}
+        vertices = {mesh: self._vertices[mesh][world].copy() for mesh in sorted(self._changed_meshes[world])}
         return Poses(matrix=self._matrix[world].copy(), vertices=vertices, visible=self._visible[world].copy())
 
-    # --- pictures -----------------------------------------------------------------------------------------------------
+    # --- images -------------------------------------------------------------------------------------------------------
     def render(
-        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[Any], samples: Any,
+        self,
+        cameras: Sequence[Camera],
+        worlds: Sequence[int],
+        outputs: Sequence[Any],
+        samples: Any,
         out: Mapping[str, Any] | None,
-    ) -> dict[str, Any]:  # fmt: skip
-        renderer = self._posed(cameras[0].width, cameras[0].height)
-        return handed_out(renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples), out)
+    ) -> dict[str, Any]:
+        renderer = self._current_renderer(cameras[0].width, cameras[0].height)
+        return copied_to(out, renderer.render(list(cameras), worlds=worlds, outputs=outputs, samples=samples))
 
-    def _posed(self, width: int, height: int) -> GpuRenderer:
-        """A renderer of this size with everything where it is now. The one of the last size is kept."""
+    def _current_renderer(self, width: int, height: int) -> GpuRenderer:
+        """A renderer of this size in the current state of all worlds. Only the most recent size is kept."""
         renderer = self._renderer
         if renderer is None or (renderer.width, renderer.height) != (width, height):
             renderer = self.renderer_class(
@@ -81,14 +85,14 @@ class GpuEngine:
         return renderer
 
 
-def handed_out(results: Mapping[str, Any], out: Mapping[str, Any] | None) -> dict[str, Any]:
-    """``results``, those that ``out`` has a tensor for copied into it."""
-    handed = dict(results)
-    for name, array in (out or {}).items():
-        if name not in handed:
+def copied_to(out: Mapping[str, Any] | None, results: Mapping[str, Any]) -> dict[str, Any]:
+    """``results``, copied into the tensors of ``out`` where there are any."""
+    copies = dict(results)
+    for name, target in (out or {}).items():
+        if name not in copies:
             continue
-        tensor = handed[name]
-        if getattr(array, "dtype", None) != tensor.dtype or tuple(array.shape) != tuple(tensor.shape):
+        tensor = copies[name]
+        if getattr(target, "dtype", None) != tensor.dtype or tuple(target.shape) != tuple(tensor.shape):
             raise InputError(f"out[{name!r}] must be a {tensor.dtype} tensor {list(tensor.shape[1:])} per camera.")
-        handed[name] = array.copy_(tensor)
-    return handed
+        copies[name] = target.copy_(tensor)
+    return copies

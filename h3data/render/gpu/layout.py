@@ -1,6 +1,6 @@
-"""The structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`), for ctypes and NumPy.
+"""The structs of the CUDA code (`common.cuh`, `deform.cu`, `raster.cu`, `shade.cu`, `occlusion.cu`) for ctypes and NumPy.
 
-Fields that are tensors on the CUDA side are addresses here.
+Pointers of the CUDA code are addresses here.
 """
 
 from __future__ import annotations
@@ -11,19 +11,26 @@ from typing import Any
 import numpy as np
 
 CAMERA_WORDS = 18
-"""Of a view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
+"""Words per view: 3x4 camera to world, fx, fy, cx, cy, near, far."""
 BOX = np.dtype([("center", "3f4"), ("first", "i4"), ("half", "3f4"), ("second", "i4")])
 PLACE = np.dtype([("slot", "i4"), ("layer", "u4"), ("group", "i4"), ("instance", "i4")])
 SCENE = np.dtype(
-    [(name, "i4") for name in (
-        "first_item", "items", "first_instance", "first_group", "groups", "first_vertex", "first_cluster", "unused",
-    )]
-)  # fmt: skip
-GROUP = np.dtype([(name, "i4") for name in ("first_cluster", "clusters", "body", "first_source")])
+    [
+        ("first_item", "i4"),
+        ("items", "i4"),
+        ("first_instance", "i4"),
+        ("first_group", "i4"),
+        ("groups", "i4"),
+        ("first_vertex", "i4"),
+        ("first_cluster", "i4"),
+        ("unused", "i4"),
+    ]
+)
+GROUP = np.dtype([("first_cluster", "i4"), ("clusters", "i4"), ("body", "i4"), ("first_source", "i4")])
 
 
 class Struct(ctypes.Structure):
-    """A struct that is filled by name; tensors stand for their addresses."""
+    """A struct that is filled by field name; a tensor stands for its address."""
 
     def fill(self, **values: Any) -> None:
         for name, value in values.items():

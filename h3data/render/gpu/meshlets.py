@@ -1,7 +1,7 @@
-"""Meshes cut for the GPU: clusters of at most 64 triangles and 128 vertices, and groups of at most 32 clusters.
+"""Meshes cut for the GPU into clusters of at most 64 triangles and 128 vertices, and groups of at most 32 clusters.
 
-Both are split so that boxes have little surface (the surface area heuristic of ray tracing), first down to groups with
-binned positions (Wald 2007), then within a group at multiples of 64 triangles.
+Splits minimise the surface of bounding boxes (the surface area heuristic of ray tracing): down to groups with binned
+positions (Wald 2007), then within a group at multiples of 64 triangles.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from h3data.kernels import kernel
 
 CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS = 64, 128, 32
 GROUP_TRIANGLES = 1792
-"""Few enough that a group seldom has more than 32 clusters; larger groups measured no faster."""
+"""Largest group; small enough that it seldom has more than 32 clusters. Larger groups measured no faster."""
 _BINS = 16
 
 
@@ -24,40 +24,40 @@ class Meshlets(NamedTuple):
     """The clusters of a mesh."""
 
     vertices: NDArray[np.int32]
-    """Mesh vertex of every cluster's vertices, one cluster after another, shape [N]."""
+    """Mesh vertex of every cluster vertex, one cluster after another, shape [N]."""
     triangles: NDArray[np.uint32]
-    """Three vertices within the cluster, 8 bits each, shape [C, 64]; 0 = none."""
+    """Three vertices within the cluster, 8 bits each, 0 = none, shape [C, 64]."""
     faces: NDArray[np.int32]
     """Mesh triangle, -1 = none, shape [C, 64]."""
     first_vertex: NDArray[np.int32]
-    """And, at the end, their number, shape [C + 1]."""
+    """First vertex of each cluster, followed by the number of vertices, shape [C + 1]."""
     triangle_count: NDArray[np.int32]
     """Shape [C]."""
     low: NDArray[np.float32]
-    """Boxes of the clusters, shape [C, 3] [m]."""
+    """Minimum corners of the clusters' boxes, shape [C, 3] [m]."""
     high: NDArray[np.float32]
-    """Shape [C, 3] [m]."""
+    """Maximum corners of the clusters' boxes, shape [C, 3] [m]."""
     cut_out: NDArray[np.bool_]
     """Clusters whose triangles may have holes (`h3data.render.shade.cutouts`), shape [C]."""
     group_first: NDArray[np.int32]
-    """First cluster of each group and, at the end, the number of clusters, shape [G + 1]."""
+    """First cluster of each group, followed by the number of clusters, shape [G + 1]."""
 
 
 def build_meshlets(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
 ) -> Meshlets:
-    """The clusters of a mesh [V, 3], [F, 3]; triangles that are cut out (``cut_out`` [F]) share none with others."""
+    """The clusters of a mesh [V, 3], [F, 3]; triangles with holes (``cut_out`` [F]) get clusters of their own."""
     low, high = _triangle_boxes(vertices, faces)
     cut = np.zeros(len(faces), np.bool_) if cut_out is None else cut_out
-    orders, starts, groups = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    order, starts, groups = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
     for chosen in (np.flatnonzero(~cut), np.flatnonzero(cut)):
-        own = _cut(faces[chosen], low[chosen], high[chosen])
-        starts = np.concatenate([starts, own[1] + len(orders)])
-        groups = np.concatenate([groups, own[2] + groups.max(initial=-1) + 1])
-        orders = np.concatenate([orders, chosen[own[0]]])
-    order, ends = orders, np.append(starts[1:], len(faces)).astype(np.int64)
+        part_order, part_starts, part_groups = _cut(faces[chosen], low[chosen], high[chosen])
+        starts = np.concatenate([starts, part_starts + len(order)])
+        groups = np.concatenate([groups, part_groups + groups.max(initial=-1) + 1])
+        order = np.concatenate([order, chosen[part_order]])
+    ends = np.append(starts[1:], len(faces)).astype(np.int64)
     parts = _pack(vertices, faces, order, starts, ends)
-    # a group is a run of clusters; those of more than 32 go on as a new one
+    # A group is a run of clusters; runs of more than 32 are divided.
     first: list[int] = []
     for cluster, group in enumerate(groups):
         if not first or group != groups[cluster - 1] or cluster - first[-1] == GROUP_CLUSTERS:
@@ -96,7 +96,7 @@ def _surface(box):
 
 @njit(nogil=True)
 def _binned_split(order, low, high, start, end):
-    """Reorder ``order[start:end]`` at the cheapest border between bins; returns where."""
+    """Reorders ``order[start:end]`` at the cheapest boundary between bins; returns the index of the split."""
     centers = np.empty(6)
     _clear(centers)
     for k in order[start:end]:
@@ -148,7 +148,7 @@ def _binned_split(order, low, high, start, end):
 
 @njit(nogil=True)
 def _sorted_split(order, low, high, start, end):
-    """Sort ``order[start:end]`` along the axis of the cheapest split at whole clusters; returns where."""
+    """Sorts ``order[start:end]`` along the axis of the cheapest split at whole clusters; returns the index of the split."""
     count = end - start
     step = CLUSTER_TRIANGLES if count > CLUSTER_TRIANGLES else max(1, count // 2)
     cheapest, split, box = np.inf, step, np.empty(6)
@@ -173,7 +173,7 @@ def _sorted_split(order, low, high, start, end):
 
 @njit(nogil=True)
 def _vertex_count(order, faces, start, end, seen):
-    """Different vertices of some triangles; ``seen`` is scratch for 3 * 64."""
+    """Number of distinct vertices of triangles ``order[start:end]``; ``seen`` is scratch for 3 * 64 vertices."""
     count = 0
     for i in range(start, end):
         for corner in range(3):
@@ -189,13 +189,13 @@ def _vertex_count(order, faces, start, end, seen):
 
 @kernel()
 def _cut(faces, low, high):
-    """Order of the triangles [F], and of each cluster its start in it and its group, both [C]."""
+    """Order of the triangles [F], the start of each cluster in it [C], and the group of each cluster [C]."""
     total = len(faces)
     order = np.arange(total)
     capacity = total // 8 + 64
     starts, groups = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     clusters, group = 0, -1
-    pending = np.empty((total // 64 + 256, 3), np.int64)  # start, end, whether within a group
+    pending = np.empty((total // 64 + 256, 3), np.int64)  # start, end, whether inside a group
     pending[0, 0], pending[0, 1], pending[0, 2] = 0, total, 0
     waiting = 1 if total else 0
     seen = np.empty(3 * CLUSTER_TRIANGLES, np.int64)
@@ -222,6 +222,7 @@ def _cut(faces, low, high):
 
 @kernel()
 def _pack(vertices, faces, order, starts, ends):
+    """The first seven fields of `Meshlets`, for clusters ``order[starts:ends]``."""
     count = len(starts)
     used = np.empty(3 * len(faces), np.int32)
     triangles = np.zeros((count, CLUSTER_TRIANGLES), np.uint32)

@@ -1,7 +1,7 @@
 """Scenes as the arrays that the CUDA code reads. Everything here is NumPy and runs without a GPU.
 
-What never moves is baked into the world and cut into clusters layer by layer, whatever instance it belongs to; a mesh that
-moves or deforms is cut on its own, once per scene. An *item* is a group of clusters with a place: the rasteriser's unit.
+Static instances are baked into world coordinates and cut into clusters layer by layer, across instances; a mesh that moves
+or deforms is cut on its own, once per scene. An *item* is a group of clusters with a transform: the rasteriser's unit.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.render.gpu.deformables import Deformables
+from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.layout import BOX, PLACE, SCENE
 from h3data.render.gpu.meshlets import build_meshlets
 from h3data.render.gpu.pool import Pool, mesh_arrays
-from h3data.render.gpu.stage import GpuScene
 from h3data.render.scene import RenderScene
 
 MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
@@ -27,7 +27,7 @@ MAX_LAYERS, MAX_ITEMS, MAX_JOINTS = 32, 65535, 256
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """The arrays; names and meanings as in the CUDA structs."""
+    """The packed arrays, with names and meanings as in the CUDA structs."""
 
     vertices: NDArray[np.float32]
     triangles: NDArray[np.uint32]
@@ -56,16 +56,16 @@ class Packed:
     skin_weights: NDArray[np.float32]
     source_vertex: NDArray[np.int32]
     inverse_bind: NDArray[np.float32]
-    """Per scene, body and joint, shape [S, B, J, 4, 4]."""
+    """Inverse bind matrices by scene, body and joint, shape [S, B, J, 4, 4]."""
     sources: tuple[NDArray[np.float32], ...]
-    """Of each scene: the given vertices of its deformable meshes without skin, [N, 3]."""
+    """For each scene: vertices of its deformable meshes without skin, shape [N, 3]."""
     source_first: tuple[dict[int, int], ...]
-    """Of each scene: mesh to its first row in `sources`."""
+    """For each scene: first row in `sources` by mesh."""
     layers: tuple[str, ...]
-    """Bit k of a place's layer; the empty layer has none."""
+    """Named layers; layer k is bit k of a place's layer word. The empty layer has no bit."""
     textured: bool
     deformed_vertices: int
-    """Most that any scene has; likewise below."""
+    """Maximum over scenes, like the following fields."""
     deformed_clusters: int
     deformed_groups: int
     bodies: int
@@ -73,16 +73,16 @@ class Packed:
 
     @property
     def nbytes(self) -> int:
-        """What they take on the device [bytes]."""
+        """Size of the arrays on the device [bytes]."""
         return sum(a.nbytes for a in vars(self).values() if isinstance(a, np.ndarray))
 
 
 @lru_cache(maxsize=1)
 def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
-    """The arrays of some scenes; those of the last ones are kept, for renderers of other sizes.
+    """The arrays of several scenes. The last result is cached, for renderers of other image sizes.
 
     Raises:
-        InputError: something named is not there, or a scene is beyond what the kernels' words can count.
+        InputError: a `GpuScene` refers to something that does not exist, or a scene exceeds the limits of the kernels.
     """
     for number, stage in enumerate(scenes):
         _check(stage, number)
@@ -91,9 +91,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         deformed.pack(pool, number)
     layers = tuple(sorted({str(layer) for stage in scenes for layer in stage.scene.layers} - {""}))
     if len(layers) > MAX_LAYERS:
-        raise InputError(
-            f"At most {MAX_LAYERS} layers can be told apart, got {len(layers)}: {', '.join(layers[:5])}, ..."
-        )
+        raise InputError(f"At most {MAX_LAYERS} layers are supported, got {len(layers)}: {', '.join(layers[:5])}, ...")
     bits = {layer: 1 << k for k, layer in enumerate(layers)} | {"": 0}
 
     table = np.zeros(len(scenes), SCENE)
@@ -106,7 +104,7 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
         for name in ("first_group", "groups", "first_vertex", "first_cluster"):
             row[name] = deformed.rows[number][name]
         if len(items) > MAX_ITEMS:
-            raise InputError(f"Scene {number} has {len(items)} groups of triangles, at most {MAX_ITEMS} can be drawn.")
+            raise InputError(f"Scene {number} has {len(items)} groups of triangles; at most {MAX_ITEMS} are supported.")
         words = sum(map(len, pool.parts.get("texels", [])))
         level_rows = sum(map(len, pool.parts.get("levels", [])))
         levels = surface.textures.levels.copy()
@@ -157,13 +155,13 @@ def pack_scenes(scenes: tuple[GpuScene, ...]) -> Packed:
 
 def _check(stage: GpuScene, number: int) -> None:
     scene, faults = stage.scene, []
-    faults += [f"moving names instance {k}, there are {len(scene.instances)}" for k in stage.moving
-               if not 0 <= k < len(scene.instances)]  # fmt: skip
+    count = len(scene.instances)
+    faults += [f"moving lists instance {k}, but there are {count}" for k in stage.moving if not 0 <= k < count]
     if len(set(stage.moving)) < len(stage.moving):
-        faults.append("moving names an instance twice")
+        faults.append("moving lists an instance twice")
     for mesh, (skin, inverse_bind) in stage.skins.items():
         if mesh not in scene.deformable:
-            faults.append(f"skins names mesh {mesh}, which is not deformable (these are: {list(scene.deformable)})")
+            faults.append(f"skins lists mesh {mesh}, which is not deformable (these are: {list(scene.deformable)})")
             continue
         expected = (len(scene.meshes[mesh].vertices), 4)
         if skin.joints.shape != expected or skin.weights.shape != expected:
@@ -177,7 +175,7 @@ def _check(stage: GpuScene, number: int) -> None:
 def _scene_items(
     pool: Pool, stage: GpuScene, deformed: Deformables, number: int, bits: Mapping[str, int], first_texture: int
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Items [N] and places [N] of a scene: first what stands still, layer by layer, then what moves."""
+    """Items [N] and places [N] of a scene: static instances first, layer by layer, then moving ones."""
     scene, slots = stage.scene, stage.slots
     items: list[NDArray[Any]] = []
     places: list[NDArray[Any]] = []
@@ -188,13 +186,13 @@ def _scene_items(
         items.append(groups)
         places.append(place)
 
-    still = [
+    static = [
         k for k in range(len(scene.instances)) if k not in set(slots) and np.isfinite(scene.instance_matrix[k]).all()
     ]
-    for layer in sorted({str(scene.layers[k]) for k in still}):
-        baked = _baked(scene, [k for k in still if scene.layers[k] == layer], first_texture)
-        cut = build_meshlets(baked["vertices"], baked.pop("faces"), baked.pop("cut_out"))
-        keep(pool.add(cut, **baked), slot=0, layer=layer, group=-1, instance=-1)
+    for layer in sorted({str(scene.layers[k]) for k in static}):
+        baked = _baked(scene, [k for k in static if scene.layers[k] == layer], first_texture)
+        meshlets = build_meshlets(baked["vertices"], baked.pop("faces"), baked.pop("cut_out"))
+        keep(pool.add(meshlets, **baked), slot=0, layer=layer, group=-1, instance=-1)
     rigid: dict[int, NDArray[Any]] = {}
     for slot, k in enumerate(slots, start=1):
         mesh, layer = int(scene.instance_mesh[k]), str(scene.layers[k])
@@ -203,15 +201,15 @@ def _scene_items(
             keep(groups, slot=slot, layer=layer, group=first + np.arange(len(groups)), instance=k)
             continue
         if mesh not in rigid:
-            own = mesh_arrays(scene, mesh, first_texture)
-            cut = build_meshlets(own["vertices"], own.pop("faces"), own.pop("cut_out"))
-            rigid[mesh] = pool.add(cut, **own)
+            arrays = mesh_arrays(scene, mesh, first_texture)
+            meshlets = build_meshlets(arrays["vertices"], arrays.pop("faces"), arrays.pop("cut_out"))
+            rigid[mesh] = pool.add(meshlets, **arrays)
         keep(rigid[mesh], slot=slot, layer=layer, group=-1, instance=k)
     return np.concatenate([np.zeros(0, BOX), *items]), np.concatenate([np.zeros(0, PLACE), *places])
 
 
 def _baked(scene: RenderScene, instances: Sequence[int], first_texture: int) -> dict[str, NDArray[Any]]:
-    """Some instances as one mesh in the world."""
+    """Several instances as one mesh in world coordinates."""
     parts: list[dict[str, NDArray[Any]]] = []
     start = 0
     for k in instances:

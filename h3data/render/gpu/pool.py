@@ -1,4 +1,4 @@
-"""Clusters of many meshes one after another, as the CUDA code reads them."""
+"""`Pool`: clusters of many meshes, concatenated as the CUDA code reads them."""
 
 from __future__ import annotations
 
@@ -13,28 +13,37 @@ from h3data.render.scene import RenderScene
 
 _BOX_MARGIN_M = 1e-6
 _CUT_OUT = np.int32(-(2**31))
-"""Bit of a cluster's counts."""
+"""Bit in a cluster's counts that marks triangles with holes."""
 
 
 class Pool:
-    """Clusters of many meshes one after another."""
+    """Clusters of many meshes, concatenated."""
 
     def __init__(self) -> None:
         self.vertex_count = self.cluster_count = 0
         self.parts: dict[str, list[NDArray[Any]]] = {}
 
     def keep(self, **arrays: NDArray[Any]) -> None:
+        """Appends arrays to the parts of the same names."""
         for name, array in arrays.items():
             self.parts.setdefault(name, []).append(array)
 
     def joined(self, name: str, empty: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+        """All parts of one name, concatenated; zeros of shape ``empty`` if there are none."""
         return np.concatenate([np.zeros(empty, dtype), *self.parts.get(name, [])])
 
     def add(
-        self, cut: Meshlets, vertices: NDArray, normals: NDArray, colors: NDArray, uv: NDArray, face_ids: NDArray,
-        face_textures: NDArray, face_instances: NDArray,
-    ) -> NDArray[Any]:  # fmt: skip
-        """Append the clusters of a mesh and return its groups as boxes [G]; ``face_...`` per triangle of what was cut."""
+        self,
+        cut: Meshlets,
+        vertices: NDArray,
+        normals: NDArray,
+        colors: NDArray,
+        uv: NDArray,
+        face_ids: NDArray,
+        face_textures: NDArray,
+        face_instances: NDArray,
+    ) -> NDArray[Any]:
+        """Appends the clusters of a mesh and returns its groups as boxes [G]; ``face_...`` are per triangle of the mesh."""
         clusters = boxes(cut.low, cut.high)
         counts = np.diff(cut.first_vertex)
         clusters["first"] = counts | cut.triangle_count << 16 | np.where(cut.cut_out, _CUT_OUT, np.int32(0))
@@ -47,7 +56,7 @@ class Pool:
         flat = uv[cut.vertices] if len(uv) else np.zeros((len(cut.vertices), 2), np.float32)
 
         def per_triangle(values: NDArray) -> NDArray[np.int32]:
-            padded = np.append(values, -1).astype(np.int32)  # face -1 picks the last
+            padded = np.append(values, -1).astype(np.int32)  # face -1 selects the last entry
             return padded[cut.faces].reshape(-1)
 
         self.keep(
@@ -67,7 +76,7 @@ class Pool:
 
 
 def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
-    """Boxes [N] of two corners [N, 3], a hair larger."""
+    """Boxes [N] between corners [N, 3], slightly enlarged against rounding."""
     out = np.zeros(len(low), BOX)
     center = (low.astype(np.float64) + high) / 2
     half = (high.astype(np.float64) - low) / 2
@@ -77,7 +86,7 @@ def boxes(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[Any]:
 
 
 def mesh_arrays(scene: RenderScene, mesh: int, first_texture: int, *, instance: int = -1) -> dict[str, NDArray[Any]]:
-    """A mesh as `Pool.add` takes it, with its faces and which of them are cut out."""
+    """The arguments of `Pool.add` for a mesh, and its ``faces`` and ``cut_out``."""
     surface = scene.surface
     v, f = slice(*scene.first_vertex[mesh : mesh + 2]), slice(*scene.first_face[mesh : mesh + 2])
     textures = surface.face_textures[f]

@@ -1,4 +1,4 @@
-"""Thousands of worlds on one GPU: poses, skins and cameras in, pictures out; all of it torch tensors on the device."""
+"""`GpuRenderer`: thousands of worlds on one GPU; poses, skins and cameras in, images out, all torch tensors on the device."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.gpu.cuda import Program, chosen_device
+from h3data.render.gpu.cuda import Program, resolve_device
+from h3data.render.gpu.gpu_scene import GpuScene
 from h3data.render.gpu.layout import Cutouts, Deform, Raster, World
 from h3data.render.gpu.packing import Packed, pack_scenes
-from h3data.render.gpu.shading import Shader
-from h3data.render.gpu.stage import GpuScene
+from h3data.render.gpu.shader import Shader
 from h3data.render.gpu.views import Variant, Views, choose_variant, depth_range, new_views, tensor_of
-from h3data.render.pictures import FORMS, Output, check_outputs
+from h3data.render.outputs import FORMS, Output, check_outputs
 from h3data.render.scene import RenderScene
 from h3data.render.shade.shading import Light
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _SHARED_LIMIT = 227 * 1024
-"""Shared memory of a block on Hopper [bytes]; others have less, and say so."""
-_MOST_PIXELS = 2**31 - 1
-"""Of a launch: the kernels count them in 32 bits."""
+"""Shared memory per block on Hopper [bytes]; other devices have less, and the launch fails."""
+_MAX_PIXELS = 2**31 - 1
+"""Pixels per launch: the kernels count them in 32 bits."""
 
 
 class GpuRenderer:
-    """Draws the same pictures as `h3data.render.Renderer`, for many worlds at once.
+    """Renders the same images as `h3data.render.Renderer`, for many worlds at once.
 
-    A world is one scene with poses, deformed vertices and a camera of its own. Everything runs on torch's current stream;
-    nothing waits for the GPU and nothing comes back to the host unless you ask, so a step can be captured (`captured`).
-    A fresh renderer shows the scenes as they were built.
+    A world is a scene with its own poses, deformed vertices and camera. Everything runs on torch's current stream; nothing
+    waits for the GPU or returns to the host unless asked to, so a step can be captured as a graph (`captured`). A new
+    renderer shows the scenes as they were built.
     """
 
     def __init__(
@@ -50,10 +50,18 @@ class GpuRenderer:
         light: Light | None = None,
         device: str | torch.device | None = None,
     ) -> None:
-        """Pictures of ``width`` x ``height`` pixels; world w shows scene ``scene_of_world[w]``, by default all in turn.
+        """
+        Args:
+            scenes: One scene or several.
+            width: Width of the images [px].
+            height: Height of the images [px].
+            worlds: Number of worlds.
+            scene_of_world: Index of each world's scene; by default world w shows scene w modulo their number.
+            light: Light; default `Light()`. Cast shadows are not supported.
+            device: CUDA device; default the current one.
 
         Raises:
-            InputError: there is no GPU, or an argument is not what it should be.
+            InputError: there is no GPU, or an argument is invalid.
         """
         listed = [scenes] if isinstance(scenes, RenderScene | GpuScene) else list(scenes)
         self.scenes = tuple(s if isinstance(s, GpuScene) else GpuScene(s) for s in listed)
@@ -81,13 +89,14 @@ class GpuRenderer:
         self._reset()
 
     def _find_device(self, device: str | torch.device | None) -> torch.device:
-        return chosen_device(device)
+        return resolve_device(device)
 
     def _compile(self, defines: dict[str, int]) -> Any:
         return Program(self.device, defines)
 
-    # --- what lies on the device --------------------------------------------------------------------------------------
+    # --- data on the device -------------------------------------------------------------------------------------------
     def _upload(self) -> None:
+        """Uploads the packed scenes, allocates the state of all worlds, and fills the structs of the kernels."""
         import torch
 
         packed = self.packed
@@ -145,7 +154,7 @@ class GpuRenderer:
         self._shader = Shader(self._tensors, packed, self.light, self.device)
 
     def _reset(self) -> None:
-        """Everything as the scenes were built."""
+        """Sets all worlds to the state that the scenes were built with."""
         packed = self.packed
         poses = np.full((len(self.scenes), packed.slots - 1, 3, 4), np.nan, np.float32)
         sources = np.zeros((len(self.scenes), *self._sources.shape[1:]), np.float32)
@@ -160,15 +169,15 @@ class GpuRenderer:
 
     @property
     def nbytes(self) -> int:
-        """What scenes and worlds take on the device, without pictures [bytes]."""
-        own = [self._poses, self._palettes, self._sources]
-        tensors = [*self._tensors.values(), *self._held.values(), *own]
+        """Size of scenes and worlds on the device, without images [bytes]."""
+        state = [self._poses, self._palettes, self._sources]
+        tensors = [*self._tensors.values(), *self._held.values(), *state]
         return sum(t.numel() * t.element_size() for t in tensors)
 
-    # --- what moves ---------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------------
     def update_poses(self, poses: Any) -> None:
-        """Place what moves: ``poses`` [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world, in the order of
-        `GpuScene.slots`; N may be less than there are, the others stay. NaN hides."""
+        """Sets the poses of moving instances, [worlds, N, 4, 4] or [worlds, N, 3, 4], mesh to world, in the order of
+        `GpuScene.slots`. If N is smaller than their number, the others keep theirs. NaN hides an instance."""
         given = self._floats(poses, "poses", 4)
         count = given.shape[1]
         if count > self.packed.slots - 1 or given.shape[0] != self.worlds or given.shape[2:] not in ((4, 4), (3, 4)):
@@ -178,8 +187,8 @@ class GpuRenderer:
         self._poses[:, :count].unflatten(2, (3, 4)).copy_(given[:, :, :3])
 
     def update_joints(self, joints: Any) -> None:
-        """Skin all meshes that have a skin: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
-        scene's deformable meshes in order; without the second axis where there is one. NaN hides."""
+        """Deforms all skinned meshes: ``joints`` [worlds, bodies, J, 4, 4] (or [..., 3, 4]), joint to world, for the
+        scene's deformable meshes in order; the second axis may be omitted for a single body. NaN hides a body."""
         count = self._palettes.shape[2]
         given = self._floats(joints, "joints", None)
         if given.ndim == 4:
@@ -188,11 +197,11 @@ class GpuRenderer:
         if given.ndim != 5 or given.shape[:3] != expected or given.shape[3:] not in ((4, 4), (3, 4)):
             raise InputError(f"joints must be {[*expected, 4, 4]}, got {list(given.shape)}.")
         given = given.contiguous()
-        self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # rows are read as they lie
+        self._skin(given if given.data_ptr() % 16 == 0 else given.clone())  # the kernel reads rows as float4
 
     def update_vertices(self, mesh: int, vertices: Any) -> None:
-        """Replace the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has one
-        of that number and size (there must be one). NaN hides what it touches."""
+        """Replaces the vertices [worlds, V, 3] [m] of a deformable mesh without skin, in all worlds whose scene has such a
+        mesh with V vertices (at least one must). NaN hides the triangles at a vertex."""
         given = self._floats(vertices, "vertices", 3)
         where = [
             (number, first[mesh])
@@ -200,9 +209,9 @@ class GpuRenderer:
             if mesh in first and len(self.scenes[number].scene.meshes[mesh].vertices) == given.shape[1]
         ]
         if not where or given.shape[0] != self.worlds or given.shape[2] != 3:
-            without = sorted({m for first in self.packed.source_first for m in first})
+            skinless = sorted({m for first in self.packed.source_first for m in first})
             raise InputError(
-                f"Expected vertices [{self.worlds}, V, 3] of a deformable mesh without skin (these are: {without}), "
+                f"Expected vertices [{self.worlds}, V, 3] of a deformable mesh without skin (these are: {skinless}), "
                 f"got {list(given.shape)} for mesh {mesh}."
             )
         for number, first in where:
@@ -214,7 +223,7 @@ class GpuRenderer:
         self._run_deform()
 
     def _skin(self, joints: torch.Tensor) -> None:
-        """Deform all, after joints [worlds, bodies, J, 3 or 4, 4]."""
+        """Deforms all skinned meshes to joints [worlds, bodies, J, 3 or 4, 4]."""
         count = joints.shape[0] * joints.shape[1] * joints.shape[2]
         self._deform.fill(world=self._world, joints=joints, joint_words=joints.shape[3] * 4)
         self._program().launch("palette", -(-count * 3 // 256), 256, self._deform)
@@ -234,7 +243,7 @@ class GpuRenderer:
             raise InputError(f"{name} must have {ndim} axes, got {list(tensor.shape)}.")
         return tensor
 
-    # --- pictures -----------------------------------------------------------------------------------------------------
+    # --- images -------------------------------------------------------------------------------------------------------
     def render(
         self,
         cameras: Camera | Sequence[Camera],
@@ -244,15 +253,15 @@ class GpuRenderer:
         samples: Literal[1, 4] = 1,
         poses: Any = None,
     ) -> dict[str, torch.Tensor]:
-        """What the cameras see, by name, each [views, H, W, ...] on the device; the outputs are those of `Renderer.render`.
+        """Images by output, each [views, H, W, ...] on the device; outputs are those of `Renderer.render`.
 
         Args:
-            cameras: perspective cameras of this renderer's size: one for all views, or one per view.
-            worlds: the world of each view; by default there is one view of every world.
+            cameras: Perspective cameras of this renderer's size: one for all views, or one per view.
+            worlds: World of each view; by default one view of every world.
             outputs: ``depth``, ``instance``, ``semantic``, ``triangle``, ``rgb``, ``normal``.
-            samples: 4 smooths the edges of ``rgb`` (and costs about four times as much).
-            poses: [views, 4, 4], camera (OpenCV) to world, in place of the cameras' own; rotations are not checked. NaN
-                sees nothing.
+            samples: 4 smooths the edges of ``rgb`` at about four times the cost.
+            poses: Camera poses (OpenCV to world) [views, 4, 4] that replace those of ``cameras``; rotations are not
+                checked. NaN gives an empty image.
         """
         import torch
 
@@ -277,16 +286,23 @@ class GpuRenderer:
         return results
 
     def _views_of(self, cameras: list[Camera], worlds: Sequence[int] | None, poses: Any) -> Views:
-        """The views on the device. With ``poses`` and the same lenses as before, nothing comes from the host."""
-        seen = tuple(range(self.worlds)) if worlds is None else tuple(int(w) for w in worlds)
-        lenses = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *depth_range(c)) for c in cameras)
-        key = (seen, lenses)
+        """The views on the device. With ``poses`` and unchanged intrinsics, nothing is uploaded from the host."""
+        world_of_view = tuple(range(self.worlds)) if worlds is None else tuple(int(w) for w in worlds)
+        intrinsics = tuple(
+            (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.hidden_layers, *depth_range(c)) for c in cameras
+        )
+        key = (world_of_view, intrinsics)
         views = self._views
         if poses is None or views is None or views.key != key:
             views = self._views = new_views(
-                key, cameras, worlds=self.worlds, size=(self.width, self.height), layers=self.packed.layers,
-                slots=self.packed.slots, device=self.device,
-            )  # fmt: skip
+                key,
+                cameras,
+                worlds=self.worlds,
+                size=(self.width, self.height),
+                layers=self.packed.layers,
+                slots=self.packed.slots,
+                device=self.device,
+            )
         if poses is not None:
             given = self._floats(poses, "poses", 3)
             if given.shape not in ((views.count, 4, 4), (views.count, 3, 4)):
@@ -295,10 +311,10 @@ class GpuRenderer:
         return views
 
     def _draw(self, views: Views, results: dict[str, torch.Tensor], *, scale: int) -> None:
-        """Draw all views into ``results``; if the memory for what lies between does not suffice, some at a time."""
+        """Renders all views into ``results``, in several parts if memory for the intermediate buffers runs out."""
         import torch
 
-        at_once = min(views.count, max(1, _MOST_PIXELS // (self.width * self.height * scale**2)))
+        at_once = min(views.count, max(1, _MAX_PIXELS // (self.width * self.height * scale**2)))
         while True:
             try:
                 for first in range(0, views.count, at_once):
@@ -309,10 +325,7 @@ class GpuRenderer:
                 if at_once == 1:
                     raise
                 at_once = -(-at_once // 2)
-                _log.warning(
-                    "The GPU's memory does not suffice for %d pictures at once: drawing %d at a time.",
-                    views.count, at_once,
-                )  # fmt: skip
+                _log.warning("Out of GPU memory for %d images at once: rendering %d at a time.", views.count, at_once)
 
     def _draw_part(self, views: Views, part: slice, results: dict[str, torch.Tensor], scale: int) -> None:
         import torch
@@ -326,9 +339,16 @@ class GpuRenderer:
         words = torch.empty(size, dtype=torch.int32, device=self.device)
         world = self._world
         world.fill(
-            cameras=views.cameras, hidden=views.hidden, world_of_view=views.world_of_view, placement=views.placement,
-            width=size[2], height=size[1], first_view=part.start, views=count, scale=scale,
-        )  # fmt: skip
+            cameras=views.cameras,
+            hidden=views.hidden,
+            world_of_view=views.world_of_view,
+            placement=views.placement,
+            width=size[2],
+            height=size[1],
+            first_view=part.start,
+            views=count,
+            scale=scale,
+        )
         program.launch("place", -(-count * self.packed.slots // 128), 128, world)
         raster = Raster()
         raster.fill(world=world, depth=depth, words=words, cutouts=self._cutouts)
@@ -349,7 +369,7 @@ class GpuRenderer:
             if needed > _SHARED_LIMIT:
                 raise InputError(
                     f"A scene has too many groups of triangles for this GPU: {needed} of {_SHARED_LIMIT} bytes of shared "
-                    "memory. Hint: leave out what no camera sees, or split the scene."
+                    "memory. Hint: remove what no camera sees, or split the scene."
                 )
             tile, warps, blocks = self.variant.tile, self.variant.warps, self.variant.blocks
             holes = int(len(self.packed.opacity) > 0)
@@ -359,23 +379,24 @@ class GpuRenderer:
         return self._programs[self.variant]
 
     def captured(self, step: Callable[[], dict[str, torch.Tensor]]) -> Callable[[], dict[str, torch.Tensor]]:
-        """A CUDA graph of ``step`` as a function: it reads and writes the same tensors each time, with hardly any Python.
+        """``step`` captured as a CUDA graph: the returned function reads and writes the same tensors with hardly any Python.
 
-        ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors
-        already on the device. The tensors it returns are overwritten by the next call. Worth it where worlds are few.
+        ``step`` may call `update_poses`, `update_joints`, `update_vertices` and `render` (with ``poses``) on tensors that
+        are on the device already. Each call overwrites the tensors that it returns. Worthwhile for few worlds, where
+        launches dominate.
         """
         import torch
 
-        step()  # compiles, and fills what is kept
+        step()  # compiles, and fills the caches
         torch.cuda.synchronize(self.device)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.device(self.device), torch.cuda.graph(graph):
             results = step()
-        kept = results, self._views  # the graph holds addresses only
+        references = results, self._views  # keeps the tensors alive: the graph itself holds addresses only
 
         def replay() -> dict[str, torch.Tensor]:
             graph.replay()
-            return kept[0]
+            return references[0]
 
         return replay
 

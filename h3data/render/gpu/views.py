@@ -1,4 +1,4 @@
-"""Cameras on the device, and how the rasteriser is compiled for so many of them."""
+"""Cameras on the device, and the variant of the rasteriser that is compiled for them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ if TYPE_CHECKING:
 
 
 class Variant(NamedTuple):
-    """How the rasteriser is compiled."""
+    """Compile-time parameters of the rasteriser."""
 
     tile: int
     """Width and height of a block's tile [px]."""
     warps: int
+    """Warps per block."""
     blocks: int
-    """That shall fit a multiprocessor at the same time."""
+    """Blocks that should fit on a multiprocessor at the same time."""
 
     def shared_bytes(self, items: int) -> int:
-        """Dynamic shared memory of a block: pixels, coarse depth, every warp's scratch, list of items."""
+        """Dynamic shared memory of a block [bytes]: pixels, coarse depth, scratch of every warp, list of items."""
         return self.tile**2 * 8 + max((self.tile // 8) ** 2 * 4, 16) + self.warps * 2560 + -(-items * 6 // 8) * 8
 
 
 def choose_variant(worlds: int, width: int, height: int) -> Variant:
-    """The fastest measured: small tiles where there are few blocks, large ones for small pictures."""
+    """The fastest variant by measurement: small tiles if there are few blocks, large ones for small images."""
     pixels, longer = worlds * width * height, max(width, height)
     if worlds < 64:
         few = Variant(8, 8, 4) if pixels < 100_000 else Variant(16, 8, 4)
@@ -57,16 +58,22 @@ class Views:
 
 
 def new_views(
-    key: tuple[Any, ...], cameras: list[Camera], *, worlds: int, size: tuple[int, int], layers: Sequence[str], slots: int,
+    key: tuple[Any, ...],
+    cameras: list[Camera],
+    *,
+    worlds: int,
+    size: tuple[int, int],
+    layers: Sequence[str],
+    slots: int,
     device: torch.device,
-) -> Views:  # fmt: skip
-    """Views of worlds ``key[0]`` through one camera, or one each, of this ``size``; named ``layers`` have bits."""
+) -> Views:
+    """Views of the worlds ``key[0]`` through one camera of ``size``, or one each; layer k of ``layers`` is bit k."""
     import torch
 
-    seen = np.array(key[0], np.int32)
-    if len(cameras) not in (1, len(seen)):
-        raise InputError(f"Expected one camera or one per view ({len(seen)}), got {len(cameras)}.")
-    if not len(seen) or seen.min() < 0 or seen.max() >= worlds:
+    world_of_view = np.array(key[0], np.int32)
+    if len(cameras) not in (1, len(world_of_view)):
+        raise InputError(f"Expected one camera or one per view ({len(world_of_view)}), got {len(cameras)}.")
+    if not len(world_of_view) or world_of_view.min() < 0 or world_of_view.max() >= worlds:
         raise InputError(f"Expected views of worlds 0 to {worlds - 1}, got {key[0]}.")
     table = np.zeros((len(cameras), CAMERA_WORDS), np.float32)
     hidden = np.zeros(len(cameras), np.uint32)
@@ -75,33 +82,33 @@ def new_views(
         table[k, :12] = np.asarray(camera.pose, np.float64)[:3].ravel()
         table[k, 12:] = camera.fx, camera.fy, camera.cx, camera.cy, *depth_range(camera)
         hidden[k] = sum(1 << b for b, layer in enumerate(layers) if layer in camera.hidden_layers)
-    every = (len(seen), -1)
+    every = (len(world_of_view), -1)
     return Views(
         key=key,
         cameras=tensor_of(table, device).expand(every).contiguous(),
         hidden=tensor_of(hidden, device)[:, None].expand(every).contiguous(),
-        world_of_view=tensor_of(seen, device),
-        placement=torch.empty((len(seen), slots, 12), dtype=torch.float32, device=device),
+        world_of_view=tensor_of(world_of_view, device),
+        placement=torch.empty((len(world_of_view), slots, 12), dtype=torch.float32, device=device),
     )
 
 
 def _check_camera(camera: Camera, size: tuple[int, int]) -> None:
     camera.checked()
     if camera.projection != "perspective":
-        raise InputError(f"The GPU draws perspective cameras; camera {camera.name!r} is {camera.projection}.")
+        raise InputError(f"The GPU renders perspective cameras only; camera {camera.name!r} is {camera.projection}.")
     if (camera.width, camera.height) != size:
         raise InputError(
-            f"Camera {camera.name!r} is {camera.width}x{camera.height}, this renderer draws {size[0]}x{size[1]}."
+            f"Camera {camera.name!r} is {camera.width}x{camera.height}, but this renderer is {size[0]}x{size[1]}."
         )
 
 
 def depth_range(camera: Camera) -> tuple[float, float]:
-    """Depths between which it sees [m]."""
+    """Near and far limits of a camera [m]."""
     return float(camera.near), float(camera.far)
 
 
 def tensor_of(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """An array on the device; records as their bytes."""
+    """An array on the device; structured arrays as bytes, uint32 as int32 (torch lacks most unsigned operations)."""
     import torch
 
     if array.dtype.fields is not None:

@@ -1,1 +1,7 @@
-"""The CPU rasteriser."""
+"""The CPU rasteriser (research/rasteriser.md).
+
+- `cpu`: the back end; `raster`: one image from frustum culling to the visibility buffer; `raster_read`: images from it
+- `raster_draw` (clusters, occlusion culling), `raster_fill` (triangles), `raster_cutouts` (triangles with holes)
+- `raster_simd`, `vectors`: the inner steps as 8-wide LLVM vectors
+- `clusters`: meshes cut into clusters of triangles, its input
+"""

@@ -1,7 +1,7 @@
-"""Meshes as clusters of triangles: the input format of the rasteriser, its building and its refitting.
+"""Meshes as clusters of triangles, the input of the rasteriser: construction, and refitting after a deformation.
 
 A packet holds 8 triangles, lane by lane: ``float32 [9, 8]``, x y z of the three vertices. A cluster is up to 12 packets
-of neighbouring triangles with a bounding box. Lanes left over hold a degenerate triangle, which is never drawn.
+of neighbouring triangles with a bounding box. Unused lanes hold a degenerate triangle, which covers no pixel.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.kernels import kernel
 
 CLUSTER_TRIANGLES = 96
-"""At most; never above 128, because a pixel's word keeps 7 bits for it. 48 and 192 measured the same within noise."""
+"""Largest cluster. At most 128, because a pixel's word keeps 7 bits for it; 48 and 192 measured the same within noise."""
 
 
 class Clusters(NamedTuple):
@@ -25,19 +25,19 @@ class Clusters(NamedTuple):
     triangles: NDArray[np.int32]
     """Mesh triangle of every lane, -1 = padding, shape [P, 8]."""
     first: NDArray[np.int32]
-    """First packet of each cluster and, at the end, the number of packets, shape [C + 1]."""
+    """First packet of each cluster, followed by the number of packets, shape [C + 1]."""
     center: NDArray[np.float64]
-    """Box centres, shape [C, 3] [m]."""
+    """Centres of the bounding boxes, shape [C, 3] [m]."""
     half: NDArray[np.float64]
-    """Half box sizes, shape [C, 3] [m]."""
+    """Half sizes of the bounding boxes, shape [C, 3] [m]."""
 
 
 def build_clusters(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], cut_out: NDArray[np.bool_] | None = None
 ) -> Clusters:
-    """Clusters of a mesh [V, 3], [F, 3] by median splits of the triangles' centres along the longest axis.
+    """Clusters of a mesh [V, 3], [F, 3], by median splits of the triangles' centres along the longest axis.
 
-    Triangles that are cut out (``cut_out`` [F]) share no cluster with others.
+    Triangles with holes (``cut_out`` [F]) get clusters of their own.
     """
     centroids = _centroids(vertices, faces)
     if cut_out is None or not cut_out.any():
@@ -67,7 +67,7 @@ def _centroids(vertices, faces):
 
 @kernel()
 def _select(order, keys, left, right, k):
-    """Reorder ``order[left..right]`` (inclusive) so that the k-th of it by key is in its sorted place (quickselect)."""
+    """Reorders ``order[left..right]`` (inclusive) so that element k is in its sorted position by key (quickselect)."""
     while right > left:
         a, b, c = keys[order[left]], keys[order[(left + right) // 2]], keys[order[right]]
         pivot = max(min(a, b), min(max(a, b), c))
@@ -91,7 +91,7 @@ def _select(order, keys, left, right, k):
 
 @kernel()
 def _split(centroids):
-    """Order of the triangles [F] and the start of each cluster in it, with F at the end, shape [C + 1]."""
+    """Order of the triangles [F], and the start of each cluster in it followed by F, shape [C + 1]."""
     count = len(centroids)
     order = np.arange(count).astype(np.int32)
     starts = np.empty(count // 40 + 2, np.int32)  # a split of 97 leaves at least 41
@@ -126,6 +126,7 @@ def _split(centroids):
 
 @kernel()
 def _lanes(order, starts):
+    """Triangle in every lane [P, 8], and the first packet of each cluster [C + 1]."""
     first = np.zeros(len(starts), np.int32)
     for c in range(len(starts) - 1):
         first[c + 1] = first[c] + (starts[c + 1] - starts[c] + 7) // 8
@@ -138,9 +139,9 @@ def _lanes(order, starts):
 
 @kernel(boundscheck=False)
 def fill_packets(vertices, faces, triangles, first, packets, center, half):
-    """Write soup [P, 9, 8] and boxes [C, 3] for new vertices [V, 3] (also after a deformation: the clusters stay)."""
+    """Fills packets [P, 9, 8] and boxes [C, 3] for vertices [V, 3]; deformed meshes keep their clusters."""
     for c in range(len(first) - 1):
-        corner = faces[triangles[first[c], 0], 0]  # padding collapses to a vertex of the cluster
+        corner = faces[triangles[first[c], 0], 0]  # padding lanes collapse to this vertex
         x0 = x1 = vertices[corner, 0]
         y0 = y1 = vertices[corner, 1]
         z0 = z1 = vertices[corner, 2]
@@ -162,7 +163,7 @@ def fill_packets(vertices, faces, triangles, first, packets, center, half):
 
 
 def enclosing_box(center: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centre and half size of the box around boxes [C, 3], shape [2, 3] [m]; zeros if there are none."""
+    """Centre and half size, shape [2, 3] [m], of the box around boxes [C, 3]; zeros if there are none."""
     if not len(center):
         return np.zeros((2, 3))
     low, high = (center - half).min(0), (center + half).max(0)
@@ -170,10 +171,10 @@ def enclosing_box(center: NDArray[np.float64], half: NDArray[np.float64]) -> NDA
 
 
 def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Group of each vertex, shape [V]: same place and same normal.
+    """Group of each vertex, shape [V]; vertices with equal positions and normals share a group.
 
-    Vertices doubled for a texture seam keep one common normal when the mesh deforms; those doubled for a sharp edge
-    do not.
+    So vertices duplicated for a texture seam keep a common normal when the mesh deforms, and those duplicated for a sharp
+    edge do not.
     """
     if not len(vertices):
         return np.zeros(0, np.int32)
@@ -183,7 +184,7 @@ def normal_groups(vertices: NDArray[np.float32], normals: NDArray[np.float32]) -
 
 @kernel(boundscheck=False)
 def smooth_normals(vertices, faces, groups, sums, normals):
-    """Write unit vertex normals [V, 3]: the faces' normals, weighted by area, summed over each group.
+    """Fills unit vertex normals [V, 3]: area-weighted face normals summed over each group.
 
     ``sums`` float32 [groups, 3] is scratch.
     """

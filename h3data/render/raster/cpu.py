@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.render.camera import Camera
-from h3data.render.pictures import Poses, picture_arrays
+from h3data.render.outputs import Poses, picture_arrays
 from h3data.render.raster.clusters import enclosing_box, fill_packets, smooth_normals
 from h3data.render.raster.raster import Placement, Target, View, new_target, rasterise, reach_of
 from h3data.render.raster.raster_read import read_depth, read_ids, read_parallel_depth, read_triangles
@@ -19,13 +19,13 @@ from h3data.render.scene import RenderScene
 from h3data.render.shade.shading import Light, shade
 
 _KEPT_TARGETS = 4
-"""Buffers are kept for this many picture sizes, by each thread."""
+"""Image sizes for which each thread keeps buffers."""
 
 Targets = dict[tuple[int, int], Target]
 
 
 class CpuEngine:
-    """Draws perspective and orthographic cameras, one picture per thread; the pixels do not depend on their number."""
+    """Renders perspective and orthographic cameras, one image per thread; pixels do not depend on the number of threads."""
 
     def __init__(self, scene: RenderScene, *, light: Light, worlds: int = 1, threads: int = 1) -> None:
         self.scene = scene
@@ -40,7 +40,7 @@ class CpuEngine:
     def _pool(self) -> ThreadPoolExecutor:
         return ThreadPoolExecutor(self.threads, thread_name_prefix="h3data-render")
 
-    # --- what moves ---------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------------
     def set_transforms(self, world: int, instances: NDArray[np.intp], matrices: NDArray[np.float64]) -> None:
         self.worlds[world].set_transforms(instances, matrices)
 
@@ -53,11 +53,15 @@ class CpuEngine:
     def poses(self, world: int) -> Poses:
         return self.worlds[world].poses()
 
-    # --- pictures -----------------------------------------------------------------------------------------------------
+    # --- images -------------------------------------------------------------------------------------------------------
     def render(
-        self, cameras: Sequence[Camera], worlds: Sequence[int], outputs: Sequence[str], samples: int,
+        self,
+        cameras: Sequence[Camera],
+        worlds: Sequence[int],
+        outputs: Sequence[str],
+        samples: int,
         out: Mapping[str, NDArray] | None,
-    ) -> dict[str, NDArray]:  # fmt: skip
+    ) -> dict[str, NDArray]:
         results = picture_arrays(cameras, outputs, out)
         if "rgb" in outputs or "normal" in outputs:
             for world in sorted(set(worlds)):
@@ -97,7 +101,7 @@ class CpuEngine:
         target = targets.pop(size, None)
         if target is None:
             target = new_target(*size, draws=scene.draw_limit, instances=len(scene.instances))
-        targets[size] = target  # the most recent one last
+        targets[size] = target  # most recently used last
         while len(targets) > _KEPT_TARGETS:
             del targets[next(iter(targets))]
         placement = Placement(scene.instance_mesh, world.matrix, world.shown(camera.hidden_layers))
@@ -124,15 +128,22 @@ class CpuEngine:
             self._shade(world, view, target, rgb=picture, normal=normal)
 
     def _shade(
-        self, world: World, view: View, target: Target, *, rgb: NDArray[np.uint8] | None = None,
-        normal: NDArray[np.float32] | None = None, samples: int = 1, light: Light | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        world: World,
+        view: View,
+        target: Target,
+        *,
+        rgb: NDArray[np.uint8] | None = None,
+        normal: NDArray[np.float32] | None = None,
+        samples: int = 1,
+        light: Light | None = None,
+    ) -> None:
         placement = Placement(self.scene.instance_mesh, world.matrix, world.visible)
         shade(world.geometry, world.surface, placement, view, target, light or self.light, rgb, normal, samples)
 
 
 class World:
-    """What moves in one world: poses, what is shown, deformed vertices with their normals."""
+    """The state of one world: transforms, visibility, deformed vertices and their normals."""
 
     def __init__(self, scene: RenderScene) -> None:
         self.scene = scene
@@ -140,9 +151,9 @@ class World:
         self.visible = np.ones(len(scene.instances), np.bool_)
         self.vertices: dict[int, NDArray[np.float32]] = {}
         self.moved = np.isin(scene.instance_mesh, scene.deformable)
-        """Which instances do not stand still, shape [I]."""
+        """Instances that have ever moved or may deform, shape [I]."""
         self.version = 0
-        """Counts the changes."""
+        """Number of changes so far."""
         self.geometry = scene.geometry
         self.surface = scene.surface
         self._stale_normals: set[int] = set()
@@ -158,7 +169,7 @@ class World:
             self.surface = scene.surface._replace(normals=scene.surface.normals.copy())
 
     def shown(self, hidden_layers: tuple[str, ...]) -> NDArray[np.bool_]:
-        """Which instances a camera may see that leaves out layers [I]."""
+        """Visibility of instances [I] for a camera that hides layers."""
         if not hidden_layers:
             return self.visible
         return self.visible & ~np.isin(self.scene.layers, hidden_layers)
@@ -173,7 +184,7 @@ class World:
         self.version += 1
 
     def set_vertices(self, mesh: int, vertices: NDArray[np.float32]) -> None:
-        """Take over the vertices [V, 3] of a deformable mesh (the array is kept)."""
+        """Replaces the vertices [V, 3] of a deformable mesh; keeps the array."""
         scene, geometry = self.scene, self.geometry
         self.vertices[mesh] = vertices
         self.version += 1
@@ -188,7 +199,7 @@ class World:
             self._stale_normals.add(mesh)
 
     def refresh_normals(self) -> None:
-        """Bring the smooth normals of deformed meshes up to date."""
+        """Updates the smooth normals of deformed meshes."""
         for mesh in sorted(self._stale_normals):
             first, end = self.scene.first_vertex[mesh : mesh + 2]
             groups = self.scene.groups[mesh]
@@ -198,12 +209,12 @@ class World:
         self._stale_normals.clear()
 
     def poses(self) -> Poses:
-        """A copy of where everything is."""
+        """A copy of the state."""
         return Poses(self.matrix.copy(), dict(self.vertices), self.visible.copy())
 
 
 def view_of(camera: Camera, *, fine: int = 1) -> View:
-    """A planar camera as the kernels read it, with ``fine`` x ``fine`` as many pixels; ``reach`` is left to the caller."""
+    """A planar camera as the kernels read it, with ``fine`` times as many pixels per axis; the caller sets ``reach``."""
     k = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64) * fine
     pose = np.asarray(camera.pose, np.float64)
     return View(

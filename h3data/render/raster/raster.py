@@ -1,14 +1,18 @@
-"""The rasteriser: clusters of triangles to a buffer of nearness and a visibility buffer. One thread per picture, no GIL.
+"""The rasteriser: from clusters of triangles to a nearness buffer and a visibility buffer. One thread per image, no GIL.
 
-One picture: (1) instances, then their clusters, against the view frustum; (2) the survivors sorted front to back by a
-counting sort; (3) each against the coarse depth of 8x8-pixel tiles, kept lazily; (4) eight triangles at a time set up
-in SIMD (`raster_simd.setup_triangles`); (5) three fillers: small boxes (one block of 8 pixels a row), medium ones (float32
-spans), and everything large, thin or near (homogeneous edge functions in double, which need no clipping: there is no
-near plane unless the camera asks for one), all in `raster_fill`; (6) after all that what is cut out (`raster_cutouts`). A
-pixel's word is ``draw * 128 + triangle within the cluster``, -1 where nothing is.
+Stages of one image:
 
-Nearness is what is linear on the screen and grows towards the camera: 1/z, or ``reach - z`` for an orthographic camera,
-whose rays are parallel.
+1. Cull instances, then their clusters, against the view frustum.
+2. Sort the remaining clusters front to back (counting sort).
+3. Cull each against the coarse depth of 8x8-pixel tiles, which is updated lazily.
+4. Set up eight triangles at a time in SIMD (`raster_simd.setup_triangles`).
+5. Fill them (`raster_fill`): small boxes by one block of 8 pixels per row; medium ones by float32 spans; large, thin or
+   near ones by homogeneous edge functions in double. These need no clipping, so there is no near plane unless the camera
+   asks for one.
+6. Last, draw the triangles with holes (`raster_cutouts`).
+
+A pixel's word in the visibility buffer is ``draw * 128 + triangle within the cluster``, or -1 in the background. Nearness
+is linear on the screen and increases towards the camera: 1/z, or ``reach - z`` for orthographic cameras.
 """
 
 from __future__ import annotations
@@ -38,33 +42,33 @@ from h3data.render.raster.raster_simd import NEAR_M
 
 SORT_BINS = 1024
 FAR_PADDING = 1e30
-"""Nearness of the padding around the picture: nearer than everything, so it never counts as seen through."""
+"""Nearness of the padding around the image: nearer than everything, so that it never fails an occlusion test."""
 SPAN_MARGIN_PX = 0.01
 
 
 class Geometry(NamedTuple):
-    """The triangles of all meshes, and where their clusters lie."""
+    """The triangles of all meshes, and the bounding boxes of meshes and clusters."""
 
     shared_packets: NDArray[np.float32]
-    """Soup of the meshes that never change, shape [P, 9, 8]; shared by all renderers."""
+    """Packets of the meshes that never change, shape [P, 9, 8]; shared by all renderers."""
     own_packets: NDArray[np.float32]
-    """Soup of the deformable meshes, numbered after the shared ones, shape [Q, 9, 8]."""
+    """Packets of the deformable meshes, numbered after the shared ones, shape [Q, 9, 8]."""
     cluster_packets: NDArray[np.int32]
     """First packet and end (exclusive) of each cluster, shape [C, 2]."""
     center: NDArray[np.float64]
-    """Boxes of the clusters: centre, shape [C, 3] [m]."""
+    """Centres of the clusters' boxes, shape [C, 3] [m]."""
     half: NDArray[np.float64]
-    """And half size, shape [C, 3] [m]."""
+    """Half sizes of the clusters' boxes, shape [C, 3] [m]."""
     mesh_first: NDArray[np.int32]
-    """First cluster of each mesh and, at the end, the number of clusters, shape [M + 1]."""
+    """First cluster of each mesh, followed by the number of clusters, shape [M + 1]."""
     mesh_center: NDArray[np.float64]
-    """Boxes of the meshes: centre, shape [M, 3] [m]."""
+    """Centres of the meshes' boxes, shape [M, 3] [m]."""
     mesh_half: NDArray[np.float64]
-    """And half size, shape [M, 3] [m]."""
+    """Half sizes of the meshes' boxes, shape [M, 3] [m]."""
 
 
 class Placement(NamedTuple):
-    """Where the instances are."""
+    """Transforms and visibility of the instances."""
 
     mesh: NDArray[np.int32]
     """Mesh of each instance, shape [I]."""
@@ -82,42 +86,43 @@ class View(NamedTuple):
     eye: NDArray[np.float64]
     """Shape [3] [m]."""
     intrinsics: NDArray[np.float64]
-    """``fx fy cx cy`` [px; orthographic: fx and fy px/m], shape [4]."""
+    """``fx fy cx cy`` [px; orthographic: fx and fy in px/m], shape [4]."""
     width: int
     height: int
     parallel: bool = False
-    """Orthographic."""
+    """Whether the camera is orthographic."""
     near: float = 0.0
-    """What is nearer than this z is cut away [m]."""
+    """Surfaces with a smaller z are cut away [m]."""
     far: float = float("inf")
-    """What is farther counts as nothing [m]."""
+    """Surfaces with a larger z count as background [m]."""
     reach: float = 0.0
-    """Orthographic: nothing is as far as this [m] (`reach_of`)."""
+    """Orthographic cameras: a z beyond all instances [m] (`reach_of`)."""
 
 
 class Target(NamedTuple):
-    """Buffers of one picture size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
+    """Buffers for one image size. Rows and columns are padded, so that blocks of 8 pixels may overrun."""
 
     inv_z: NDArray[np.float32]
-    """Nearness, 0 = nothing, shape [rows, stride] [1/m, orthographic: m]."""
+    """Nearness, 0 = background, shape [rows, stride] [1/m, orthographic: m]."""
     words: NDArray[np.int32]
     """Visibility buffer, shape [rows, stride]."""
     tile_inv_z: NDArray[np.float32]
     """Lower bound of nearness in each tile, shape [rows / 8, ceil(width / 8)]."""
     tile_stale: NDArray[np.uint8]
-    """1 where something was drawn since that bound was taken."""
+    """1 where something was drawn since the bound was computed."""
     draws: NDArray[np.int32]
-    """The clusters of this picture (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
+    """The clusters in this image (columns: INSTANCE, CLUSTER, TILE_...), shape [D, 6]."""
     near: NDArray[np.float32]
-    """Nearest z of each, 0 = at the eye, shape [D] [m]."""
+    """Smallest z of each draw, 0 = at the eye, shape [D] [m]."""
     camera_from_mesh: NDArray[np.float64]
     """Mesh to camera, per instance, shape [I, 3, 4]."""
     pixel_from_mesh: NDArray[np.float32]
-    """The same, its first two rows times the focal lengths; orthographic: the last one leads to nearness, [I, 3, 4]."""
+    """As `camera_from_mesh` with the first two rows times the focal lengths; for orthographic cameras the last row maps to
+    nearness. Shape [I, 3, 4]."""
 
 
 def new_target(width: int, height: int, *, draws: int, instances: int) -> Target:
-    """Buffers for pictures of ``width`` x ``height`` with at most ``draws`` clusters of ``instances`` instances."""
+    """Buffers for images of ``width`` x ``height`` with at most ``draws`` clusters of ``instances`` instances."""
     rows, columns = -(-height // TILE) * TILE, -(-width // TILE) * TILE
     stride = columns + TILE
     return Target(
@@ -133,7 +138,7 @@ def new_target(width: int, height: int, *, draws: int, instances: int) -> Target
 
 
 def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
-    """A z [m] that nothing shown reaches, at most a little more than ``view.far``."""
+    """A z [m] slightly beyond all visible instances or ``view.far``, whichever is nearer."""
     forward = view.axes[:, 2]
     rows = np.einsum("r,irc->ic", forward, placement.matrix)
     with np.errstate(all="ignore"):
@@ -145,7 +150,7 @@ def reach_of(geometry: Geometry, placement: Placement, view: View) -> float:
 
 @kernel(error_model="numpy", boundscheck=False)
 def rasterise(geometry, cutouts, placement, view, target):
-    """Draw one picture into ``target``; returns the number of clusters in the frustum."""
+    """Renders one image into ``target``; returns the number of clusters in the frustum."""
     _clear(target, view.width, view.height)
     count = _collect(geometry, placement, view, target)
     order = _front_to_back(target.near, count)
@@ -183,7 +188,7 @@ def _cut_far(view, target):
 # --- frustum --------------------------------------------------------------------------------------------------------
 @njit(nogil=True, forceinline=True)
 def _outside(planes, center, half, box):
-    """Whether a box lies wholly behind one of the 5 planes [5, 4]. NaN counts as outside."""
+    """Whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
     for k in range(5):
         distance = planes[k, 3]
         for a in range(3):
@@ -195,7 +200,7 @@ def _outside(planes, center, half, box):
 
 @njit(nogil=True, forceinline=True)
 def _pixel_span(middle, extent, near, far, focal, principal, size):
-    """Pixel coordinates between which a camera-space interval at depths near..far appears, cut to the picture."""
+    """Range of pixel coordinates covered by a camera-space interval at depths near..far, clipped to the image."""
     low, high = middle - extent, middle + extent
     low = low / (near if low < 0 else far) * focal + principal
     high = high / (near if high > 0 else far) * focal + principal
@@ -204,7 +209,7 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
 
 @njit(nogil=True)
 def _place(i, matrix, view, target, planes):
-    """Write the instance's matrices to camera space and to pixels, and the frustum's planes in its mesh's frame."""
+    """Fills an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
     fx, fy, cx, cy = view.intrinsics
     to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
     for c in range(4):
@@ -225,7 +230,10 @@ def _place(i, matrix, view, target, planes):
 
 @njit(nogil=True)
 def _place_parallel(i, view, target, planes):
-    """Change what `_place` wrote: pixels are x and y, not over z. (Apart from it, which stays four columns in one.)"""
+    """Adapts the result of `_place` to an orthographic camera, whose pixels do not depend on z.
+
+    Kept apart from `_place`, so that its loop stays four columns in one vector.
+    """
     fx, fy, cx, cy = view.intrinsics
     to_camera, to_pixel = target.camera_from_mesh[i], target.pixel_from_mesh[i]
     for c in range(4):
@@ -237,12 +245,12 @@ def _place_parallel(i, view, target, planes):
 
 @njit(nogil=True)
 def _collect(geometry, placement, view, target):
-    """List the clusters inside the frustum with their tiles and nearest z; returns how many."""
+    """Fills the draws with the clusters inside the frustum, their tiles and smallest z; returns their number."""
     fx, fy, cx, cy = view.intrinsics
     width, height = float(view.width), float(view.height)
     draws, near, center, half = target.draws, target.near, geometry.center, geometry.half
     planes = np.empty((5, 4))
-    box = np.empty((3, 2))  # camera-space middle and extent, per axis
+    box = np.empty((3, 2))  # camera-space centre and half extent, per axis
     count = 0
     for i in range(len(placement.mesh)):
         if not placement.shown[i]:
@@ -265,7 +273,7 @@ def _collect(geometry, placement, view, target):
             z0, z1 = max(box[2, 0] - box[2, 1], view.near), box[2, 0] + box[2, 1]
             left, right, top, bottom = 0.0, width - 0.5, 0.0, height - 0.5
             if z0 < NEAR_M and not view.parallel:
-                z0 = 0.0  # at the eye: it may cover anything and is never skipped
+                z0 = 0.0  # at the eye: may cover any pixel, and is never culled
             else:
                 w0, w1 = (1.0, 1.0) if view.parallel else (z0, z1)
                 left, right = _pixel_span(box[0, 0], box[0, 1], w0, w1, fx, cx, width)
@@ -282,7 +290,7 @@ def _collect(geometry, placement, view, target):
 
 @njit(nogil=True)
 def _front_to_back(near, count):
-    """Indices of the draws by nearest z (counting sort: stable, so the same picture every time)."""
+    """Indices of the draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
     furthest = np.float32(1e-6)
     for k in range(count):
         furthest = max(furthest, near[k])

@@ -1,4 +1,4 @@
-"""The rasteriser's pass for triangles that are cut out: after all others, exactly, a look at the texture for each pixel."""
+"""The rasteriser's last pass: triangles with holes, filled exactly, with a look-up in the texture for each pixel."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from h3data.render.shade.cutouts import is_solid
 
 @njit(nogil=True)
 def draw_cutouts(geometry, cutouts, view, target, order):
-    """Draw the clusters that are cut out, in this order; what they pass through the near plane is cut there too."""
+    """Draws the clusters with holes in the given order, clipped at the near plane."""
     row_bytes = np.uintp(target.inv_z.shape[1] * 4)
     inv_z_at = np.uintp(target.inv_z.ctypes.data)
     matrices_at = np.uintp(target.pixel_from_mesh.ctypes.data)
@@ -90,7 +90,7 @@ def draw_cutouts(geometry, cutouts, view, target, order):
 
 @njit(nogil=True, error_model="numpy")
 def fill_cutout(p, view, is_near, box, target, word, cutouts, place, lane):
-    """As `raster_fill.fill_large`, where the texture is solid and not before the near plane. Changes ``p``."""
+    """Like `raster_fill.fill_large`, but only where the texture is solid and behind the near plane. Modifies ``p``."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
     if is_near:
         x0, x1, y0, y1 = visible_box(p, view)

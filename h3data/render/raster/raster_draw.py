@@ -1,4 +1,4 @@
-"""The rasteriser's last stage: clusters in order of distance against the coarse depth, their triangles to the fillers."""
+"""Clusters in front-to-back order: occlusion culling against the coarse depth, and dispatch of triangles to the fillers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from h3data.render.raster.raster_simd import (
 TILE = 8
 PACKET_BYTES = 9 * 8 * 4
 OCCLUSION_MARGIN = np.float32(1.00001)
-"""Only what is hidden by more than rounding is skipped."""
+"""Factor on nearness in occlusion tests, so that rounding never culls a visible triangle."""
 
 # Columns of `Target.draws`.
 INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
@@ -36,13 +36,13 @@ INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
 
 @njit(nogil=True, forceinline=True, error_model="numpy")
 def nearness_of(z, view):
-    """What the buffer holds at this z."""
+    """Nearness at depth ``z``."""
     return view.reach - z if view.parallel else 1 / z
 
 
 @njit(nogil=True)
 def screen_words(view):
-    """What `setup_triangles` reads of the camera."""
+    """The camera's parameters for `setup_triangles`."""
     screen = np.empty(SCREEN_WORDS, np.float32)
     screen[CENTER_X], screen[CENTER_Y] = view.intrinsics[2], view.intrinsics[3]
     screen[SCREEN_WIDTH], screen[SCREEN_HEIGHT] = view.width, view.height
@@ -51,7 +51,7 @@ def screen_words(view):
 
 @njit(nogil=True)
 def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
-    """Whether everything in these tiles is nearer than the nearness ``inv_z``; refreshes stale tiles on the way."""
+    """Whether all pixels in a range of tiles are nearer than ``inv_z``; updates stale bounds as needed."""
     for ty in range(tile_y0, tile_y1 + 1):
         for tx in range(tile_x0, tile_x1 + 1):
             if bounds[ty, tx] >= inv_z:
@@ -67,8 +67,7 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
 
 @njit(nogil=True)
 def draw_clusters(geometry, cut_first, view, target, order):
-    """Draw the clusters in this order, but for those that pass through the near plane or are cut out (``cut_first`` [C]
-    is not -1)."""
+    """Draws the clusters in the given order, without those that cross the near plane or have holes (``cut_first`` >= 0)."""
     stride = target.inv_z.shape[1]
     row_bytes = np.uintp(stride * 4)
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
@@ -89,9 +88,9 @@ def draw_clusters(geometry, cut_first, view, target, order):
         tile_y0, tile_y1 = target.draws[draw, TILE_Y0], target.draws[draw, TILE_Y1]
         near = target.near[draw]
         if cuts and near <= np.float32(view.near):
-            continue  # `draw_cut` follows
+            continue  # left to `draw_cut`
         if cuts_out and cut_first[cluster] >= 0:
-            continue  # `draw_cutouts` follows
+            continue  # left to `draw_cutouts`
         if near > 0 or view.parallel:
             nearest = np.float32(nearness_of(near, view)) * OCCLUSION_MARGIN
             if hidden(tile_x0, tile_x1, tile_y0, tile_y1, nearest, bounds, stale, inv_z_at, row_bytes):
@@ -137,13 +136,13 @@ def draw_clusters(geometry, cut_first, view, target, order):
 
 @njit(nogil=True, forceinline=True)
 def has_near_plane(view):
-    """Whether triangles are cut; a perspective camera without one sees up to its eye."""
+    """Whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
     return view.near > 0 or view.parallel
 
 
 @njit(nogil=True)
 def draw_cut(geometry, cut_first, view, target, order):
-    """Draw the clusters that pass through the near plane, which `draw_clusters` leaves out: exactly, one by one."""
+    """Draws the clusters that cross the near plane, which `draw_clusters` skips: clipped and filled one by one."""
     stride = target.inv_z.shape[1]
     inv_z_at, words_at = np.uintp(target.inv_z.ctypes.data), np.uintp(target.words.ctypes.data)
     shared_count = len(geometry.shared_packets)
@@ -166,7 +165,7 @@ def draw_cut(geometry, cut_first, view, target, order):
 
 @njit(nogil=True, forceinline=True)
 def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
-    """As `hidden`, of one triangle of a packet that is set up."""
+    """`hidden` for one triangle of a packet after set-up."""
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN
     x0, x1, y0, y1 = boxes[X0, lane] >> 3, boxes[X1, lane] >> 3, boxes[Y0, lane] >> 3, boxes[Y1, lane] >> 3
     return hidden(x0, x1, y0, y1, nearest, bounds, stale, inv_z_at, row_bytes)

@@ -1,4 +1,4 @@
-"""The three fillers of the rasteriser: from a triangle's edge functions to blocks of 8 pixels."""
+"""The rasteriser's three fillers, which turn a triangle's edge functions into blocks of 8 pixels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from h3data.render.raster.raster_simd import (
 
 @njit(nogil=True, forceinline=True)
 def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """At most 8 pixels wide: one block a row."""
+    """Fills a triangle at most 8 pixels wide with one block per row."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
     e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
     y0, y1 = boxes[Y0, lane], boxes[Y1, lane]
@@ -46,7 +46,10 @@ def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @njit(nogil=True, forceinline=True, error_model="numpy")
 def _cut(low, high, edge, step, minus_inverse):
-    """Cut the span low..high to where ``edge + step * x >= 0``. A zero step gives -inf or +inf (never NaN > or <)."""
+    """The part of the span low..high where ``edge + step * x >= 0``.
+
+    A zero step makes the crossing infinite or NaN; comparisons with NaN are false, which leaves the span unchanged.
+    """
     crossing = edge * minus_inverse
     if step >= 0:
         if crossing > low:
@@ -58,7 +61,7 @@ def _cut(low, high, edge, step, minus_inverse):
 
 @njit(nogil=True, forceinline=True, error_model="numpy")
 def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
-    """Up to 64 pixels: the row's span in float32, then blocks over it (which test exactly)."""
+    """Fills a triangle up to 64 pixels wide and high: float32 spans per row, then blocks, which test each pixel."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
     e0_dx, e1_dx, e2_dx, inv_z_dx = table[E0_DX, lane], table[E1_DX, lane], table[E2_DX, lane], table[INV_Z_DX, lane]
     minus_one, zero = np.float32(-1), np.float32(0)
@@ -98,7 +101,7 @@ def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
 
 @njit(nogil=True, forceinline=True)
 def camera_corners(soup, to_camera, corners):
-    """Write the triangle's corners in camera space [9]; returns the smallest z."""
+    """Fills the triangle's corners in camera space [9]; returns the smallest z."""
     nearest = np.inf
     for v in range(3):
         for r in range(3):
@@ -114,7 +117,7 @@ def camera_corners(soup, to_camera, corners):
 
 @njit(nogil=True, error_model="numpy")
 def clip_near(pieces, near):
-    """Cut the triangle pieces[0] in camera space at z = near into 0 to 2 triangles [2, 9]; returns how many."""
+    """Clips the triangle pieces[0] in camera space at z = near to 0 to 2 triangles [2, 9]; returns their number."""
     polygon, count, corners = np.empty((4, 3)), 0, pieces[0]
     for v in range(3):
         a, b = corners[3 * v : 3 * v + 3], corners[3 * ((v + 1) % 3) : 3 * ((v + 1) % 3) + 3]
@@ -134,7 +137,7 @@ def clip_near(pieces, near):
 
 @njit(nogil=True)
 def visible_box(p, view):
-    """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye's plane."""
+    """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye plane."""
     fx, fy, cx, cy = view.intrinsics
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
     smallest_z = 1e-4
@@ -161,7 +164,7 @@ def visible_box(p, view):
 
 @njit(nogil=True, forceinline=True)
 def cut_exact(low, high, edge, step, minus_inverse):
-    """As `_cut`, in double; a zero step keeps all or nothing."""
+    """Like `_cut`, in double; a zero step keeps the whole span or nothing."""
     crossing = edge * minus_inverse
     if step > 0:
         return (crossing if crossing > low else low), high
@@ -172,14 +175,14 @@ def cut_exact(low, high, edge, step, minus_inverse):
 
 @njit(nogil=True, inline="always", error_model="numpy")
 def edge_functions(p, view, x0, y0):
-    """Homogeneous edge functions of a triangle [9] in camera space (Olano & Greer 1997) and its nearness, in double.
+    """Homogeneous edge functions (Olano & Greer 1997) and nearness of a triangle [9] in camera space, in double.
 
-    Whether it has an area; the three barycentrics over z (orthographic: the barycentrics) and nearness at pixel (x0, y0);
-    what they change by from pixel to pixel to the right; and downwards.
+    Returns whether the triangle has an area; the three barycentrics over z (orthographic: the barycentrics) and nearness
+    at pixel (x0, y0); their increments per pixel to the right; and their increments per pixel downwards.
 
-    The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1). For an
-    orthographic camera 1 stands in the place of z there, and nearness follows from the corners'. Changes ``p``. (Inlined by
-    numba: left to LLVM, small pictures take 5 % longer.)
+    The rows of the inverse of [p0 p1 p2] give each barycentric over z as a linear function of the ray (u, v, 1). For
+    orthographic cameras, 1 takes the place of z, and nearness is interpolated between the corners. Modifies ``p``.
+    Inlined by numba, because leaving it to LLVM makes small images 5% slower.
     """
     fx, fy, cx, cy = view.intrinsics
     start, to_second, to_third = view.reach - p[2], p[2] - p[5], p[2] - p[8]
@@ -190,7 +193,7 @@ def edge_functions(p, view, x0, y0):
     gx, gy, gz = p[1] * p[5] - p[2] * p[4], p[2] * p[3] - p[0] * p[5], p[0] * p[4] - p[1] * p[3]
     determinant = p[0] * ax + p[1] * ay + p[2] * az
     k = 1 / determinant
-    # 1/z from the edge vectors: their normal does not suffer from cancellation
+    # 1/z from the normal of the edge vectors, which avoids cancellation
     sx, sy, sz = p[3] - p[0], p[4] - p[1], p[5] - p[2]
     tx, ty, tz = p[6] - p[0], p[7] - p[1], p[8] - p[2]
     nx, ny, nz = (sy * tz - sz * ty) * k, (sz * tx - sx * tz) * k, (sx * ty - sy * tx) * k
@@ -202,7 +205,7 @@ def edge_functions(p, view, x0, y0):
     u, v = (x0 + 0.5 - cx) * per_x, (y0 + 0.5 - cy) * per_y
     d0, d1, d2, dw = ax * k * per_x, bx * k * per_x, gx * k * per_x, nx * per_x
     c0, c1, c2, cw = ay * k * per_y, by * k * per_y, gy * k * per_y, ny * per_y
-    # generous by 1e-5 pixel, against cracks
+    # enlarged by 1e-5 pixel, against cracks
     e0 = (ax * u + ay * v + az) * k + 1e-5 * (abs(d0) + abs(c0))
     e1 = (bx * u + by * v + bz) * k + 1e-5 * (abs(d1) + abs(c1))
     e2 = (gx * u + gy * v + gz) * k + 1e-5 * (abs(d2) + abs(c2))
@@ -212,7 +215,7 @@ def edge_functions(p, view, x0, y0):
 
 @njit(nogil=True, error_model="numpy")
 def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
-    """Any triangle [9] in camera space by `edge_functions`: it needs no clipping. Changes ``p``."""
+    """Fills any triangle [9] in camera space by `edge_functions`, which need no clipping. Modifies ``p``."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])
     if is_near:
         x0, x1, y0, y1 = visible_box(p, view)

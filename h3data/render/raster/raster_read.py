@@ -1,4 +1,4 @@
-"""Pictures out of a drawn target: depth, ids and triangles."""
+"""Depth, ids and triangles from a rendered target."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from h3data.render.raster.raster import CLUSTER, INSTANCE
 
 @kernel(error_model="numpy", boundscheck=False)
 def read_depth(inv_z, depth):
-    """Write z-depth [H, W] [m], 0 where nothing is."""
+    """Fills z-depth [H, W] [m], 0 in the background."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             w = inv_z[y, x]
@@ -19,7 +19,7 @@ def read_depth(inv_z, depth):
 
 @kernel(boundscheck=False)
 def read_parallel_depth(nearness, reach, depth):
-    """As `read_depth`, of an orthographic camera."""
+    """`read_depth` for an orthographic camera."""
     for y in range(depth.shape[0]):
         for x in range(depth.shape[1]):
             w = nearness[y, x]
@@ -28,7 +28,7 @@ def read_parallel_depth(nearness, reach, depth):
 
 @kernel(boundscheck=False)
 def read_ids(words, draws, ids_of_instances, ids):
-    """Write an id per pixel [H, W] from a table per instance [I]; -1 where nothing is."""
+    """Fills an id per pixel [H, W] from a table per instance [I], -1 in the background."""
     for y in range(ids.shape[0]):
         for x in range(ids.shape[1]):
             word = words[y, x]
@@ -37,7 +37,7 @@ def read_ids(words, draws, ids_of_instances, ids):
 
 @kernel(boundscheck=False)
 def read_triangles(words, draws, cluster_packets, packet_triangles, triangles):
-    """Write the mesh's triangle per pixel [H, W]; -1 where nothing is."""
+    """Fills the mesh's triangle per pixel [H, W], -1 in the background."""
     for y in range(triangles.shape[0]):
         for x in range(triangles.shape[1]):
             word = words[y, x]

@@ -1,4 +1,4 @@
-"""The rasteriser's inner steps as 8-wide numba intrinsics: set up 8 triangles, draw 8 pixels, 8x8 minimum."""
+"""The rasteriser's inner steps as 8-wide numba intrinsics: set-up of 8 triangles, 8 pixels, minimum of an 8x8 tile."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numba import types
 from h3data.render.raster.vectors import FLOAT, INT, INT8, LANES, Vec, fma, intrinsic, lanes, load, splat, store
 
 NEAR_M = 0.02
-"""Triangles that come nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
+"""Triangles nearer than this [m] take the exact homogeneous path. Not a near plane: nothing is cut away."""
 MEDIUM_PX = 64
-"""Widest and highest pixel box of the float32 span path."""
+"""Largest width and height of pixel boxes on the float32 span path."""
 
 # Rows of the table that `setup_triangles` writes, 8 lanes each.
 E0, E1, E2, INV_Z = 0, 1, 2, 3  # edge values and nearness at the first pixel centre of the box
-E0_DX, E1_DX, E2_DX, INV_Z_DX = 4, 5, 6, 7  # their steps to the right
-E0_DY, E1_DY, E2_DY, INV_Z_DY = 8, 9, 10, 11  # and downwards
+E0_DX, E1_DX, E2_DX, INV_Z_DX = 4, 5, 6, 7  # their increments per pixel to the right
+E0_DY, E1_DY, E2_DY, INV_Z_DY = 8, 9, 10, 11  # their increments per pixel downwards
 X0, X1, Y0, Y1 = 12, 13, 14, 15  # the box, inclusive; int32 in the same words
-INV_Z_MAX = 16  # of the nearest vertex
+INV_Z_MAX = 16  # nearness of the nearest vertex
 SETUP_ROWS = 17
-# Float32 words that all packets of a picture share.
+# Float32 words shared by all packets of an image.
 CENTER_X, CENTER_Y, SCREEN_WIDTH, SCREEN_HEIGHT = range(4)
 SCREEN_WORDS = 4
 
@@ -38,7 +38,7 @@ def count_trailing_zeros(typing_context, bits):
 
 @intrinsic
 def tile_minimum(typing_context, address, row_bytes):
-    """Smallest float32 of the 8x8 block at ``address``."""
+    """Smallest float32 in the 8x8 block at ``address``."""
 
     def codegen(context, builder, signature, arguments):
         address, row_bytes = arguments
@@ -60,7 +60,7 @@ _f, _p, _i = types.float32, types.uintp, types.int32
 
 @intrinsic
 def blend_block(typing_context, inv_z_at, word_at, e0, e1, e2, inv_z, e0_dx, e1_dx, e2_dx, inv_z_dx, word):
-    """Draw 8 pixels of one row: where no edge value is negative and nearness is larger than the buffer's."""
+    """Writes nearness and word of 8 pixels in a row where no edge value is negative and nearness exceeds the buffer's."""
 
     def codegen(context, builder, signature, arguments):
         inv_z_at, word_at, *values, word = arguments
@@ -88,6 +88,7 @@ def _largest(v: list[Vec]) -> Vec:
 
 
 def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at: Any, *, parallel: bool) -> Any:
+    """See `setup_triangles`."""
     m = [Vec(b, splat(b, load(b, matrix_at, 4 * k, FLOAT))) for k in range(12)]
     screen = [Vec(b, splat(b, load(b, screen_at, 4 * k, FLOAT))) for k in range(SCREEN_WORDS)]
     center_x, center_y, width, height = screen
@@ -98,7 +99,7 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
     for vertex in range(3):
         px, py, pz = (Vec(b, load(b, packet_at, 32 * (3 * vertex + axis))) for axis in range(3))
         qx, qy, qz = (fma(m[4 * r], px, fma(m[4 * r + 1], py, fma(m[4 * r + 2], pz, m[4 * r + 3]))) for r in range(3))
-        if parallel:  # the matrix gives pixels and nearness
+        if parallel:  # the matrix maps to pixels and nearness directly
             x.append(qx + center_x)
             y.append(qy + center_y)
             w.append(qz)
@@ -117,7 +118,7 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
 
     # Barycentrics of vertices 1 and 2 and nearness, as linear functions of the pixel.
     ax, ay, bx, by = x[1] - x[0], y[1] - y[0], x[2] - x[0], y[2] - y[0]
-    area = ax * by - bx * ay  # doubled, signed
+    area = ax * by - bx * ay  # twice the signed area
     inv_area = area.reciprocal()
     e1_dx, e1_dy = by * inv_area + 0.0, -(bx * inv_area)  # + 0.0: no -0.0 may reach the span division
     e2_dx, e2_dy = -(ay * inv_area) + 0.0, ax * inv_area
@@ -130,7 +131,7 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
     inv_z = fma(e1, w1, fma(e2, w2, w[0]))
     inv_z_dx, inv_z_dy = fma(e1_dx, w1, e2_dx * w2), fma(e1_dy, w1, e2_dy * w2)
 
-    # The inside test is a little generous, so that no cracks open: 1e-6, and more for slivers, whose floats err more.
+    # The inside test is slightly enlarged against cracks: by 1e-6, and by more for slivers, whose rounding is worse.
     length2 = fma(ax, ax, fma(ay, ay, fma(bx, bx, by * by)))
     sliverness = length2 * inv_area.unary("fabs")
     tolerance = fma(sliverness, 2e-7, 1e-6)
@@ -141,7 +142,7 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
     hit = e0.minimum(e1).minimum(e2).compare(">=", 0.0)
     drawn = across.compare(">=", 0.0) & down.compare(">=", 0.0) & (~one_pixel | hit) & area.compare("!=", 0.0)
     small = across.compare("<", 8.0) & down.compare("<", 32.0)
-    # float32 is good enough: mild perspective, no sliver, not too large
+    # float32 suffices for triangles with mild perspective that are neither slivers nor too large
     fine = sliverness.compare("<", 64.0)
     if not parallel:
         fine = fine & _largest(w).compare("<", _smallest(w) * 4.0)
@@ -167,11 +168,11 @@ def _emit_setup(b: Any, packet_at: Any, matrix_at: Any, screen_at: Any, table_at
 
 @intrinsic
 def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """Transform, project, cull and set up the 8 triangles of one packet.
+    """Transforms, projects, culls and sets up the 8 triangles of one packet.
 
-    Addresses of: the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera space with its first
-    two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS, 8]. Returns three masks
-    of the triangles that remain: bits 0-7 small, 8-15 large, sliver or near the eye, 16-23 medium.
+    Takes the addresses of the packet (9 rows x 8 lanes: x y z of three vertices), the 3x4 matrix to camera space with its
+    first two rows times the focal lengths, the words of the screen, and the output table [SETUP_ROWS, 8]. Returns three
+    masks of the remaining triangles: bits 0-7 small; 8-15 large, sliver or near the eye; 16-23 medium.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -182,7 +183,7 @@ def setup_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
 
 @intrinsic
 def setup_parallel_triangles(typing_context, packet_at, matrix_at, screen_at, table_at):
-    """As `setup_triangles` for an orthographic camera; the last row of the matrix leads to nearness."""
+    """`setup_triangles` for an orthographic camera; the last row of the matrix maps to nearness."""
 
     def codegen(context, builder, signature, arguments):
         return _emit_setup(builder, *arguments, parallel=True)

@@ -1,6 +1,6 @@
 """Eight float32 at a time in numba: a small algebra that emits ``<8 x float>`` LLVM IR inside intrinsics.
 
-Nothing relies on the auto-vectoriser or on a C compiler; LLVM lowers the vectors to whatever the machine has.
+It depends neither on the auto-vectoriser nor on a C compiler; LLVM lowers the vectors to whatever the machine offers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ INT8 = ir.VectorType(INT, LANES)
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:
-    """numba's decorator; typed, since callers leave out the first argument (the typing context)."""
+    """numba's decorator, typed as `Any` because callers omit the first parameter (the typing context)."""
     return _numba_intrinsic(function)
 
 
@@ -68,7 +68,7 @@ class Vec:
         return self._binary("fmul", other)
 
     def __neg__(self) -> Vec:
-        # 0 - x, not a flipped sign: -(+0) must be +0, because the span code divides by these numbers
+        # 0 - x instead of fneg: -(+0) must be +0, because the span code divides by these numbers
         return Vec(self.builder, self.builder.fsub(self._lift(0.0), self.value))
 
     def reciprocal(self) -> Vec:
@@ -103,12 +103,12 @@ def fma(x: Vec, y: Vec | float, z: Vec | float) -> Vec:
 
 
 def lanes(builder: Any) -> Vec:
-    """0 1 2 3 4 5 6 7."""
+    """The lane indices 0 to 7."""
     return Vec(builder, ir.Constant(FLOAT8, [float(k) for k in range(LANES)]))
 
 
 def splat(builder: Any, scalar: Any, vector_type: Any = FLOAT8) -> Any:
-    """A scalar in all eight lanes."""
+    """A scalar broadcast to all eight lanes."""
     undefined = ir.Constant(vector_type, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(INT, 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(INT8, [0] * LANES))
@@ -123,18 +123,21 @@ def load(builder: Any, address: Any, offset: int = 0, kind: Any = FLOAT8) -> Any
 
 
 def store(builder: Any, value: Any, address: Any, offset: int = 0) -> None:
-    """Write a value to ``address + offset`` bytes."""
+    """Writes a value to ``address + offset`` bytes."""
     pointer = builder.inttoptr(builder.add(address, ir.Constant(INT64, offset)), value.type.as_pointer())
     builder.store(value, pointer).align = 4
 
 
 def pick(builder: Any, low: Any, high: Any, order: Sequence[int]) -> Any:
-    """The lanes ``order`` of two vectors: 0-7 from ``low``, 8-15 from ``high``."""
+    """Lanes of two vectors in the given order: 0-7 are those of ``low``, 8-15 those of ``high``."""
     return builder.shuffle_vector(low, high, ir.Constant(INT8, list(order)))
 
 
 def gather(builder: Any, address: Any, index: Any) -> Any:
-    """The float32 number ``index[lane]`` after ``address``, per lane. Eight loads: no slower than the machine's gather."""
+    """The float32 number ``index[lane]`` of the array at ``address``, per lane.
+
+    Eight scalar loads measured no slower than the machine's gather instruction.
+    """
     out = ir.Constant(FLOAT8, ir.Undefined)
     for lane in range(LANES):
         number = builder.zext(builder.extract_element(index, ir.Constant(INT, lane)), INT64)

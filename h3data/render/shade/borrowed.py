@@ -1,4 +1,4 @@
-"""Arrays that a kernel only borrows: without reference counts, whose atomic operations cost more than small functions do."""
+"""Arrays without reference counts, whose atomic operations would cost more than the small functions that use them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from h3data.render.raster.vectors import intrinsic
 
 @intrinsic
 def borrowed(typing_context, value):
-    """The same array, or tuple of such, that no longer keeps its memory alive; who called the kernel does.
+    """The same array, or tuple of arrays, without ownership of its memory; the caller must keep it alive.
 
-    Numba counts a reference whenever an array is taken out of a tuple.
+    Numba increments a reference count whenever an array is taken out of a tuple.
     """
 
     def codegen(context, builder, signature, arguments):

@@ -1,8 +1,8 @@
-"""Cut-outs: a texture that is partly clear leaves holes where it is less than half opaque, in every output.
+"""Cut-outs: where a texture is less than half opaque, the surface has a hole in every output.
 
-Only triangles whose texture has a hole where they lie are *cut out*; they have clusters of their own, which the rasteriser
-draws after all others, pixel by pixel. Opacity is taken bilinearly from the finest level: whether a point is solid must not
-depend on who looks from how far. A texture that is nowhere half opaque, a tinted pane, is drawn whole.
+Only triangles that overlap a hole of their texture are *cut out*; they have clusters of their own, which the rasteriser
+draws after all others, pixel by pixel. Opacity is interpolated bilinearly in the finest mip level, because whether a point
+is solid must not depend on the viewing distance. A texture that is nowhere half opaque (a tinted pane) has no holes.
 """
 
 from __future__ import annotations
@@ -19,31 +19,34 @@ from h3data.mesh.records import Texture
 from h3data.render.shade.surface import Surface
 
 SOLID = 127.5
-"""Opacity 0..255 from which on a surface is there."""
+"""Smallest opacity, 0..255, of a solid surface."""
 
 
 class Cutouts(NamedTuple):
-    """The clusters that are cut out, as the rasteriser reads them."""
+    """The cut-out clusters, as the rasteriser reads them."""
 
     first: NDArray[np.int32]
-    """Of each cluster: row of its first packet below, -1 = not cut out, shape [C], or [0] if none is."""
+    """Row of each cluster's first packet in the arrays below, -1 = not cut out; shape [C], or [0] if there are none."""
     uv: NDArray[np.float32]
     """Texture coordinates of packets, s t of the three vertices [repeats], shape [Q, 6, 8]."""
     textures: NDArray[np.int32]
     """Texture of every lane, -1 = padding, shape [Q, 8]."""
     maps: NDArray[np.int32]
-    """Of every texture: its first value in ``opacity`` (-1 = no holes) and its size [texels], shape [T, 3]."""
+    """Each texture's first value in ``opacity`` (-1 = no holes), width and height [texels], shape [T, 3]."""
     opacity: NDArray[np.uint8]
-    """Opacity of the textures with holes, row by row; each has its first column and row again at the end, shape [O]."""
+    """Opacity of the textures with holes, row by row, with the first column and row repeated at the end, shape [O]."""
 
 
 def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Which triangles, given their texture coordinates [F, 3, 2], may lie over a hole of a texture [H, W, 4], shape [F]."""
+    """Whether triangles with texture coordinates [F, 3, 2] may overlap a hole of a texture [H, W, 4], shape [F].
+
+    Conservative: counts clear texels in the triangles' bounding boxes by a summed-area table.
+    """
     opacity = pixels[..., 3]
     if not len(uv) or not has_holes(opacity):
         return np.zeros(len(uv), np.bool_)
     clear, size = opacity < SOLID, np.array(opacity.shape[::-1])
-    low = np.floor(np.clip(uv.min(1), -1e6, 1e6) * size - 0.5).astype(np.int64)  # the texels that may be blended
+    low = np.floor(np.clip(uv.min(1), -1e6, 1e6) * size - 0.5).astype(np.int64)  # range of texels that may contribute
     high = np.floor(np.clip(uv.max(1), -1e6, 1e6) * size - 0.5).astype(np.int64) + 1
     x0, y0 = (low % size).T
     x1, y1 = (low % size + np.minimum(high - low + 1, size)).T
@@ -51,7 +54,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
     clear.cumsum(0, dtype=np.int32).cumsum(1, out=count[1:, 1:])
 
     def before(y: NDArray[np.int64], x: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Clear texels in rows below y and columns below x of the repeated texture."""
+        """Number of clear texels in rows below y and columns below x of the repeated texture."""
         (rows, y), (columns, x) = np.divmod(y, clear.shape[0]), np.divmod(x, clear.shape[1])
         return rows * (columns * np.int64(count[-1, -1]) + count[-1, x]) + columns * count[y, -1] + count[y, x]
 
@@ -59,7 +62,7 @@ def cut_out_faces(uv: NDArray[np.floating], pixels: NDArray[np.uint8]) -> NDArra
 
 
 def no_cutouts() -> Cutouts:
-    """The tables of a scene in which nothing is cut out: all are empty."""
+    """Empty tables, for a scene without cut-outs."""
     return Cutouts(
         first=np.zeros(0, np.int32),
         uv=np.zeros((0, 6, 8), np.float32),
@@ -72,7 +75,7 @@ def no_cutouts() -> Cutouts:
 def pack_cutouts(
     cut_out: NDArray[np.bool_], surface: Surface, cluster_packets: NDArray[np.int32], textures: Sequence[Texture]
 ) -> Cutouts:
-    """The tables of a scene; ``cut_out`` [F] says which faces are: of a cluster all or none."""
+    """The tables of a scene; ``cut_out`` [F] marks the cut-out faces, all or none of each cluster."""
     if not cut_out.any():
         return no_cutouts()
     chosen = np.flatnonzero(cut_out[surface.packet_faces[cluster_packets[:, 0], 0]])
@@ -81,7 +84,7 @@ def pack_cutouts(
     first[chosen] = np.cumsum([0, *map(len, packets[:-1])])
     lanes = surface.packet_faces[np.concatenate(packets)]  # [Q, 8]
     corners = surface.uv[surface.faces[np.maximum(lanes, 0)]].astype(np.float64)  # [Q, 8, 3, 2]
-    corners -= np.floor(corners[:, :, :1])  # near 0, for the sake of float32
+    corners -= np.floor(corners[:, :, :1])  # close to 0, for precision in float32
     maps, opacity = pack_opacity(textures)
     return Cutouts(
         first=first,
@@ -111,7 +114,10 @@ def has_holes(opacity: NDArray[np.uint8]) -> bool:
 
 @njit(nogil=True, forceinline=True)
 def _texel_before(coordinate, size):
-    """The texel whose centre lies just before a coordinate [repeats], in the texture whatever comes; the way beyond it."""
+    """The texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
+
+    Always within the texture, even for NaN and infinite coordinates.
+    """
     place = (coordinate - np.floor(coordinate)) * size - 0.5
     if place < 0:
         place += size

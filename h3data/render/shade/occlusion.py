@@ -1,9 +1,9 @@
-"""Ambient occlusion: how much of the light from all around is kept off by what stands near, from the depth buffer alone.
+"""Ambient occlusion from the depth buffer alone: how much ambient light nearby surfaces block.
 
-Scalable ambient obscurance (McGuire et al. 2012) on a picture of half the size: a few taps on a disc of fixed size in the
-world, turned from pixel to pixel, each asked how far it rises above the pixel's own plane; then a blur and an interpolation
-that keep to one surface. What is further away than the disc's radius does not count, so there are no halos; a plane is not
-occluded by itself, so open floors and walls keep their colour exactly.
+Scalable ambient obscurance (McGuire et al. 2012) at half resolution: a few taps on a disc of fixed world size, rotated from
+pixel to pixel, measure how far surfaces rise above the pixel's own plane; a blur and an interpolation within each surface
+follow. Surfaces beyond the disc's radius do not count, so there are no halos, and a plane does not occlude itself, so
+open floors and walls keep their exact colour.
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ from h3data.render.shade.occlusion_simd import (
 )
 
 RADIUS_M = 0.32
-"""What stands further away does not occlude."""
+"""Surfaces beyond this distance do not occlude."""
 SPREAD = 0.18
-"""Of what is very near, the radius is at most this share of its distance: the disc stays small in the picture."""
+"""Upper bound of the disc's radius as a share of the pixel's distance, which keeps the disc small in the image."""
 CONTRAST = 11.0
-"""Scales the mean m over the taps; the amount is then m / (1 + m): about a half in a right-angled corner."""
+"""Factor on the mean m over the taps; the amount is m / (1 + m), about one half in a right-angled corner."""
 BIAS_PER_M = 0.001
-"""A point counts as occluding if it rises above the surface by more than `BIAS_M` and this share of its distance."""
+"""A point occludes only if it rises above the surface by more than `BIAS_M` plus this share of its distance."""
 RECEDED_M = 100.0
-"""Where an orthographic picture is taken to be seen from, by an eye this far behind the camera."""
+"""Distance behind an orthographic camera of the eye that its image is taken to be seen from."""
 DENSITY = 1.5
-"""Exponent of the taps' distances from the middle; 0.5 would spread them evenly over the disc."""
+"""Exponent of the taps' distances from the centre; 0.5 would spread them evenly over the disc."""
 EDGE, EDGE_ROWS = 8, 2
-"""Columns and rows around the coarse picture, so that blocks may overrun."""
+"""Padding columns and rows around the coarse image, so that blocks may overrun."""
 
 
 def _offsets() -> NDArray[np.float64]:
-    """Taps on the unit disc for every pixel of a 4 x 4 square, repeated to 8 lanes: [4 rows, TAPS, x y, 8].
+    """Taps on the unit disc for every pixel of a 4x4 square, repeated to 8 lanes, shape [4 rows, TAPS, x y, 8].
 
-    A spiral, turned and stretched a little from pixel to pixel by an ordered dither (neighbours differ much); denser
-    towards the middle, for contacts.
+    A spiral, rotated and slightly scaled from pixel to pixel by an ordered dither, in which neighbours differ strongly;
+    denser towards the centre, to resolve contacts.
     """
     order = np.tile([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], 2)[:, None, :]
     tap = np.arange(TAPS)[None, :, None]
@@ -69,16 +69,16 @@ TAP_OFFSETS = _offsets()
 
 
 class Occlusion(NamedTuple):
-    """The coarse picture, of half the size; with edges around it."""
+    """The coarse image at half resolution, with padding."""
 
     inv_z: NDArray[np.float32]
-    """1/z, 0 = nothing, shape [rows, columns] [1/m]."""
+    """1/z, 0 = background, shape [rows, columns] [1/m]."""
     planes: NDArray[np.float32]
-    """Slopes of 1/z along x and y, sharpness and the amount 0..1, shape [4, rows, columns]."""
+    """Slopes of 1/z along x and y, sharpness, and the amount of occlusion 0..1, shape [4, rows, columns]."""
 
 
 def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.float32]:
-    """What all blocks share (words of `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
+    """The words shared by all blocks (see `occlusion_simd`); coarse pixel k is the target's pixel ``factor * k``."""
     fx, fy, cx, cy = view.intrinsics
     afar = RECEDED_M if view.parallel else 1.0
     table = np.zeros(TABLE_WORDS, np.float32)
@@ -92,16 +92,16 @@ def _table(view: View, factor: int, last_x: int, last_y: int) -> NDArray[np.floa
 
 
 def receded(view: View, target: Target) -> NDArray[np.float32]:
-    """1/z of an orthographic picture as an eye far behind the camera would see it, shape of ``target.inv_z``."""
+    """1/z of an orthographic image as seen by an eye far behind the camera, shape of ``target.inv_z``."""
     z = view.reach - target.inv_z
-    seen = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
-    return np.where(seen, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
+    hit = (target.inv_z > 0) & (target.inv_z < FAR_PADDING)
+    return np.where(hit, 1 / (RECEDED_M + np.maximum(z, 0)), target.inv_z).astype(np.float32)
 
 
 def occlude(view: View, target: Target, samples: int) -> Occlusion:
-    """The occlusion of a drawn target; with ``samples=4``, target and view have twice the picture's size.
+    """Occlusion of a rendered target; with ``samples=4``, target and view have twice the image's size.
 
-    For an orthographic view ``target`` holds what `receded` made.
+    For an orthographic view, ``target.inv_z`` must be the result of `receded`.
     """
     factor = 4 if samples == 4 else 2
     height, width = -(-view.height // factor), -(-view.width // factor)
@@ -115,7 +115,7 @@ def occlude(view: View, target: Target, samples: int) -> Occlusion:
 
 @kernel(error_model="numpy", boundscheck=False)
 def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
-    """Fill ``inv_z`` and ``planes``; ``scratch`` holds z and half-blurred amounts."""
+    """Fills ``inv_z`` and ``planes``; ``scratch`` holds z and half-blurred amounts."""
     row = inv_z.shape[1]
     row_bytes, plane_bytes = np.uintp(row * 4), np.uintp(inv_z.size * 4)
     z = scratch[0]
@@ -150,7 +150,7 @@ def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
 
 @njit(nogil=True)
 def _clear_edges(planes, height, width):
-    """No amount around the picture, and planes that nothing lies on."""
+    """Sets the padding to no occlusion, on planes that match no pixel."""
     for k in range(4):
         value = np.float32(FAR_PADDING if k == 2 else 0)
         planes[k, :EDGE_ROWS] = value
@@ -161,29 +161,33 @@ def _clear_edges(planes, height, width):
 
 @njit(nogil=True)
 def dim_row(occlusion, strength, y, near, strip):
-    """Dim a row of linear levels (first three rows of ``strip``) by the picture's own 1/z ``near``, both [W + 8]."""
+    """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given its 1/z ``near`` [W + 8]."""
     inv_z, planes = occlusion
     row_bytes, plane_bytes = np.uintp(inv_z.shape[1] * 4), np.uintp(inv_z.size * 4)
     first = np.uintp(((y // 2 + EDGE_ROWS) * inv_z.shape[1] + EDGE) * 4)
     inv_z_at, planes_at = np.uintp(inv_z.ctypes.data) + first, np.uintp(planes.ctypes.data) + first
-    near_at, strip_at, strip_bytes = (
-        np.uintp(near.ctypes.data),
-        np.uintp(strip.ctypes.data),
-        np.uintp(strip.shape[1] * 4),
-    )
+    near_at, strip_at = np.uintp(near.ctypes.data), np.uintp(strip.ctypes.data)
+    strip_bytes = np.uintp(strip.shape[1] * 4)
     between = y & 1
     lower_bytes, half_row = row_bytes * np.uintp(between), np.float32(0.5 * between)
     for x in range(0, len(near) - 8, 8):
         c, f = np.uintp(x // 2 * 4), np.uintp(x * 4)
         dim_block(
-            inv_z_at + c, planes_at + c, plane_bytes, lower_bytes, near_at + f, strip_at + f, strip_bytes,
-            half_row, strength,
-        )  # fmt: skip
+            inv_z_at + c,
+            planes_at + c,
+            plane_bytes,
+            lower_bytes,
+            near_at + f,
+            strip_at + f,
+            strip_bytes,
+            half_row,
+            strength,
+        )
 
 
 @njit(nogil=True, error_model="numpy")
 def light_left(occlusion, strength, x, y, near):
-    """What `dim_row` leaves of the light at pixel (x, y) of the picture, for one sample of 1/z ``near``."""
+    """Share of the light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
     inv_z, planes = occlusion
     total, weights = 0.0, NOWHERE
     for down in range(2):

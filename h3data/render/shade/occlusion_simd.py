@@ -1,4 +1,4 @@
-"""The steps of ambient occlusion as 8-wide numba intrinsics: eight pixels of one row of the coarse picture at a time."""
+"""The steps of ambient occlusion as 8-wide numba intrinsics: eight pixels of one row of the coarse image at a time."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from h3data.render.raster.vectors import (
 )
 
 TAPS = 12
-# Float32 words of the table that all blocks of a picture share.
+# Float32 words of the table shared by all blocks of an image.
 FOCAL_X, FOCAL_Y, CENTER_X, CENTER_Y, LAST_X, LAST_Y, RADIUS, NEAR_RADIUS, GAIN, BIAS_PER_Z = range(10)
 OFFSETS = 16
-"""From here on: where the taps lie on the unit disc, x and y, for 8 lanes, for each tap, for four rows."""
+"""First word of the taps' positions on the unit disc: x and y, for 8 lanes, for each tap, for four rows."""
 ROW_OFFSETS = TAPS * 2 * LANES
 TABLE_WORDS = OFFSETS + 4 * ROW_OFFSETS
 
 BIAS_M = 0.004
-"""A point counts as occluding if it rises above the surface by more than this and a share of its distance from the eye."""
+"""A point occludes only if it rises above the surface by more than this plus a share of its distance from the eye."""
 SAME_SURFACE_M = 0.05
-"""Amounts are blurred and interpolated between pixels this near to one another's planes."""
+"""Amounts are blurred and interpolated between pixels this close to one another's planes."""
 BLUR = {-2: 0.5, -1: 1.0, 0: 1.0, 1: 1.0, 2: 0.5}
-"""Weights of the blur: every one of the four turns in a row counts once."""
+"""Weights of the blur; each of the four rotations in a row gets the same total weight."""
 NOWHERE = 1e-3
-"""Weight of "not occluded" where none of the coarse pixels around lies on the pixel's surface."""
+"""Weight of "not occluded", which decides where none of the neighbouring coarse pixels lies on the pixel's surface."""
 
 
 def _word(b: Any, address: Any, word: int) -> Vec:
@@ -51,7 +51,7 @@ def _select(b: Any, condition: Any, yes: Vec, no: Vec) -> Vec:
 
 
 def _slope(b: Any, before2: Vec, before: Vec, middle: Vec, after: Vec, after2: Vec) -> Vec:
-    """Step of 1/z to the next pixel, from the side on which the surface goes on straight."""
+    """Step of 1/z to the next pixel, taken from the side on which the surface bends less."""
     left, right = middle - before, after - middle
     bend_left = (left - (before - before2)).unary("fabs")
     bend_right = ((after2 - after) - right).unary("fabs")
@@ -73,7 +73,7 @@ def _emit_occlusion(
     slope_x = _slope(b, *(inv_z(k, 0) for k in range(-2, 3)))
     slope_y = _slope(b, *(inv_z(0, k) for k in range(-2, 3)))
 
-    # the surface's plane over the ray (u, v, 1): 1/z = a u + b v + c; its distance from the eye is 1 / |a b c|
+    # The surface's plane over the ray (u, v, 1): 1/z = a u + b v + c. Its distance from the eye is 1 / |(a, b, c)|.
     fx, fy = _word(b, table_at, FOCAL_X), _word(b, table_at, FOCAL_Y)
     px = lanes(b) + Vec(b, splat(b, b.uitofp(x, FLOAT)))
     py = Vec(b, splat(b, b.uitofp(y, FLOAT)))
@@ -86,7 +86,7 @@ def _emit_occlusion(
     z = near.maximum(1e-6).reciprocal()
     eye_x, eye_y = u * z, v * z
 
-    # the disc of taps: so many metres, less where that were too much of the picture
+    # The disc of taps has a fixed radius in metres, bounded by its size in the image.
     radius = _word(b, table_at, RADIUS)
     radius = radius.minimum(_word(b, table_at, NEAR_RADIUS) * z)
     reach_x, reach_y = radius * fx * near, radius * fy * near
@@ -110,7 +110,9 @@ def _emit_occlusion(
         within = (-(apart2 * per_radius2 - 1.0)).maximum(0.0)
         total = fma((rise - bias).maximum(0.0) * within, (apart2 + 1e-6).unary("sqrt").reciprocal(), total)
     amount = (total * _word(b, table_at, GAIN)).maximum(0.0)
-    amount = amount.divided_by(amount + 1.0)  # bent, so that thin things on the floor count beside deep corners
+    amount = amount.divided_by(
+        amount + 1.0
+    )  # compressed, so that thin objects on the floor still show beside deep corners
     nothing = Vec(b, ir.Constant(FLOAT8, [0.0] * LANES))
     amount = _select(b, near.compare(">", 0.0), amount, nothing)
     at = b.add(planes_at, offset)
@@ -124,10 +126,11 @@ _p = types.uintp
 
 @intrinsic
 def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y, row, table_at):
-    """Occlude 8 neighbouring coarse pixels from (x, y) on.
+    """Computes occlusion of 8 neighbouring coarse pixels, starting at (x, y).
 
-    Addresses of pixel (0, 0) in 1/z (two pixels around it are readable), in z, and in the four results, ``plane_bytes``
-    apart: slopes of 1/z along x and y, sharpness [1 / (1/m)] (see `_likeness`) and amount 0..1. ``row``: words from row to row.
+    Takes addresses of pixel (0, 0) in 1/z (two pixels around the image are readable), in z, and in the four results, which
+    are ``plane_bytes`` apart: slopes of 1/z along x and y, sharpness [m] (see `_likeness`) and amount 0..1. ``row`` is the
+    number of words per row.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -138,13 +141,13 @@ def occlusion_block(typing_context, inv_z_at, z_at, planes_at, plane_bytes, x, y
 
 
 def _likeness(nearness: Vec, expected: Vec, sharpness: Vec) -> Vec:
-    """1 where a pixel lies on the plane that expects it at ``expected``, 0 from `SAME_SURFACE_M` off on."""
+    """1 where a pixel's nearness is the ``expected`` nearness of a plane, falling to 0 at `SAME_SURFACE_M` off the plane."""
     return (-((nearness - expected).unary("fabs") * sharpness - 1.0)).maximum(0.0)
 
 
 @intrinsic
 def blur_block(typing_context, inv_z_at, slope_at, sharpness_at, source_at, target_at, step_bytes):
-    """Blur the amounts of 8 coarse pixels along x or y (``step_bytes`` to the next one, ``slope_at`` its slope)."""
+    """Blurs the amounts of 8 coarse pixels along x or y: ``step_bytes`` to the next pixel, slopes at ``slope_at``."""
 
     def codegen(context, b, signature, arguments):
         inv_z_at, slope_at, sharpness_at, source_at, target_at, step_bytes = arguments
@@ -169,9 +172,17 @@ _LEFT, _RIGHT = (0, 0, 1, 1, 2, 2, 3, 3), (0, 1, 1, 2, 2, 3, 3, 4)
 
 
 def _emit_dimming(
-    b: Any, inv_z_at: Any, planes_at: Any, plane_bytes: Any, lower_bytes: Any, near_at: Any, strip_at: Any,
-    strip_bytes: Any, half_row: Any, strength: Any,
-) -> None:  # fmt: skip
+    b: Any,
+    inv_z_at: Any,
+    planes_at: Any,
+    plane_bytes: Any,
+    lower_bytes: Any,
+    near_at: Any,
+    strip_at: Any,
+    strip_bytes: Any,
+    half_row: Any,
+    strength: Any,
+) -> None:
     """See `dim_block`."""
     rows = [ir.Constant(lower_bytes.type, 0), lower_bytes]
     amount_at = b.add(planes_at, b.mul(plane_bytes, ir.Constant(plane_bytes.type, 3)))
@@ -207,11 +218,11 @@ def _emit_dimming(
 def dim_block(
     typing_context, inv_z_at, planes_at, plane_bytes, lower_bytes, near_at, strip_at, strip_bytes, half_row, strength
 ):
-    """Dim 8 pixels of a strip of linear levels (3 rows of int32) by the amounts of the coarse pixels around them.
+    """Dims 8 pixels of a strip of linear levels (3 rows of int32) by the amounts of the surrounding coarse pixels.
 
-    Addresses of the coarse pixel left above the first one, in 1/z and in the results of `occlusion_block`; ``lower_bytes``
-    lead to the coarse row below (0 where the row lies on one: then ``half_row`` is 0, else 0.5); ``near_at`` holds the
-    8 pixels' own 1/z.
+    Takes addresses of the coarse pixel above and left of the first pixel, in 1/z and in the results of `occlusion_block`.
+    ``lower_bytes`` is the offset to the coarse row below: 0 if the row coincides with a coarse row (then ``half_row`` is 0,
+    else 0.5). ``near_at`` holds the 8 pixels' own 1/z.
     """
 
     def codegen(context, builder, signature, arguments):

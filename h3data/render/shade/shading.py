@@ -1,8 +1,8 @@
-"""RGB and normals from the visibility buffer, once per pixel (or once per quarter pixel at edges).
+"""RGB and normals from the visibility buffer, shaded once per pixel (four times at edges with ``samples=4``).
 
-Colours are linear inside. Light is a hemisphere (sky above, floor below), one sun, a weak fill light and one at the camera;
-corners and contacts get darker (`occlusion`); cast shadows are an option (`Light.shadow_rays`). Surfaces are lit on both
-sides.
+Colours are linear inside. Light comes from a hemisphere (sky above, floor below), one sun, a weak fill light and a
+headlight; corners and contacts are darkened (`occlusion`); cast shadows are optional (`Light.shadow_rays`). Surfaces are
+lit on both sides.
 """
 
 from __future__ import annotations
@@ -43,38 +43,38 @@ class Light:
     """Light of a scene; colours are linear RGB."""
 
     sky: Color = (0.56, 0.58, 0.61)
-    """What a surface that faces up gets from all around."""
+    """Ambient light on surfaces that face up."""
     ground: Color = (0.44, 0.42, 0.39)
-    """What a surface that faces down gets."""
+    """Ambient light on surfaces that face down."""
     sun: Color = (0.42, 0.40, 0.36)
     sun_direction: Color = (0.28, 0.75, 0.60)
-    """Towards the sun, world frame; not halfway between x and z, so that walls at a corner differ."""
+    """Direction towards the sun, world frame; not halfway between x and z, so that the walls of a corner differ."""
     fill: Color = (0.10, 0.12, 0.15)
     fill_direction: Color = (-0.90, 0.15, -0.35)
-    """A weak second light from the other side, for the same reason."""
+    """Direction towards a weak second light on the other side, which separates the remaining walls."""
     headlight: Color = (0.08, 0.08, 0.08)
-    """From the camera; keeps shapes readable that no other light reaches."""
+    """Light from the camera; keeps shapes readable where no other light reaches."""
     horizon: Color = (0.80, 0.85, 0.90)
     """Background at eye level and below."""
     zenith: Color = (0.45, 0.60, 0.80)
     """Background straight up."""
     occlusion: float = 0.7
-    """How much darker corners and contacts get, 0..1; 0 switches it off (and costs nothing)."""
+    """Strength of the darkening of corners and contacts, 0..1; 0 switches it off at no cost."""
     shadow_rays: int = 0
     """Rays towards the sun per pixel, for cast shadows with soft edges; 0 = no cast shadows. Needs the extra ``rays``."""
     sun_size_deg: float = 2.0
-    """How wide the sun is: wider makes softer edges; seen from Earth it is half a degree."""
+    """Angular diameter of the sun (0.5 in reality); larger values give softer shadow edges."""
 
 
 _SHOULDER = 0.75
 _MIXED = np.int32(-2)
-"""Stands in a row of words for "four samples that differ"."""
+"""Marks pixels whose four samples differ, in a row of words."""
 _BRIGHTEST_SAMPLE = int(1.25 * TONE_SIZE / TONE_LIMIT)
-"""Samples are averaged up to this level, or one bright spot would eat an edge."""
+"""Samples are clipped to this level before averaging; otherwise one bright sample would erode an edge."""
 
 
 def tone_map(value: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Linear values, unchanged up to 0.75, above bent smoothly so that 1 is only reached at infinity."""
+    """Linear values, unchanged up to 0.75 and compressed smoothly above, approaching 1 at infinity."""
     rest = 1 - _SHOULDER
     return np.where(value <= _SHOULDER, value, 1 - rest * np.exp(-np.maximum(value - _SHOULDER, 0) / rest))
 
@@ -89,6 +89,7 @@ _NO_OCCLUSION = Occlusion(np.zeros((0, 0), np.float32), np.zeros((4, 0, 0), np.f
 
 
 def light_table(light: Light) -> NDArray[np.float32]:
+    """The words of a light, as laid out in `shading_simd`, shape [27]."""
     sky, ground = np.array(light.sky), np.array(light.ground)
     colors = [(sky + ground) / 2, (sky - ground) / 2, light.sun, light.fill, light.headlight]
     directions = [normalized(np.array(light.sun_direction)), normalized(np.array(light.fill_direction))]
@@ -106,10 +107,10 @@ def shade(
     normal: NDArray[np.float32] | None,
     samples: int,
 ) -> None:
-    """Write ``rgb`` [H, W, 3] and ``normal`` [H, W, 3] of a drawn target; None is left out.
+    """Fills ``rgb`` [H, W, 3] and ``normal`` [H, W, 3], where given, from a rendered target.
 
-    With ``samples=4`` target and view have twice the size of ``rgb``, and pixels in which not all four samples see the
-    same triangle are averaged (in linear light).
+    With ``samples=4``, target and view have twice the size of ``rgb``, and pixels whose four samples see different
+    triangles are averaged in linear light.
     """
     no_rgb, no_normal = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.float32)
     strength = light.occlusion if rgb is not None else 0.0
@@ -151,7 +152,7 @@ def _shade_image(
     row = np.zeros(width, np.int32)
     near = np.zeros(width + 8, np.float32)
     words, axes = target.words, view.axes.copy()
-    if view.parallel:  # every ray is the same
+    if view.parallel:  # all rays have the same direction
         axes[:, :2] = 0
     linear, byte_of_level = tables
     fx, fy, cx, cy = view.intrinsics[0], view.intrinsics[1], view.intrinsics[2], view.intrinsics[3]
@@ -210,7 +211,7 @@ def _shade_image(
 
 @njit(nogil=True)
 def _row_words(words, y, fine, row):
-    """Write the words of a picture's row [W]; `_MIXED` where the four samples of a pixel differ."""
+    """Fills the words of an image row [W]; `_MIXED` where the four samples of a pixel differ."""
     if not fine:
         row[:] = words[y, : len(row)]
         return
@@ -223,7 +224,7 @@ def _row_words(words, y, fine, row):
 
 @njit(nogil=True)
 def _normal_matrices(matrices):
-    """Cofactors of the 3x3 parts [I, 3, 3]: they turn normals rightly under any scale (up to length and sign)."""
+    """Cofactors [I, 3, 3] of the 3x3 parts, which transform normals correctly under any scale, up to length and sign."""
     out = np.empty((len(matrices), 3, 3))
     for i in range(len(matrices)):
         m = matrices[i]
@@ -238,7 +239,7 @@ def _normal_matrices(matrices):
 # --- runs of pixels -------------------------------------------------------------------------------------------------
 @njit(nogil=True, forceinline=True)
 def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
-    """Light pixels begin..end of a strip that see one triangle; the first one's ray is (u, v, 1)."""
+    """Lights pixels begin..end of a strip, which see one triangle; the first pixel's ray is (u, v, 1)."""
     _, planes, attributes, levels = cache
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at = np.uintp(strip.ctypes.data)
@@ -264,15 +265,15 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
         levels_at, words_at = texture_at[0] + np.uintp(level * LEVEL_WORDS * 4), texture_at[1]
         for x in range(begin, end, 8):
             at, uv_at = strip_at + np.uintp(x * 4), coordinates_at + np.uintp(x * 4)
-            detail = coordinates[LEVEL, x]  # the first pixel's decides for all 8
+            detail = coordinates[LEVEL, x]  # the first pixel decides for all 8
             base = np.int32(detail + np.float32(ONE_LEVEL))
-            blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # other pixels may need it
+            blended = np.int32(detail - base > np.float32(ONE_LEVEL - 0.1))  # margin for the other pixels
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
 
 
 @njit(nogil=True, forceinline=True)
 def _sky_run(u, v, step, begin, end, axes, light, block, strip):
-    """Write pixels begin..end of a strip that see nothing; the first one's ray is (u, v, 1)."""
+    """Fills background pixels begin..end of a strip; the first pixel's ray is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)
     strip_at, block_at, light_at = np.uintp(strip.ctypes.data), np.uintp(block.ctypes.data), np.uintp(light.ctypes.data)
     for k in range(3):

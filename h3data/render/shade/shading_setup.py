@@ -1,4 +1,4 @@
-"""What shading keeps of a triangle within a picture: planes over the ray, and attributes at its vertices."""
+"""Cache of the triangles in an image for shading: planes over the ray, and vertex attributes."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ from h3data.render.shade.textures import WORD_SCALE
 from h3data.render.shade.textures_simd import FOLLOWING, HEIGHT, WIDTH
 
 CACHE_SIZE = 1024
-"""Triangles that are kept (power of two)."""
+"""Number of cached triangles (a power of two)."""
 NO_TEXTURE = -1
 _WORD_SCALE = np.array(WORD_SCALE, np.float32)
 
 
 class Cache(NamedTuple):
-    """The triangles that are kept, by slot."""
+    """Cached triangles by slot."""
 
     words: NDArray[np.int32]
-    """Pixel word of each, shape [N]."""
+    """Pixel word of each triangle, -1 = empty, shape [N]."""
     planes: NDArray[np.float64]
-    """Over the ray (u, v, 1): 1/z, and the barycentrics of vertices 1 and 2 over z, shape [N, 3, 3]."""
+    """1/z and the barycentrics of vertices 1 and 2 over z, as linear functions of the ray (u, v, 1), shape [N, 3, 3]."""
     attributes: NDArray[np.float32]
-    """Words of `shading_simd`, shape [N, ATTRIBUTES]."""
+    """Attributes as laid out in `shading_simd`, shape [N, ATTRIBUTES]."""
     levels: NDArray[np.int32]
-    """Row of its texture's finest level, or `NO_TEXTURE`, shape [N]."""
+    """Row of the texture's finest level, or `NO_TEXTURE`, shape [N]."""
 
 
 def new_cache() -> Cache:
-    """Nothing kept."""
+    """An empty cache."""
     return Cache(
         np.full(CACHE_SIZE, -1, np.int32),
         np.empty((CACHE_SIZE, 3, 3)),
@@ -60,13 +60,13 @@ def new_cache() -> Cache:
 
 @njit(nogil=True, forceinline=True)
 def slot_of(word):
-    """Where the triangle behind a pixel's word is kept."""
+    """Slot of the triangle of a pixel's word."""
     return (word ^ (word >> 10)) & (CACHE_SIZE - 1)
 
 
 @njit(nogil=True, forceinline=True)
 def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel):
-    """Keep the triangle behind a pixel's word; ``pixel`` is the size of one at z = 1, along x and y."""
+    """Caches the triangle of a pixel's word; ``pixel`` is the size (x, y) of a pixel at z = 1."""
     instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
     packet = geometry.cluster_packets[cluster, 0] + ((word & 127) >> 3)
     lane = word & 7
@@ -103,10 +103,10 @@ def _cross(a, b):
 
 @njit(nogil=True, forceinline=True)
 def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
-    """Write the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
+    """Fills the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
 
-    All three share an arbitrary factor, which cancels. Also writes the geometric world normal, turned to the eye.
-    For an orthographic camera 1 stands in the place of z.
+    All three share an arbitrary factor, which cancels. Also fills the geometric world normal, facing the eye. For
+    orthographic cameras, 1 takes the place of z.
     """
     p = _camera_point(soup, packet, lane, 0, to_camera)
     q = _camera_point(soup, packet, lane, 1, to_camera)
@@ -128,7 +128,7 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
 
 @njit(nogil=True, forceinline=True)
 def _set_up_attributes(surface, face, cofactor, linear, attributes):
-    """Write colours and, if the mesh has them, vertex normals on the side of the geometric one."""
+    """Fills colours and, if the mesh has them, vertex normals on the side of the geometric normal."""
     faces, colors, normals = surface.faces, surface.colors, surface.normals
     i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
     for a in range(3):
@@ -148,7 +148,7 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes):
     for a in range(3):
         side += (n0[a] + n1[a] + n2[a]) * flat[a]
     if side == 0:
-        return  # flat shading: the mesh has no normals, or useless ones
+        return  # flat shading: the mesh has no normals, or degenerate ones
     sign = -1.0 if side < 0 else 1.0
     for a in range(3):
         attributes[NORMAL + a] = sign * n0[a]
@@ -169,7 +169,7 @@ def _world_normal(normals, vertex, cofactor):
 
 @njit(nogil=True, forceinline=True)
 def _set_up_texture(surface, face, level, planes, pixel, attributes):
-    """Write texture coordinates, near 0 for the sake of float32, and how they change; scale colours for squared steps."""
+    """Fills texture coordinates (shifted close to 0, for float32) and their derivatives; scales colours for `WORD_SCALE`."""
     faces, uv, levels = surface.faces, surface.uv, surface.textures.levels
     i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
     attributes[TEXELS], attributes[TEXELS + 1] = levels[level, WIDTH], levels[level, HEIGHT]

@@ -1,4 +1,4 @@
-"""Lighting of 8 pixels at a time, as numba intrinsics."""
+"""Lighting of 8 pixels at a time as numba intrinsics."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from h3data.render.shade.textures_simd import level_of_detail, texel
 
 TONE_SIZE = 8192
 TONE_LIMIT = 2.0
-"""Colours leave here as int32 linear levels: `TONE_SIZE` of them from 0 to `TONE_LIMIT`."""
+"""Colours are output as int32 linear levels, `TONE_SIZE` of them from 0 to `TONE_LIMIT`."""
 
 # Float32 words of a triangle's attributes: colour and normal at vertex 0, and the differences of vertices 1 and 2.
 COLOR, COLOR_1, COLOR_2, NORMAL, NORMAL_1, NORMAL_2 = 0, 3, 6, 9, 12, 15
-# Texture coordinates likewise [repeats]; the size of the finest level [texels]; and what 1/z and the coordinates' differences
-# from vertex 0 over z change by from pixel to pixel, along x and along y (with the planes' common factor).
-# The number of the coarsest level.
+# Texture coordinates likewise [repeats]; size of the finest level [texels]; increments per pixel, along x and along y, of 1/z
+# and of the coordinates' differences from vertex 0 over z (with the planes' common factor); number of the coarsest level.
 UV, UV_1, UV_2, TEXELS, NEARNESS_STEP, UV_STEP_X, UV_STEP_Y, LAST_LEVEL = 18, 20, 22, 24, 26, 28, 30, 32
 ATTRIBUTES = 33
 # Float32 words of the light: mean of sky and ground, half their difference, sun, fill, headlight, two directions, and the
-# background's colours.
+# colours of the background.
 MEAN, UP, SUN, FILL, HEADLIGHT, SUN_DIRECTION, FILL_DIRECTION, HORIZON, ZENITH = 0, 3, 6, 9, 12, 15, 18, 21, 24
-# Float32 words of a block's rays and planes: value at its first pixel, then the step to the next pixel.
+# Float32 words of a block's rays and planes: value at its first pixel, then the increment per pixel.
 NEARNESS, SECOND, THIRD, RAY = 0, 2, 4, 6
 BLOCK_WORDS = 12
-# Rows that a block of a textured triangle leaves behind: texture coordinates [repeats] and level of detail.
+# Rows that `light_coordinates_block` outputs: texture coordinates [repeats] and level of detail.
 S, T, LEVEL = 0, 1, 2
 
 
@@ -35,12 +34,12 @@ def _dot(a: list[Vec], b: list[Vec]) -> Vec:
 
 
 def _words(b: Any, address: Any, first: int, count: int = 3) -> list[Vec]:
-    """Words from ``first`` on, each in all lanes."""
+    """``count`` words starting at ``first``, each broadcast to all lanes."""
     return [Vec(b, splat(b, load(b, address, 4 * (first + a), FLOAT))) for a in range(count)]
 
 
 def _linear(b: Any, block_at: Any, first: int) -> Vec:
-    """What goes from pixel to pixel in equal steps."""
+    """A quantity that is linear in x, at 8 pixels."""
     start, step = (Vec(b, splat(b, load(b, block_at, 4 * (first + k), FLOAT))) for k in range(2))
     return fma(step, lanes(b), start)
 
@@ -51,7 +50,7 @@ def _store_level(b: Any, color: Vec, strip_at: Any) -> None:
 
 
 def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count: int = 3) -> list[Vec]:
-    """An attribute of ``count`` words at the barycentrics of vertices 1 and 2."""
+    """An attribute of ``count`` words, interpolated with the barycentrics of vertices 1 and 2."""
     corner, to_second, to_third = (_words(b, attributes_at, first + k * count, count) for k in range(3))
     return [fma(third, d3, fma(second, d2, c)) for c, d2, d3 in zip(corner, to_second, to_third, strict=True)]
 
@@ -59,7 +58,7 @@ def _mix(b: Any, attributes_at: Any, first: int, second: Vec, third: Vec, count:
 def _store_coordinates(
     b: Any, attributes_at: Any, z: Vec, second: Vec, third: Vec, coordinates_at: Any, row_bytes: Any
 ) -> None:
-    """Write S, T and LEVEL, which fits the pixel's longer side on the texture (Williams 1983)."""
+    """Stores S, T and LEVEL, which is chosen by the pixel's longer side on the texture (Williams 1983)."""
     corner, to_second, to_third = (_words(b, attributes_at, first, 2) for first in (UV, UV_1, UV_2))
     beyond = [fma(third, d3, second * d2) for d2, d3 in zip(to_second, to_third, strict=True)]
     size, nearness_step = _words(b, attributes_at, TEXELS, 2), _words(b, attributes_at, NEARNESS_STEP, 2)
@@ -73,7 +72,7 @@ def _store_coordinates(
         sides.append(fma(s, s, t * t))
     last = _words(b, attributes_at, LAST_LEVEL, 1)[0]
     level = level_of_detail(b, sides[0].maximum(sides[1]) * (z * z), last)
-    for row in (*(start + way for start, way in zip(corner, beyond, strict=True)), level):
+    for row in (*(start + offset for start, offset in zip(corner, beyond, strict=True)), level):
         store(b, row.value, coordinates_at)
         coordinates_at = b.add(coordinates_at, row_bytes)
 
@@ -84,7 +83,7 @@ def _emit_light(
     def mix(first: int) -> list[Vec]:
         return _mix(b, attributes_at, first, second, third)
 
-    # perspective-correct barycentrics: (b / z) / (1 / z); clamped, since the inside test is a little generous
+    # perspective-correct barycentrics: (b / z) / (1 / z); clamped, because the inside test is slightly enlarged
     z = _linear(b, block_at, NEARNESS).reciprocal()
     second = (_linear(b, block_at, SECOND) * z).maximum(0.0).minimum(1.0)
     third = (_linear(b, block_at, THIRD) * z).maximum(0.0).minimum(1.0)
@@ -116,9 +115,9 @@ def _emit_light(
 
 @intrinsic
 def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row_bytes):
-    """Light 8 neighbouring pixels of one triangle.
+    """Lights 8 neighbouring pixels of one triangle.
 
-    Addresses of the tables described above and of the strip: 6 rows, of which three get linear levels (int32) and three
+    Takes the addresses of the tables described above and of a strip of 6 rows: three receive linear levels (int32), three
     the unit normal (float32).
     """
 
@@ -134,9 +133,9 @@ def light_block(typing_context, block_at, attributes_at, light_at, strip_at, row
 def light_coordinates_block(
     typing_context, block_at, attributes_at, light_at, strip_at, row_bytes, coordinates_at, coordinates_bytes
 ):
-    """As `light_block`, for a triangle with a texture: `texture_block` is yet to come.
+    """`light_block` for a textured triangle; `texture_block` completes it.
 
-    The strip gets float32 colours instead of levels; S, T and LEVEL go to rows of their own.
+    The strip receives float32 colours instead of levels; S, T and LEVEL go to separate rows.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -151,7 +150,10 @@ def light_coordinates_block(
 def texture_block(
     typing_context, strip_at, row_bytes, coordinates_at, coordinates_bytes, base, blended, levels_at, words_at
 ):
-    """Turn the colours that `light_coordinates_block` left into levels; levels of detail as in `textures_simd.texel`."""
+    """Multiplies the colours of `light_coordinates_block` by the texture and converts them to levels.
+
+    ``base`` and ``blended`` are the levels of detail, see `textures_simd.texel`.
+    """
 
     def codegen(context, b, signature, arguments):
         strip_at, row_bytes, coordinates_at, coordinates_bytes, base, blended, levels_at, words_at = arguments
@@ -169,7 +171,7 @@ def texture_block(
 
 @intrinsic
 def sky_block(typing_context, block_at, light_at, strip_at, row_bytes):
-    """Write 8 neighbouring pixels of background, from horizon to zenith by the ray's elevation; as `light_block`."""
+    """Fills 8 neighbouring background pixels, from horizon to zenith by the ray's elevation; strip as in `light_block`."""
 
     def codegen(context, b, signature, arguments):
         block_at, light_at, strip_at, row_bytes = arguments

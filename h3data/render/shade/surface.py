@@ -1,4 +1,4 @@
-"""What shading and cut-outs need to know of the meshes of a scene."""
+"""Per-vertex and per-face data of a scene's meshes for shading and cut-outs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from h3data.render.shade.textures import Textures
 
 
 class Surface(NamedTuple):
-    """What shading needs to know of the meshes; vertices of all meshes one after another."""
+    """Attributes of all meshes, one mesh after another."""
 
     faces: NDArray[np.int32]
     """Shape [F, 3]."""
@@ -22,8 +22,8 @@ class Surface(NamedTuple):
     packet_faces: NDArray[np.int32]
     """Face of every lane of every packet, -1 = padding, shape [P, 8]."""
     uv: NDArray[np.float32]
-    """Texture coordinates [repeats], shape [V, 2]; [0, 2] if no mesh has any textures."""
+    """Texture coordinates [repeats], shape [V, 2]; [0, 2] if no mesh has textures."""
     face_textures: NDArray[np.int32]
     """Index into ``textures``, -1 = none, shape [F]."""
     textures: Textures
-    """Those of all meshes, each once."""
+    """The distinct textures of all meshes."""

@@ -1,8 +1,8 @@
-"""The textures of a scene in one array: mip levels that are averaged in linear light, each texel one word.
+"""The textures of a scene in one array: mip levels averaged in linear light, one word per texel.
 
 A word holds the square roots of linear red, green and blue in 11, 11 and 10 bits: finer than sRGB bytes everywhere, and
-squaring gives linear light back. Where a texture is not opaque, levels average what is seen of it, and texels of no opacity
-take their colour from coarser levels, so that what hides under them shows nowhere.
+squaring restores linear light. In transparent textures, averages are weighted by opacity, and fully transparent texels
+take their colour from coarser levels, so that the colour stored under them never shows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from h3data.srgb import bytes_to_linear
 BITS = (11, 11, 10)
 SHIFTS = (21, 10, 0)
 WORD_SCALE = tuple((1 + 1e-6) / (2**bits - 1) ** 2 for bits in BITS)
-"""Linear light of one squared step of a word's channels; a hair more, so that rounding never takes anything from white."""
+"""Linear light of one squared step of each channel; slightly enlarged, so that rounding never darkens white."""
 
 _LINEAR_OF_BYTE = bytes_to_linear(np.arange(256)).astype(np.float32)
 
@@ -29,16 +29,16 @@ class Textures(NamedTuple):
     """The packed textures."""
 
     words: NDArray[np.uint32]
-    """All levels of all textures, row by row, shape [N]. Each level has one more column and row: its first ones again, so
-    that neighbours lie side by side."""
+    """All levels of all textures, row by row, shape [N]. Each level repeats its first column and row at the end, so that
+    neighbouring texels are adjacent in memory."""
     levels: NDArray[np.int32]
-    """A texture's levels, finest first, and then the next texture's; columns of `textures_simd`, shape [L, 4]."""
+    """Levels of all textures, finest first within each; columns as in `textures_simd`, shape [L, 4]."""
     first_level: NDArray[np.int32]
     """Row of each texture's finest level, shape [T]."""
 
 
 def pack_textures(textures: Sequence[Texture]) -> Textures:
-    """Pack textures with all their levels, down to a single texel."""
+    """Textures packed with all their levels, down to a single texel."""
     words, levels, first = [np.zeros(0, np.uint32)], [], []
     offset = 0
     for texture in textures:
@@ -59,9 +59,9 @@ def pack_textures(textures: Sequence[Texture]) -> Textures:
 
 
 def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-    """Linear colours of a texture [H, W, 4] and of its halvings down to one texel, each [h, w, 3].
+    """Linear colours of a texture [H, W, 4] at full size and successively halved sizes down to one texel, each [h, w, 3].
 
-    Halving averages boxes of 2 texels, of 2 and a part where the number is odd, weighted by opacity.
+    Averages boxes of two texels per axis (two and a fraction for odd sizes), weighted by opacity.
     """
     colors, opacity = _LINEAR_OF_BYTE[pixels[..., :3]], pixels[..., 3:].astype(np.float32)
     opaque = bool((opacity == 255).all()) or not opacity.any()
@@ -75,14 +75,14 @@ def mip_levels(pixels: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
     for level in levels[-2::-1]:
         rows, columns = (np.arange(n) * m // n for n, m in zip(level.shape[:2], coarser.shape[:2], strict=True))
         weight = level[..., 3:]
-        seen = level[..., :3] / np.maximum(weight, 1e-30)
-        coarser = np.where(weight > 0, seen, coarser[rows[:, None], columns])
+        mean = level[..., :3] / np.maximum(weight, 1e-30)
+        coarser = np.where(weight > 0, mean, coarser[rows[:, None], columns])
         pyramid.append(coarser)
     return pyramid[::-1]
 
 
 def _halved(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Half as many rows (axis 0) or columns (axis 1), at least one."""
+    """The image with half as many rows (axis 0) or columns (axis 1), at least one."""
     count = image.shape[axis]
     half = count // 2
     if half == 0:

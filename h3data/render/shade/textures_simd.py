@@ -1,4 +1,4 @@
-"""Texels of 8 pixels at a time, as LLVM IR: bilinear in linear light, between two mip levels."""
+"""Texture look-up for 8 pixels at a time as LLVM IR: bilinear in linear light, blended between two mip levels."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from llvmlite import ir
 from h3data.render.raster.vectors import FLOAT, FLOAT8, INT, INT8, INT64, LANES, Vec, fma, load, splat
 
 OFFSET, WIDTH, HEIGHT, FOLLOWING = range(4)
-"""Columns of a level (int32): its first word, its size in texels, and how many coarser levels follow."""
+"""Columns of a level (int32): its first word, its size in texels, and the number of coarser levels that follow."""
 LEVEL_WORDS = 4
 ONE_LEVEL = 0.25
-"""So far around whole levels one level is enough; between, two are blended."""
+"""Within this distance of an integer level of detail, one level is used; in between, two are blended."""
 
 _INT64_4 = ir.VectorType(INT64, 4)
 
 
 def level_of_detail(b: Any, squared: Vec, last: Vec) -> Vec:
-    """Level at which a texel is as large as a pixel, 0 to ``last``, from the squared texels per pixel.
+    """Level at which a texel is as large as a pixel, 0 to ``last``, from the squared number of texels per pixel.
 
-    The logarithm is linear between powers of two: at most 0.05 levels too small.
+    The logarithm is approximated linearly between powers of two, which is at most 0.05 levels too small.
     """
     bits = Vec(b, b.sitofp(b.bitcast(squared.value, INT8), FLOAT8))
     return fma(bits, 0.5 / 2**23, -63.5).maximum(0.0).minimum(last)
 
 
 def texel(b: Any, coordinates: list[Vec], base: Any, blended: Any, levels_at: Any, words_at: Any) -> list[Vec]:
-    """Squared steps of red, green and blue (`textures.WORD_SCALE`) at texture coordinates s, t [repeats], level of detail.
+    """Squared steps (`textures.WORD_SCALE`) of red, green and blue at ``coordinates``: s, t [repeats] and level of detail.
 
-    All lanes take level ``base`` and, if ``blended`` is not 0, the one after, as far as their own level says.
+    All lanes use level ``base`` and, if ``blended`` is not 0, blend it with the next one according to their own level.
     ``levels_at`` is the texture's finest level.
     """
     s, t, level = coordinates
@@ -52,7 +52,7 @@ def texel(b: Any, coordinates: list[Vec], base: Any, blended: Any, levels_at: An
 
 
 def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]:
-    """Squared steps of red, green and blue in one level."""
+    """Squared steps of red, green and blue from one level."""
     offset, width, height = (load(b, level_at, 4 * k, INT) for k in (OFFSET, WIDTH, HEIGHT))
     stride = b.add(width, ir.Constant(INT, 1))
     column, right = _place(b, s, width)
@@ -77,19 +77,19 @@ def _bilinear(b: Any, s: Vec, t: Vec, level_at: Any, words_at: Any) -> list[Vec]
 
 
 def _place(b: Any, coordinate: Vec, size: Any) -> tuple[Any, Vec]:
-    """The texel whose centre lies just before a coordinate [repeats], 0 to size - 1 (int32), and the way to the next one."""
+    """The texel whose centre lies just before a coordinate [repeats], 0 to size - 1 (int32), and the fraction beyond it."""
     count = Vec(b, splat(b, b.sitofp(size, FLOAT)))
     place = fma(coordinate - coordinate.unary("floor"), count, -0.5)
     before = place.compare("<", 0.0)
     place = Vec(b, b.select(before.value, (place + count).value, place.value))
-    texel_before = place.unary("floor").maximum(0.0).minimum(count - 1.0)  # in the texture whatever the lane holds
+    texel_before = place.unary("floor").maximum(0.0).minimum(count - 1.0)  # within the texture even for NaN
     return b.fptosi(texel_before.value, INT8), place - texel_before
 
 
 def _pairs(b: Any, addresses: list[Any]) -> tuple[Any, Any]:
-    """The words at eight addresses, and those right after them: one load for both."""
+    """The words at eight addresses and the words after them, by one 64-bit load per pair."""
     halves = []
-    for order in ((0, 1, 4, 5), (2, 3, 6, 7)):  # so that one shuffle within 128 bits puts the lanes in order
+    for order in ((0, 1, 4, 5), (2, 3, 6, 7)):  # in this order, one shuffle within 128 bits sorts the lanes
         half = ir.Constant(_INT64_4, ir.Undefined)
         for k, lane in enumerate(order):
             half = b.insert_element(half, load(b, addresses[lane], 0, INT64), ir.Constant(INT, k))
@@ -100,7 +100,7 @@ def _pairs(b: Any, addresses: list[Any]) -> tuple[Any, Any]:
 
 
 def _roots(b: Any, words: Any) -> list[Vec]:
-    """Steps of red, green and blue."""
+    """The channels of packed words as floats."""
 
     def constant(value: int) -> Any:
         return ir.Constant(INT8, [value] * LANES)

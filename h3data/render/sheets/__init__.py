@@ -1,1 +1,1 @@
-"""Pictures of bodies, robots, motions and maps for docs and commands."""
+"""Contact sheets of people, motions and robots, and maps of scenes, for docs and commands."""

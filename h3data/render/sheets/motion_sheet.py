@@ -1,4 +1,4 @@
-"""Pictures of motion: poses of one person side by side."""
+"""Contact sheets of motions: poses of one person side by side."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from h3data.render.sheets.people_sheet import STRIDE_SPACING_M, lined_up
 def motion_picture(
     motion: Motion, body: Humanoid, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """``frames`` poses of a motion, evenly from its first to its last, seen from the right, RGB [H, W, 3]; its way along the
-    floor is left out."""
+    """``frames`` poses of a motion, evenly spaced from first to last, seen from the right, RGB [H, W, 3].
+
+    The displacement along the floor is removed.
+    """
     fitted = retarget(motion, body)
     quats, pelvis = fitted.pose(np.linspace(0, fitted.duration_s, frames))
     return _strip(body, quats, pelvis * (0, 1, 0), lod, width)
@@ -25,7 +27,7 @@ def motion_picture(
 def clip_picture(
     clip: Clip, body: Humanoid, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """``frames`` phases of a clip from phase 0 on, seen from the right, RGB [H, W, 3]."""
+    """``frames`` evenly spaced phases of a clip, seen from the right, RGB [H, W, 3]."""
     rows = np.arange(frames) * len(clip) // frames
     return _strip(body, clip.quats[rows], clip.pelvis[rows], lod, width)
 

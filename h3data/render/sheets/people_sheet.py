@@ -1,4 +1,4 @@
-"""Pictures of people: several side by side, and one walking."""
+"""Contact sheets of people: several side by side, or one walking."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLOOR_SPAN_M = 14.0
 def sheet_picture(
     people: Sequence[Humanoid], *, heading_deg: float = -90.0, lod: bool = False, columns: int = 6, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """Everybody standing, in rows of ``columns``, RGB [H, W, 3]; heading -90 degrees looks at the camera."""
+    """People standing in rows of ``columns``, RGB [H, W, 3]; at heading -90 degrees they face the camera."""
     rows = [people[k : k + columns] for k in range(0, len(people), columns)]
     heading, places = float(np.radians(heading_deg)), min(columns, len(people))
     standing = [[(body, *body.clip_pose([0], [0.0])) for body in row] for row in rows]
@@ -33,7 +33,7 @@ def sheet_picture(
 def walk_picture(
     body: Humanoid, speed_mps: float, *, frames: int = 8, lod: bool = False, width: int = 1600
 ) -> NDArray[np.uint8]:
-    """One cycle of walking at a speed, seen from the right, RGB [H, W, 3]: the phases side by side, from left to right."""
+    """Phases of one walking cycle at a speed, from left to right, seen from the right, RGB [H, W, 3]."""
     phase = np.arange(frames) / frames
     quats, pelvis = body.walk_pose(np.full(frames, speed_mps), phase)
     poses = [(body, quats[k : k + 1], pelvis[k : k + 1]) for k in range(frames)]
@@ -51,26 +51,35 @@ def lined_up(
     row_m: float = ROW_M,
     props: Sequence[Sequence[Mesh]] = (),
 ) -> NDArray[np.uint8]:
-    """People with poses (rotations [1, 55, 4], pelvis [1, 3]) side by side, RGB [H, W, 3].
+    """People in given poses, side by side from left to right, RGB [H, W, 3].
 
-    ``props`` are things beside each of them, in their agent root frames; ``row_m`` is the height that the picture shows.
+    Args:
+        poses: Body, joint rotations [1, 55, 4] and pelvis position [1, 3] of each person.
+        heading: Heading of all of them [rad].
+        lod: Whether to show the light meshes.
+        places: Number of places in the row, at least the number of people.
+        width: Width of the image [px].
+        spacing: Distance between neighbours [m].
+        row_m: Height that the image shows [m].
+        props: Objects beside each person, in their agent root frame.
     """
-    """Bodies with rotations [1, 55, 4] and pelvis places [1, 3], side by side from left to right, RGB [H, W, 3]."""
-    meshes, at = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
-    for k, (x, (body, quats, pelvis)) in enumerate(zip(at, poses, strict=True)):
+    meshes, positions = [], (np.arange(len(poses)) - (places - 1) / 2) * spacing
+    for k, (x, (body, quats, pelvis)) in enumerate(zip(positions, poses, strict=True)):
         base = ground_pose(np.array([[x, 0.0]]), np.array([heading]))
         joints = body.joint_matrices(base, quats, pelvis)
         for prop in props[k] if props else ():
-            there = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
-            meshes.append(Mesh(vertices=there, faces=prop.faces, colors=prop.colors))
+            vertices = transform_points(pose_to_matrix(base[0]), prop.vertices).astype(np.float32)
+            meshes.append(Mesh(vertices=vertices, faces=prop.faces, colors=prop.colors))
         rest = body.lod_mesh if lod else body.mesh
         meshes.append(
             Mesh(
-                vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]), faces=rest.faces, colors=rest.colors,
+                vertices=np.ascontiguousarray(body.skin(joints, lod=lod)[0]),
+                faces=rest.faces,
+                colors=rest.colors,
                 normals=np.ascontiguousarray(body.skin_normals(joints, lod=lod)[0]),
             )
-        )  # fmt: skip
-    meshes.append(_floor())
+        )
+    meshes.append(floor_mesh(WALL))
     renderer = Renderer(RenderScene(meshes, [RenderInstance(mesh=k, matrix=np.eye(4)) for k in range(len(meshes))]))
     span = places * spacing
     distance = span / 2 / np.tan(np.radians(HFOV_DEG) / 2)
@@ -80,8 +89,9 @@ def lined_up(
     return renderer.render(pinhole(width, height, hfov_deg=HFOV_DEG, pose=pose), outputs=("rgb",), samples=4)["rgb"]
 
 
-def _floor() -> Mesh:
+def floor_mesh(color: tuple[int, int, int]) -> Mesh:
+    """A square floor around the origin in one colour."""
     half = FLOOR_SPAN_M / 2
     corners = np.array([[-half, 0, -half], [-half, 0, half], [half, 0, half], [half, 0, -half]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return painted(Mesh(vertices=corners, faces=faces, colors=np.zeros((4, 3), np.uint8)), WALL)
+    return painted(Mesh(vertices=corners, faces=faces, colors=np.zeros((4, 3), np.uint8)), color)

@@ -1,4 +1,4 @@
-"""Pictures of a scene: the plan from above with rooms, free floor, receptacles and problems, and views at eye level."""
+"""Images of a scene: the plan from above, with rooms, free floor, receptacles and problems, and views at eye level."""
 
 from __future__ import annotations
 
@@ -26,21 +26,31 @@ Color = tuple[int, int, int]
 
 MAIN_COLOR, ISLAND_COLOR = (46, 160, 110), (226, 128, 30)
 RECEPTACLE_COLOR, PROBLEM_COLOR, INK = (120, 70, 200), (214, 30, 40), (30, 30, 36)
+_KEY = (
+    (MAIN_COLOR, "free"),
+    (ISLAND_COLOR, "cut off"),
+    (RECEPTACLE_COLOR, "receptacle"),
+    (PROBLEM_COLOR, "problem"),
+)
 _PAPER = (250, 250, 248)
 _MARGIN_M = 0.5
 _HEADER_PX, _FOOTER_PX, _LINE_PX = 40, 46, 22
 _LIST_SCALE = 0.42
 _DISTANCE = 80.0
-"""The camera is this many times the size of the scene away: walls lean by less than a pixel."""
+"""Distance of the camera in multiples of the scene's size, at which walls lean by less than a pixel."""
 _CUT_M = 2.2
-"""Triangles wholly above this height over the floor are left out where a scene has no layer for its ceiling."""
+"""Triangles entirely above this height are left out in scenes without a ceiling layer [m]."""
 _EYE_M = 1.55
 _EYE_CANDIDATES = 12
 _DOORWAY_M = 0.32
 
 
 def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderScene:
-    """A scene ready to be drawn; with ``cut_above_y`` [m] without the triangles wholly above that height."""
+    """The scene as a `RenderScene`, without triangles entirely above ``cut_above_y`` [m].
+
+    Raises:
+        InputError: no triangles are left.
+    """
     meshes, instances = [], []
     shared: dict[str, int] = {}
     for instance in scene.instances:
@@ -62,7 +72,7 @@ def render_scene(scene: Scene, *, cut_above_y: float | None = None) -> RenderSce
             meshes.append(mesh)
         instances.append(_placed(shared[instance.asset], matrix, instance))
     if not instances:
-        raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to draw.")
+        raise InputError(f"Scene {scene.name!r} has no triangles, so there is nothing to render.")
     return RenderScene(meshes, instances)
 
 
@@ -73,7 +83,7 @@ def _placed(mesh: int, matrix: NDArray[np.float64], instance: Instance) -> Rende
 
 
 def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0.0) -> tuple[NDArray[np.uint8], Camera]:
-    """The scene from straight above without ceilings, RGB [H, W, 3], and its camera; up in the picture is -Z."""
+    """The scene from straight above without ceilings, RGB [H, W, 3] with -Z at the top, and the camera."""
     low, high = scene.bounds if not scene.rooms else _rooms_box(scene.rooms, scene.bounds)
     low, high = low - _MARGIN_M, high + _MARGIN_M
     span = high - low
@@ -81,14 +91,14 @@ def plan_picture(scene: Scene, *, pixels_per_m: float = 80.0, floor_y: float = 0
     if width * height > 60_000_000:
         raise InputError(f"A plan of {width}x{height} pixels is too large. Hint: fewer pixels per metre.")
     middle = (low + high) / 2
-    away = _DISTANCE * float(max(span[0], span[2]))
-    hfov_deg = float(np.degrees(2 * np.arctan(width / pixels_per_m / 2 / away)))
-    eye = np.array([middle[0], floor_y + away, middle[2]])
+    distance = _DISTANCE * float(max(span[0], span[2]))
+    hfov_deg = float(np.degrees(2 * np.arctan(width / pixels_per_m / 2 / distance)))
+    eye = np.array([middle[0], floor_y + distance, middle[2]])
     pose = look_at(eye, np.array([middle[0], floor_y, middle[2]]), up=(0.0, 0.0, -1.0))
     camera = pinhole(width, height, hfov_deg=hfov_deg, name="plan", pose=pose, hidden_layers=("ceiling",))
     has_layer = any(i.layer == "ceiling" for i in scene.instances)
-    drawn = render_scene(scene, cut_above_y=None if has_layer else floor_y + _CUT_M)
-    picture = Renderer(drawn).render(camera, outputs=("depth", "rgb"), samples=4)
+    visible = render_scene(scene, cut_above_y=None if has_layer else floor_y + _CUT_M)
+    picture = Renderer(visible).render(camera, outputs=("depth", "rgb"), samples=4)
     image = picture["rgb"]
     image[picture["depth"] == 0] = _PAPER
     return image, camera
@@ -104,10 +114,10 @@ def _rooms_box(rooms: Iterable[Room], bounds: NDArray[np.float64]) -> NDArray[np
 def scene_map(
     scene: Scene, free: FreeSpace, *, problems: Sequence[Problem] = (), pixels_per_m: float = 80.0
 ) -> NDArray[np.uint8]:
-    """A plan for people, RGB [H, W, 3]: rooms named, free floor shaded, receptacles, problems numbered, a scale bar.
+    """An annotated plan, RGB [H, W, 3]: names of rooms, free floor, receptacles, numbered problems, a scale bar.
 
-    Green is the largest island of ``free``, orange all others; violet frames are receptacles; problems are listed below
-    the plan by number.
+    The largest island of ``free`` is green, all others are orange; receptacles are violet frames; problems are listed
+    by number below the plan.
     """
     import shapely
 
@@ -124,10 +134,9 @@ def scene_map(
         _outline(image, camera, transform_points(instance_matrix(instance), corners), RECEPTACLE_COLOR)
     for room in scene.rooms:
         _name_room(image, camera, room)
-    marked = [p for p in problems if p.position is not None]
-    numbers = {id(p): k for k, p in enumerate(problems, 1)}
-    for problem in marked:
-        _mark(image, camera, np.asarray(problem.position), str(numbers[id(problem)]))
+    for number, problem in enumerate(problems, 1):
+        if problem.position is not None:
+            _mark(image, camera, np.asarray(problem.position), str(number))
     return _framed(image, scene, free, problems, pixels_per_m)
 
 
@@ -144,7 +153,8 @@ def _shade(
     import cv2
     import shapely
 
-    rings = [shapely.get_coordinates(r) for r in (shapely.get_exterior_ring(area), *area.interiors)]  # type: ignore[attr-defined]
+    outer, inner = shapely.get_exterior_ring(area), area.interiors  # type: ignore[attr-defined]
+    rings = [shapely.get_coordinates(ring) for ring in (outer, *inner)]
     outlines = [_pixels(camera, np.insert(r, 1, floor_y, axis=1)) for r in rings]
     mask = np.zeros(image.shape[:2], np.uint8)
     cv2.fillPoly(mask, outlines, 255, cv2.LINE_AA)  # even-odd: the inner rings are holes
@@ -160,7 +170,7 @@ def _outline(image: NDArray[np.uint8], camera: Camera, corners: ArrayLike, color
 
 
 def _name_room(image: NDArray[np.uint8], camera: Camera, room: Room) -> None:
-    """Its name and area in the middle of its largest rectangle."""
+    """Writes a room's name and area in the middle of its largest rectangle."""
     rectangles = np.asarray(room.rectangles, np.float64)
     areas = (rectangles[:, 2] - rectangles[:, 0]) * (rectangles[:, 3] - rectangles[:, 1])
     x0, z0, x1, z1 = rectangles[int(np.argmax(areas))]
@@ -180,15 +190,22 @@ def _mark(image: NDArray[np.uint8], camera: Camera, position: NDArray[np.float64
 
 
 def _text(
-    image: NDArray[np.uint8], text: str, at: tuple[int, int], *, scale: float = 0.45, centred: bool = False,
-    color: Color = INK, rim: Color | None = (255, 255, 255), thickness: int = 1,
-) -> int:  # fmt: skip
-    """Writes ``text`` with its base line at ``at``; gives its width in pixels."""
+    image: NDArray[np.uint8],
+    text: str,
+    at: tuple[int, int],
+    *,
+    scale: float = 0.45,
+    centred: bool = False,
+    color: Color = INK,
+    rim: Color | None = (255, 255, 255),
+    thickness: int = 1,
+) -> int:
+    """Writes ``text`` with its baseline at ``at``; returns its width in pixels."""
     import cv2
 
     (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
     x, y = (at[0] - width // 2, at[1]) if centred else at
-    around = [(dx, dy) for dx in (-2, 0, 2) for dy in (-2, 0, 2)]  # a thicker stroke would have wider letters
+    around = [(dx, dy) for dx in (-2, 0, 2) for dy in (-2, 0, 2)]  # a thicker stroke would widen the letters
     for dx, dy, paint in [*((*d, rim) for d in around if rim is not None), (0, 0, color)]:
         cv2.putText(image, text, (x + dx, y + dy), cv2.FONT_HERSHEY_SIMPLEX, scale, paint, thickness, cv2.LINE_AA)
     return width
@@ -197,7 +214,7 @@ def _text(
 def _framed(
     image: NDArray[np.uint8], scene: Scene, free: FreeSpace, problems: Sequence[Problem], pixels_per_m: float
 ) -> NDArray[np.uint8]:
-    """The plan with a title above, and the scale bar, the key and the list of problems below."""
+    """The plan with a title above it, and the scale bar, the key and the list of problems below it."""
     lines = [f"{k}  {p.kind.replace('_', ' ')}: {p.subject}: {p.text}" for k, p in enumerate(problems, 1)]
     lines = lines[:40] + ([f"... and {len(lines) - 40} more"] if len(lines) > 40 else [])
     width = max(image.shape[1], 640)
@@ -215,8 +232,7 @@ def _framed(
     _text(out, title, (12, 26), scale=0.5)
     base = _HEADER_PX + image.shape[0] + 26
     at = 12 + _scale_bar(out, (12, base), pixels_per_m) + 24
-    for color, text in ((MAIN_COLOR, "free"), (ISLAND_COLOR, "cut off"), (RECEPTACLE_COLOR, "receptacle"),
-                        (PROBLEM_COLOR, "problem")):  # fmt: skip
+    for color, text in _KEY:
         out[base - 10 : base + 2, at : at + 12] = color
         at += 18 + _text(out, text, (at + 18, base), scale=0.42) + 16
     for k, line in enumerate(lines):
@@ -225,7 +241,7 @@ def _framed(
 
 
 def _wrapped(line: str, width: int) -> list[str]:
-    """A line of the list in parts that are at most ``width`` pixels wide; all but the first are indented."""
+    """A line of the list broken into parts at most ``width`` pixels wide; all but the first are indented."""
     import cv2
 
     parts = [""]
@@ -239,7 +255,7 @@ def _wrapped(line: str, width: int) -> list[str]:
 
 
 def _scale_bar(image: NDArray[np.uint8], at: tuple[int, int], pixels_per_m: float) -> int:
-    """A bar of a round number of metres, with its length; gives the width of both in pixels."""
+    """Draws a bar of a round number of metres and its label; returns the width of both in pixels."""
     import cv2
 
     metres = next((m for m in (1, 2, 5, 10, 20, 50) if m * pixels_per_m >= 70), 100)
@@ -260,25 +276,27 @@ def eye_level_camera(
     height: int = 640,
     hfov_deg: float = 82.0,
 ) -> Camera:
-    """A camera at 1.55 m that stands in a corner of the free floor of a room and looks across it.
+    """A camera at a height of 1.55 m in a corner of a room's free floor, looking across the room.
 
-    Of the far corners it is the one with the most open view. Without ``room`` the room is the largest one; a scene
-    without rooms is one room.
+    Among the far corners, the one with the most open view is chosen. ``room`` defaults to the largest; a scene without
+    rooms counts as one room.
+
+    Raises:
+        InputError: there is no such room, or no free floor in it.
     """
     import shapely
 
     main = shapely.get_parts(free.polygon)[0]
     rooms = {r.name: shapely.union_all([shapely.box(*b) for b in np.asarray(r.rectangles)]) for r in scene.rooms}
     if room is not None and room not in rooms:
-        known = ", ".join(rooms) or "none"
-        raise InputError(f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {known}.")
+        raise InputError(f"There is no room {room!r} in scene {scene.name!r}. Its rooms: {', '.join(rooms) or 'none'}.")
     chosen = room or max(rooms, key=lambda name: rooms[name].area, default="")
     area = main.intersection(rooms[chosen]) if chosen else main
     inside = area.intersection(rooms[chosen].buffer(-_DOORWAY_M)) if chosen else area
-    area = area if inside.is_empty else inside  # not from a doorway
+    area = area if inside.is_empty else inside  # away from doorways
     corners = shapely.get_coordinates(area.simplify(0.1))
     if not len(corners):
-        raise InputError(f"Nobody can stand in room {chosen!r} of scene {scene.name!r}.")
+        raise InputError(f"There is no free floor in room {chosen!r} of scene {scene.name!r}.")
     middle = shapely.get_coordinates((rooms[chosen] if chosen else main).centroid)[0]
     target = np.array([middle[0], free.floor_y + 0.9, middle[1]])
     far = corners[np.argsort(-np.linalg.norm(corners - middle, axis=1), kind="stable")[:_EYE_CANDIDATES]]
@@ -294,9 +312,6 @@ def eye_level_camera(
 
 
 def eye_level_picture(scene: Scene, free: FreeSpace, *, room: str | None = None) -> NDArray[np.uint8]:
-    """What a person sees who stands in a room (see `eye_level_camera`), RGB [H, W, 3]."""
+    """The view of a person standing in a room (see `eye_level_camera`), RGB [H, W, 3]."""
     camera = eye_level_camera(scene, free, room=room)
     return Renderer(render_scene(scene)).render(camera, outputs=("rgb",), samples=4)["rgb"]
-
-
-__all__ = ["eye_level_camera", "eye_level_picture", "plan_picture", "render_scene", "scene_map"]

@@ -176,7 +176,7 @@ class MotionShow:
 
     def _draw(self, motions: list[Motion], body: Humanoid, target: Path) -> None:
         from h3data.render import write_png
-        from h3data.render.files import write_jpg
+        from h3data.render.image_files import write_jpg
         from h3data.render.sheets.motion_sheet import clip_picture, motion_picture
 
         strips = []

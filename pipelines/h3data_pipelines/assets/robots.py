@@ -138,6 +138,6 @@ def _line(row: dict[str, Any]) -> str:
 
 def _write(path: Path, image: Any) -> None:
     from h3data.render import write_png
-    from h3data.render.files import write_jpg
+    from h3data.render.image_files import write_jpg
 
     (write_png if path.suffix.lower() == ".png" else write_jpg)(path, image)

@@ -105,7 +105,7 @@ def frames_per_second(replay: Replay, steps: range) -> float:
 def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, annotate: bool) -> ToPicture:
     """How a rendered image becomes what the target stores."""
     from h3data.render import depth_to_rgb, instance_to_rgb
-    from h3data.render.files import depth_to_mm, stored_ids
+    from h3data.render.image_files import depth_to_mm, stored_ids
 
     if target.output == "rgb" and annotate and track.camera.name == "top_down":
 

@@ -418,7 +418,7 @@ def test_memory_that_does_not_suffice_takes_some_views_at_a_time(make, monkeypat
     parts = gpu.render(cameras, outputs=OUTPUTS)
     for name in OUTPUTS:
         assert (whole[name] == parts[name]).all(), name
-    assert "drawing 2 at a time" in caplog.text
+    assert "rendering 2 at a time" in caplog.text
 
 
 def test_an_empty_scene_is_sky(make):
@@ -444,7 +444,7 @@ def test_wrong_arguments_are_named(make):
         (lambda: gpu.render(camera, outputs=("dpeth",)), "Unknown outputs"),
         (lambda: gpu.render(camera, samples=2), "samples must be 1 or 4"),
         (lambda: gpu.render([camera] * 3), "one camera or one per view"),
-        (lambda: gpu.render(replace(camera, width=4)), "is 4x72, this renderer draws 96x72"),
+        (lambda: gpu.render(replace(camera, width=4)), "is 4x72, but this renderer is 96x72"),
         (lambda: gpu.render(camera, worlds=[2]), "worlds 0 to 1"),
         (lambda: gpu.render(camera, poses=np.eye(4)), "poses must have 3 axes"),
         (lambda: gpu.update_poses(np.zeros((2, 2, 4, 4))), r"poses must be \[2, up to 1, 4, 4\]"),
@@ -453,7 +453,7 @@ def test_wrong_arguments_are_named(make):
         (lambda: make(scene, width=0, height=4, worlds=1), "positive whole numbers"),
         (lambda: make([], width=4, height=4, worlds=1), "at least one scene"),
         (lambda: make(scene, width=4, height=4, worlds=2, scene_of_world=[0, 1]), "numbers from 0 to 0"),
-        (lambda: make(GpuScene(scene, moving=[3]), width=4, height=4, worlds=1), "moving names instance 3"),
+        (lambda: make(GpuScene(scene, moving=[3]), width=4, height=4, worlds=1), "moving lists instance 3"),
         (lambda: make(GpuScene(scene, skins={0: (None, None)}), width=4, height=4, worlds=1), "not deformable"),  # type: ignore[dict-item]
     ]:  # fmt: skip
         with pytest.raises(InputError, match=words):

@@ -1,16 +1,16 @@
-"""Optical flow from poses, and where things are in a picture: boxes and masks."""
+"""Exact optical flow, computed from the poses before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.render.camera import Camera
-from h3data.render.pictures import Poses
+from h3data.render.colors import MISS_COLOR
+from h3data.render.outputs import Poses
 from h3data.render.scene import RenderScene
 
 
@@ -22,12 +22,19 @@ def optical_flow(
     camera_after: Camera,
     after: Poses,
 ) -> NDArray[np.float32]:
-    """Where each pixel's point goes until the next picture: right and down, float32 [H, W, 2] [px].
+    """Displacement (right, down) of each pixel's surface point until the next image, float32 [H, W, 2] [px].
 
-    ``picture`` is what `Renderer.render` gave for ``camera`` with the outputs ``depth``, ``instance`` and ``triangle``;
-    ``before`` and ``after`` come from `Renderer.poses`. Points move with their instance, on deformable meshes with their
-    triangle; what is hidden afterwards has flow, too. The background lies infinitely far away. NaN: no longer in front of
-    the camera, or not there any more.
+    Points move with their instance, on deformable meshes with their triangle. Points that are hidden afterwards have flow,
+    too. The background is infinitely far away. NaN marks points that are no longer in front of the camera or no longer
+    exist.
+
+    Args:
+        scene: The rendered scene.
+        picture: Result of `Renderer.render` for ``camera`` with the outputs ``depth``, ``instance`` and ``triangle``.
+        camera: Camera of ``picture``.
+        before: `Renderer.poses` at the time of ``picture``.
+        camera_after: Camera of the next image.
+        after: `Renderer.poses` at the time of the next image.
 
     Raises:
         InputError: an output is missing.
@@ -47,7 +54,7 @@ def optical_flow(
         moved[at] = _moved(scene, int(k), points[at], triangle[at], before, after)
     moved_pixels = camera_after.to_pixels(camera_after.to_camera(moved.reshape(-1, 3)))
     far = (directions @ turn.T).reshape(-1, 3) @ camera_after.pose[:3, :3]
-    if camera.projection == "orthographic":  # an infinitely far point has no place of its own there
+    if camera.projection == "orthographic":  # parallel rays: the background has no defined position
         far_pixels = np.full((len(far), 2), np.nan)
     else:
         far_pixels = camera_after.to_pixels(far)
@@ -61,7 +68,7 @@ def optical_flow(
 
 
 def _index_of(ids_of_instances: NDArray[np.int32], ids: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Instances by their ids in pictures; -1 where nothing is."""
+    """Index of the instance with each id in an image; -1 in the background."""
     order = np.argsort(ids_of_instances, kind="stable")
     place = np.searchsorted(ids_of_instances, ids, sorter=order) if len(order) else np.zeros(ids.shape, np.intp)
     return np.where(ids >= 0, order[np.minimum(place, len(order) - 1)] if len(order) else -1, -1)
@@ -70,7 +77,7 @@ def _index_of(ids_of_instances: NDArray[np.int32], ids: NDArray[np.int32]) -> ND
 def _moved(
     scene: RenderScene, instance: int, points: NDArray, triangle: NDArray, before: Poses, after: Poses
 ) -> NDArray[np.float64]:
-    """World points [N, 3] of an instance, after its motion."""
+    """World points [N, 3] on an instance after its motion."""
     slot = int(scene.instance_mesh[instance])
     old, new = before.matrix[instance], after.matrix[instance]
     if slot not in scene.deformable:
@@ -89,67 +96,19 @@ def _moved(
 
 
 def flow_to_rgb(flow: ArrayLike, *, longest_px: float | None = None) -> NDArray[np.uint8]:
-    """Flow [H, W, 2] [px] as colours [H, W, 3]: hue is the direction (red: to the right), white none, NaN nearly black.
+    """Flow [H, W, 2] [px] as colours [H, W, 3]: hue is direction (red to the right), white is no motion, NaN is dark.
 
-    ``longest_px`` has full colour; by default the 99th percentile.
+    Colours are saturated at ``longest_px``, by default the 99th percentile of lengths.
     """
     import cv2
 
     f = np.asarray(flow, np.float32)
-    known = np.asarray(np.isfinite(f).all(-1))
-    f = np.where(known[..., None], f, 0)
+    valid = np.asarray(np.isfinite(f).all(-1))
+    f = np.where(valid[..., None], f, 0)
     length = np.linalg.norm(f, axis=-1)
-    most = longest_px or float(max(np.percentile(length[known], 99) if known.any() else 0, 1e-3))
+    longest = longest_px or float(max(np.percentile(length[valid], 99) if valid.any() else 0, 1e-3))
     hue = np.degrees(np.arctan2(f[..., 1], f[..., 0])) % 360
-    hsv = np.stack([hue, np.minimum(length / most, 1), np.ones_like(hue)], -1).astype(np.float32)
+    hsv = np.stack([hue, np.minimum(length / longest, 1), np.ones_like(hue)], -1).astype(np.float32)
     rgb = np.rint(255 * np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))).astype(np.uint8)
-    rgb[~known] = (18, 18, 22)
+    rgb[~valid] = MISS_COLOR
     return rgb
-
-
-# --- boxes --------------------------------------------------------------------------------------------------------------
-class Boxes(NamedTuple):
-    """What of each id is visible in a picture, in the order of ids."""
-
-    ids: NDArray[np.int32]
-    """Shape [B]."""
-    boxes: NDArray[np.int32]
-    """First column, first row, end column, end row (exclusive) [px], shape [B, 4]."""
-    pixels: NDArray[np.int64]
-    """How many it covers, shape [B]."""
-
-
-def visible_boxes(ids: ArrayLike, *, groups: ArrayLike | None = None) -> Boxes:
-    """Boxes around the visible pixels of each id in a picture [H, W] of instances or semantic ids.
-
-    ``groups`` maps an id (0, 1, ...) to that of the body which it belongs to, e.g. the links of a robot to the robot; -1
-    leaves it out.
-    """
-    i = _grouped(ids, groups)
-    found, inverse = np.unique(i, return_inverse=True)
-    rows, columns = np.indices(i.shape).reshape(2, -1)
-    inverse = inverse.reshape(-1)
-    low, high = np.full((len(found), 2), 2**31 - 1), np.full((len(found), 2), -1)
-    for axis, values in enumerate((columns, rows)):
-        np.minimum.at(low[:, axis], inverse, values)
-        np.maximum.at(high[:, axis], inverse, values)
-    keep = found >= 0
-    boxes = np.concatenate([low, high + 1], axis=1)[keep].astype(np.int32)
-    return Boxes(found[keep].astype(np.int32), boxes, np.bincount(inverse, minlength=len(found))[keep])
-
-
-def visible_masks(ids: ArrayLike, wanted: ArrayLike, *, groups: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Where each of the ``wanted`` ids [B] is visible, shape [B, H, W]; ``groups`` as in `visible_boxes`."""
-    return _grouped(ids, groups)[None] == np.asarray(wanted).reshape(-1, 1, 1)
-
-
-def _grouped(ids: ArrayLike, groups: ArrayLike | None) -> NDArray[np.integer]:
-    i = np.asarray(ids)
-    if i.ndim != 2 or i.dtype.kind not in "iu":
-        raise InputError(f"Expected a picture of integer ids [H, W], got {i.dtype} {list(i.shape)}.")
-    if groups is None:
-        return i
-    table = np.append(np.asarray(groups, np.int64), -1)
-    if i.max(initial=-1) >= len(table) - 1:
-        raise InputError(f"The groups cover the ids 0 to {len(table) - 2}; the picture holds {i.max()}.")
-    return table[np.maximum(i, -1)]

@@ -1,4 +1,4 @@
-"""Pictures in files."""
+"""PNG and JPEG files, and depth and ids as 16-bit images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_DEPTH_MM = 65535
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
-    """Write RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as PNG."""
+    """Writes RGB uint8 [H, W, 3] or grey uint8 / uint16 [H, W] as PNG."""
     import cv2
 
     is_rgb = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
@@ -32,18 +32,19 @@ def write_png(path: str | os.PathLike[str], image: NDArray) -> None:
 
 
 def _png_options() -> list[int]:
-    """Each row is stored as what changed from the one above: as quick as OpenCV's own choice; depth is 40 % smaller, ids
-    20 %."""
     import cv2
 
-    return [
-        cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
-        cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP,
-    ]  # fmt: skip
+    # The "up" filter stores differences to the row above: as fast as OpenCV's default, depth files 40% smaller, ids 20%.
+    options = {
+        cv2.IMWRITE_PNG_COMPRESSION: 1,
+        cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
+        cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
+    }
+    return [word for option in options.items() for word in option]
 
 
 def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality: int = 90) -> None:
-    """Write RGB uint8 [H, W, 3] as JPEG."""
+    """Writes RGB uint8 [H, W, 3] as JPEG."""
     import cv2
 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
@@ -56,12 +57,12 @@ def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: NDArray[np.floating]) -> None:
-    """Write depth [H, W] [m] as 16-bit PNG in millimetres, see `depth_to_mm`."""
+    """Writes depth [H, W] [m] as 16-bit PNG in millimetres, see `depth_to_mm`."""
     write_png(path, depth_to_mm(depth))
 
 
 def depth_to_mm(depth: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Depth [H, W] [m] as whole millimetres; 0 = nothing hit (or NaN), 1 at least of a hit, 65535 = 65.5 m or more."""
+    """Depth [H, W] [m] in whole millimetres: 0 for misses (and NaN), at least 1 for hits, 65535 for 65.5 m or more."""
     d = np.asarray(depth)
     if d.ndim != 2 or d.dtype.kind != "f":
         raise InputError(f"Expected depth as floats [H, W] in metres, got {d.dtype} {list(d.shape)}.")
@@ -78,7 +79,7 @@ def _to_mm(depth, out):
 
 
 def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
-    """Ids [H, W] as 16-bit pictures hold them: id + 1, 0 = nothing hit.
+    """Ids [H, W] as stored in 16-bit images: id + 1, and 0 for misses.
 
     Raises:
         InputError: an id is above 65534.
@@ -89,7 +90,7 @@ def stored_ids(ids: NDArray[np.integer]) -> NDArray[np.uint16]:
     out = np.empty(i.shape, np.uint16)
     largest = _to_stored(np.ascontiguousarray(i).ravel(), out.ravel())
     if largest >= MAX_DEPTH_MM:
-        raise InputError(f"16-bit pictures hold ids up to {MAX_DEPTH_MM - 1}, got {largest}.")
+        raise InputError(f"16-bit images can store ids up to {MAX_DEPTH_MM - 1}, got {largest}.")
     return out
 
 

@@ -1,4 +1,4 @@
-"""The host's side of `shade.cu` and `occlusion.cu`: words of the rasteriser to ids, normals and RGB."""
+"""Host side of `shade.cu` and `occlusion.cu`: from the rasteriser's words to ids, normals and RGB."""
 
 from __future__ import annotations
 
@@ -17,10 +17,25 @@ if TYPE_CHECKING:
     import torch
 
 _THREADS = 256
+_SCENE_TABLES = (
+    "triangle_instances",
+    "triangle_faces",
+    "instance_ids",
+    "semantic_ids",
+    "normals",
+    "colors",
+    "uv",
+    "levels",
+    "first_level",
+    "texels",
+    "normal_groups",
+    "group_first",
+    "group_faces",
+)
 
 
 class Shader:
-    """Tables that shading needs beside the scenes', and its launches."""
+    """The tables for shading, other than the scenes', and the launches."""
 
     def __init__(self, tensors: dict[str, torch.Tensor], packed: Packed, light: Light, device: torch.device) -> None:
         import torch
@@ -35,23 +50,17 @@ class Shader:
         }
         self._shade = Shade()
         self._shade.fill(
-            **{
-                name: tensors[name]
-                for name in (
-                    "triangle_instances", "triangle_faces", "instance_ids", "semantic_ids", "normals", "colors", "uv",
-                    "levels", "first_level", "texels", "normal_groups", "group_first", "group_faces",
-                )
-            },
+            **{name: tensors[name] for name in _SCENE_TABLES},
             triangle_textures=tensors["triangle_textures"] if packed.textured else None,
             linear_of_byte=self._tables["linear_of_byte"],
             byte_of_level=self._tables["byte_of_level"],
             light=(ctypes.c_float * 27)(*light_table(light)),
-        )  # fmt: skip
+        )
 
     def run(
         self, program: Any, world: World, depth: torch.Tensor, words: torch.Tensor, results: dict[str, torch.Tensor]
     ) -> None:
-        """Write ``results`` (any of the outputs but depth) of a drawn picture."""
+        """Fills ``results`` (any outputs except depth) from a rasterised image."""
         samples = 4 if world.scale == 2 else 1
         shade = self._shade
         shade.fill(world=world, depth=depth, words=words, samples=samples, strength=0.0)
@@ -61,17 +70,17 @@ class Shader:
             program.launch("identify", -(-words.numel() // _THREADS), _THREADS, shade)
         if "rgb" not in results and "normal" not in results:
             return
-        kept: tuple[torch.Tensor, ...] = ()
+        buffers: tuple[torch.Tensor, ...] = ()  # referenced until the launch below has been queued
         if "rgb" in results and self.strength > 0:
-            kept = self._occlude(program, world, depth, factor=4 if samples == 4 else 2)
-            surfaces, amounts, _ = kept
+            buffers = self._occlude(program, world, depth, factor=4 if samples == 4 else 2)
+            surfaces, amounts, _ = buffers
             _, shade.coarse_height, shade.coarse_width, _ = surfaces.shape
             shade.fill(surfaces=surfaces, occlusion=amounts, strength=self.strength)
         pixels = depth.numel() // samples
         program.launch("shade", -(-pixels // _THREADS), _THREADS, shade)
 
     def _occlude(self, program: Any, world: World, depth: torch.Tensor, *, factor: int) -> tuple[torch.Tensor, ...]:
-        """Surfaces [worlds, h, w, 4] and amounts [worlds, h, w] of the coarse picture (see `occlusion.cu`), and scratch."""
+        """Surfaces [worlds, h, w, 4] and amounts [worlds, h, w] of the coarse image (see `occlusion.cu`), and scratch."""
         import torch
 
         count, height, width = depth.shape
@@ -80,10 +89,23 @@ class Shader:
         amounts, scratch = torch.empty((2, *size), dtype=torch.float32, device=self.device)
         occlude = Occlude()
         occlude.fill(
-            depth=depth, cameras=world.cameras, offsets=self._tables["offsets"], surfaces=surfaces, amounts=amounts,
-            width=width, height=height, factor=factor, coarse_height=size[1], coarse_width=size[2], scale=world.scale,
-            first_view=world.first_view, views=count, radius=RADIUS_M, near_radius=SPREAD, gain=CONTRAST / TAPS,
-        )  # fmt: skip
+            depth=depth,
+            cameras=world.cameras,
+            offsets=self._tables["offsets"],
+            surfaces=surfaces,
+            amounts=amounts,
+            width=width,
+            height=height,
+            factor=factor,
+            coarse_height=size[1],
+            coarse_width=size[2],
+            scale=world.scale,
+            first_view=world.first_view,
+            views=count,
+            radius=RADIUS_M,
+            near_radius=SPREAD,
+            gain=CONTRAST / TAPS,
+        )
         blocks = -(-amounts.numel() // _THREADS)
         program.launch("occlude", blocks, _THREADS, occlude)
         for along_y, source, target in ((0, amounts, scratch), (1, scratch, amounts)):

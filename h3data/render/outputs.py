@@ -1,4 +1,4 @@
-"""What a renderer gives: the outputs with their shapes and types, and the poses that belong to a picture."""
+"""Outputs of renderers, with shapes and types, and the poses that an image was rendered with."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ FORMS: Mapping[str, tuple[tuple[int, ...], type]] = {
 
 
 class Poses(NamedTuple):
-    """Where everything of one world is."""
+    """The state of all instances in one world."""
 
     matrix: NDArray[np.float64]
-    """Mesh to world of every instance, shape [I, 3, 4]; NaN: not there."""
+    """Mesh to world for every instance, shape [I, 3, 4]; NaN if it is absent."""
     vertices: Mapping[int, NDArray[np.float32]]
-    """Vertices [V, 3] [m] of the deformable meshes that were given new ones, by mesh."""
+    """Current vertices [V, 3] [m] of the deformable meshes that have been changed, by mesh."""
     visible: NDArray[np.bool_]
-    """Which instances are shown, shape [I]."""
+    """Visibility of instances, shape [I]."""
 
 
 def check_outputs(outputs: Sequence[str]) -> None:
-    """Refuse names that are no outputs."""
+    """Raises an InputError if a name is not an output."""
     unknown = [name for name in outputs if name not in FORMS]
     if unknown or isinstance(outputs, str):
-        raise InputError(f"Unknown outputs {unknown or outputs!r}. There are: {', '.join(get_args(Output))}.")
+        raise InputError(f"Unknown outputs {unknown or outputs!r}. Available: {', '.join(get_args(Output))}.")
 
 
 def picture_arrays(
     cameras: Sequence[Camera], outputs: Sequence[str], out: Mapping[str, NDArray] | None
 ) -> dict[str, NDArray]:
-    """Arrays [N, H, W, ...] for pictures of N cameras of one size: those in ``out`` where they fit, else new ones."""
+    """Arrays [N, H, W, ...] for images of N cameras of one size: those given in ``out``, new ones for the rest."""
     results: dict[str, NDArray] = {}
     for name in outputs:
         trailing, dtype = FORMS[name]
