@@ -1,4 +1,4 @@
-"""The short way in from Python: open a recording, draw one picture of it."""
+"""Shortcuts: open a recording or scene, render one frame, make a training environment."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from h3data.errors import FormatError, InputError, did_you_mean
-from h3data.recording import Dataset, Recording, open_recording
+from h3data.errors import InputError, did_you_mean
+from h3data.recording import Recording, open_recording
 from h3data.render import Output
 from h3data.replay import CameraTrack, Replay, camera_at
 
@@ -19,40 +19,22 @@ if TYPE_CHECKING:
     from h3data.habitat.scenes.scene_dataset import SceneDataset
     from h3data.scene import Scene
 
-_INSTEAD = {
-    "navmesh": "a Habitat navmesh. Hint: read it with h3data.habitat.navmesh.file.read_navmesh",
-    "rearrange_episodes": "a Habitat episode file. Hint: read it with h3data.habitat.episodes.episode_files.read_episodes",
-    "lighting_config": "a lighting configuration of a Habitat dataset. Hint: open a scene that names it",
-    "semantic_config": "a semantic configuration of a Habitat dataset. Hint: open a scene that names it",
-    "scene_filter": "a receptacle filter of a Habitat scene. Hint: open the scene that names it",
-}
-"""What to do with files that hold neither a recording nor a scene."""
-
 
 def open(path: str | os.PathLike[str]) -> Any:
-    """The `Recording` in an MCAP file, the `Dataset` in a folder, or the `Scene` in a file of ours (GLB) or of Habitat.
+    """Opens the `Recording` in an MCAP file, the `Dataset` in a folder, or the `Scene` in a GLB or Habitat file.
 
-    ``*.scene_dataset_config.json`` gives a list of its scenes (`SceneDataset`), ``path#name`` one of them; for the other
-    files of Habitat, and options, see `h3data.interop.load_habitat_scene`.
+    A ``*.scene_dataset_config.json`` gives its list of scenes (`SceneDataset`), ``path#name`` one of them; the other files
+    of Habitat, and options, are described in `h3data.habitat.scenes.scene_instance.load_habitat_scene`.
 
     Raises:
-        FormatError: it is none of these; the message says what it looks like and what to do.
+        FormatError: it is none of these; the message says what the file is and what to do with it.
     """
     from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
 
     dataset, name = dataset_and_scene(path)
     if dataset is not None or os.fspath(path).lower().endswith(HABITAT_ENDINGS):
         return _open_scene(Path(path) if dataset is None else dataset, name)
-    try:
-        opened: Recording | Dataset = open_recording(Path(path))
-    except FormatError as fault:
-        from h3data.sniff import sniff
-
-        instead = _INSTEAD.get(sniff(Path(path))) if os.path.isfile(path) else None
-        if instead is None:
-            raise
-        raise FormatError(f"This is {instead}: {os.fspath(path)}") from fault
-    return opened
+    return open_recording(Path(path))
 
 
 def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:

@@ -11,6 +11,11 @@ from pathlib import Path
 from h3data.errors import InputError
 
 
+def size_text(count: int) -> str:
+    """A number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
 def cache_folder(kind: str) -> Path | None:
     """Cache folder ``kind`` below ``$H3DATA_CACHE``, ``$XDG_CACHE_HOME/h3data`` or ``~/.cache/h3data``.
 

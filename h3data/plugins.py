@@ -31,14 +31,19 @@ class Plugin:
     """One entry of a registry, not imported yet."""
 
     name: str
-    value: str
-    """``module:name``."""
+    value: Any
+    """``module:name``, or the object itself."""
     distribution: str = ""
     """Name and version of the installed package; empty for built-in entries and references by ``module:name``."""
 
     def load(self) -> Any:
         """The object itself; raises whatever importing its module raises."""
-        return EntryPoint(self.name, self.value, "").load()
+        return load_reference(self.value) if isinstance(self.value, str) else self.value
+
+
+def load_reference(reference: str) -> Any:
+    """The object that ``module:name`` refers to; raises whatever importing its module raises."""
+    return EntryPoint("", reference, "").load()
 
 
 class Registry(Generic[T]):
@@ -56,7 +61,7 @@ class Registry(Generic[T]):
     def __init__(
         self,
         group: str,
-        built_in: Mapping[str, str],
+        built_in: Mapping[str, str | T],
         *,
         what: str,
         check: Callable[[Any], None] | None = None,
@@ -65,7 +70,7 @@ class Registry(Generic[T]):
 
         Args:
             group: the group of entry points, such as ``h3data.tasks``.
-            built_in: ``module:name`` of each built-in entry, by name.
+            built_in: ``module:name`` of each built-in entry, or the object itself if it is cheap to import, by name.
             what: what an entry is called in error texts, such as "task" or "metric profile".
             check: raises an `InputError` that names the missing or wrong field of a loaded object.
         """
@@ -110,15 +115,22 @@ class Registry(Generic[T]):
 
     def load_all(self) -> dict[str, T]:
         """Returns every object by name; warns about plug-ins that cannot be loaded and leaves them out."""
+        return {name: entry.load() for name, entry in self._built_in.items()} | self.load_third_party()
+
+    def load_third_party(self) -> dict[str, T]:
+        """Returns the objects that installed packages add; warns about those that cannot be loaded."""
         loaded: dict[str, T] = {}
-        for entry in self.entries():
+        for entry in self.entries()[len(self._built_in) :]:
             try:
                 loaded[entry.name] = self._load(entry)
             except H3DataError as error:
-                if not entry.distribution:
-                    raise
-                warnings.warn(f"Ignored: {error}", PluginWarning, stacklevel=2)
+                warnings.warn(f"Ignored: {error}", PluginWarning, stacklevel=3)
         return loaded
+
+    def origin(self, name: str) -> str:
+        """The name as error texts give it: with package and entry point, if it comes from a plug-in."""
+        claims = self._third_party().get(name, [])
+        return self._origin(claims[0]) if claims and name not in self._built_in else repr(name)
 
     def _third_party(self) -> dict[str, list[Plugin]]:
         """Installed entry points by name; several if packages disagree about what the name stands for."""

@@ -1,8 +1,5 @@
 """Registries: built-in entries, installed entry points, ``module:name``, and what happens when plug-ins are broken."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
 from h3data.errors import InputError, MissingExtraError, PluginError
@@ -16,22 +13,9 @@ def registry(**options) -> Registry:
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Installs a package with entry points and a module of the same name, as pip would leave it on sys.path."""
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def installed(package: str, entries: dict[str, str], source: str = "") -> None:
-        folder = tmp_path / f"{package}-1.2.dist-info"
-        folder.mkdir()
-        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n")
-        lines = [f"{name} = {value}" for name, value in entries.items()]
-        (folder / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines]))
-        (tmp_path / f"{package}.py").write_text(source)
-
-    before = set(sys.modules)
-    yield installed
-    for name in set(sys.modules) - before:
-        del sys.modules[name]
+def install(install_package):
+    """Installs a package with entry points of `GROUP` and a module of the same name."""
+    return lambda package, entries, source="": install_package(package, GROUP, entries, source)
 
 
 def test_built_in_entries_keep_their_order_and_are_imported_at_first_use() -> None:

@@ -12,7 +12,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from h3data.files import part_file
+from h3data.files import part_file, size_text
+from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Agent, Recording
 from h3data.recording.schema import episode_to_dict
 
@@ -67,6 +68,14 @@ def write_csv_tables(recording: Recording, folder: str | Path) -> list[Path]:
     with part_file(folder / "recording.json") as part:
         part.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
     return [folder / name for name in FILES]
+
+
+def export_csv(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports one recording for ``h3data export --to csv``."""
+    (recording,) = recordings
+    files = write_csv_tables(recording, request.out)
+    lines = [f"{file}: {size_text(file.stat().st_size)}" for file in files]
+    return Exported(text="\n".join(lines), data={"steps": len(recording), "files": [str(file) for file in files]})
 
 
 def _npz(stream: IO[bytes], recording: Recording) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.export.gltf_skin import skinned_glb_bytes
 from h3data.export.posed_parts import PosedCamera, PosedPart, spans
-from h3data.files import part_file
+from h3data.export.posing import missing_note, posed_cameras, posed_parts
+from h3data.files import part_file, size_text
+from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
 from h3data.habitat.assets import EMPTY_URI
 from h3data.habitat.scenes.object_handles import HANDLE
@@ -29,6 +31,7 @@ from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.primitives import is_primitive
 from h3data.mesh.records import Mesh
 from h3data.recording.records import AssetRef, Recording
+from h3data.replay import Replay
 
 DECIMALS = 7
 """As habitat-sim writes them; single precision has no more."""
@@ -123,6 +126,32 @@ def write_gfx_replay(
     files.write()
     _write(path, keyframes)
     return GfxReplayFiles(path=path, assets=tuple(files.contents), instances=key, keyframes=len(recording))
+
+
+def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports one recording for ``h3data export --to gfx-replay``."""
+    (recording,) = recordings
+    folder = assets_folder(request.out)
+    has_own_meshes = any(ref.uri.startswith("scene:") for ref in recording.assets) or any(
+        agent.model for agent in recording.agents
+    )
+    if has_own_meshes and not request.force and folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"The folder for assets is not empty. Use --force to overwrite, or another -o: {folder}")
+    replay = Replay(recording, assets=request.assets, detail=not request.light)
+    files = write_gfx_replay(recording, posed_parts(replay), request.out, cameras=posed_cameras(replay))
+    size = files.path.stat().st_size
+    text = f"{files.path}: {files.keyframes} keyframes, {files.instances} instances, {size_text(size)}"
+    if files.assets:
+        text += f"\n{folder}: {len(files.assets)} GLB files. Start habitat-sim in the folder of both."
+    missing = sorted(replay.missing)
+    data = {
+        "keyframes": files.keyframes,
+        "instances": files.instances,
+        "bytes": size,
+        "assets": len(files.assets),
+        "missing": missing,
+    }
+    return Exported(text=text + missing_note(missing, "keep their recorded names"), data=data)
 
 
 def assets_folder(path: Path) -> Path:

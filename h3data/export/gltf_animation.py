@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.export.gltf_skin import Node, add_joints, local_poses, skin_record, trs
 from h3data.export.posed_parts import PosedCamera, PosedPart
-from h3data.files import part_file
+from h3data.export.posing import missing_note, posed_cameras, posed_parts
+from h3data.files import part_file, size_text
+from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
 from h3data.mesh.glb import FLOAT32, GlbChunk, pack_glb
 from h3data.mesh.glb_write import Influences, mesh_lists
 from h3data.mesh.records import Mesh
 from h3data.recording.records import Recording
+from h3data.replay import Replay
 
 _STILL = 1e-7
 """A track that changes by less [m, or quaternion component] is written as the pose of its node."""
@@ -74,6 +77,30 @@ def write_gltf_animation(
         path=path, nodes=len(writer.nodes), meshes=len(writer.meshes), channels=len(writer.channels),
         joints=sum(len(skin["joints"]) for skin in writer.skins), seconds=float(writer.times[-1]),
     )  # fmt: skip
+
+
+def export_gltf(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports one recording for ``h3data export --to gltf``."""
+    (recording,) = recordings
+    replay = Replay(recording, assets=request.assets, detail=not request.light)
+    cameras, missing = posed_cameras(replay), sorted(replay.missing)
+    file = write_gltf_animation(recording, posed_parts(replay), request.out, cameras=cameras)
+    size = file.path.stat().st_size
+    text = (
+        f"{file.path}: {file.seconds:.1f} s, {file.nodes} nodes, {file.meshes} meshes, {file.joints} joints, "
+        f"{len(cameras)} cameras, {size_text(size)}"
+    )
+    data = {
+        "seconds": file.seconds,
+        "nodes": file.nodes,
+        "meshes": file.meshes,
+        "joints": file.joints,
+        "channels": file.channels,
+        "cameras": len(cameras),
+        "bytes": size,
+        "missing": missing,
+    }
+    return Exported(text=text + missing_note(missing, "are marked placeholders"), data=data)
 
 
 @dataclass

@@ -10,6 +10,7 @@ import numpy as np
 
 from h3data.errors import InputError
 from h3data.export.transitions import transitions_of
+from h3data.formats import Exported, ExportRequest
 from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
 
@@ -37,6 +38,13 @@ def write_lerobot(
         for recording in recordings:
             out.add(_with_transitions(recording, agent))
         return len(out)
+
+
+def export_lerobot(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports recordings for ``h3data export --to lerobot``."""
+    count = write_lerobot(recordings, request.out, agent=request.agent, overwrite=request.force)
+    text = f"{request.out}: {count} episode{'s' * (count != 1)} as a LeRobot v3.0 dataset"
+    return Exported(text=text, data={"episodes": count})
 
 
 def _with_transitions(recording: Recording, agent: str | None) -> Recording:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,6 +80,11 @@ def posed_cameras(replay: Replay) -> list[PosedCamera]:
             )
         )  # fmt: skip
     return cameras
+
+
+def missing_note(missing: Sequence[str], consequence: str) -> str:
+    """A line for people about asset files that were not found; empty if all were."""
+    return f"\n{len(missing)} asset files were not found and {consequence}. Hint: --assets DIR" if missing else ""
 
 
 def _poses_of_body(replay: Replay, body: Body, steps: NDArray[np.integer]) -> Array:

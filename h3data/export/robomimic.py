@@ -11,7 +11,8 @@ import numpy as np
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.export.transitions import Transitions, transitions_of
-from h3data.files import part_file
+from h3data.files import part_file, size_text
+from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Recording
 
 
@@ -49,6 +50,14 @@ def write_robomimic(recordings: Iterable[Recording], path: str | Path, *, agent:
         names = np.array([f"demo_{k}" for k in range(count)], dtype="S")
         file.create_group("mask").create_dataset("train", data=names)
     return count
+
+
+def export_robomimic(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports recordings for ``h3data export --to robomimic``."""
+    count = write_robomimic(recordings, request.out, agent=request.agent)
+    size = request.out.stat().st_size
+    text = f"{request.out}: {count} demonstration{'s' * (count != 1)}, {size_text(size)}"
+    return Exported(text=text, data={"demonstrations": count, "bytes": size})
 
 
 def _add_demo(group: Any, recording: Recording, found: Transitions, observed: dict[str, np.ndarray]) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from h3data.recording.mcap.read import read_mcap
     from h3data.recording.mcap.recover import Recovery, recover_mcap
     from h3data.recording.mcap.writer import RecordingWriter, write_mcap
-    from h3data.recording.opening import looks_like, open_recording, open_steps
+    from h3data.recording.opening import open_recording, open_steps
     from h3data.recording.parquet.dataset import Dataset
     from h3data.recording.parquet.lerobot import rebuild_meta
     from h3data.recording.parquet.writer import DatasetWriter
@@ -42,7 +42,6 @@ _HOMES = {
     "Recovery": "mcap.recover",
     "read_mcap": "mcap.read",
     "recover_mcap": "mcap.recover",
-    "looks_like": "opening",
     "open_recording": "opening",
     "Steps": "steps",
     "open_steps": "opening",
@@ -67,7 +66,6 @@ __all__ = [
     "SkillSpan",
     "Steps",
     "WindowDataset",
-    "looks_like",
     "open_recording",
     "open_steps",
     "read_mcap",

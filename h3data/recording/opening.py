@@ -1,13 +1,13 @@
-"""Opens any recording, an MCAP log or a dataset folder, and says what any other file is."""
+"""Opens any supported recording, an MCAP log or a dataset folder; errors name what any other file is."""
 
 from __future__ import annotations
 
-import gzip
 import os
-import zlib
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from h3data.errors import FormatError, InputError
+from h3data.formats import Format, SourceFile, detect, format_by_beginning
 from h3data.recording.records import Recording
 from h3data.recording.steps import Steps
 from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, place
@@ -15,20 +15,7 @@ from h3data.recording.storage import AnyPath, RemotePath, masked, open_binary, p
 if TYPE_CHECKING:
     from h3data.recording.parquet.dataset import Dataset
 
-_MAGIC = {
-    b"\x89MCAP0\r\n": "an MCAP log",
-    b"PAR1": "a Parquet file",
-    b"ARROW1": "an Arrow file",
-    b"RRF2": "a Rerun recording (.rrd)",
-    b"\x89HDF": "an HDF5 file",
-    b"glTF": "a glTF model (.glb)",
-    b"\x89PNG": "a PNG picture",
-    b"\xff\xd8\xff": "a JPEG picture",
-    b"PK\x03\x04": "a zip archive",
-    b"\x93NUMPY": "a numpy array",
-}
-_HEAD = 1 << 16
-
+_HEAD_BYTES = 1 << 16
 FOXGLOVE_SUFFIX = ".foxglove.mcap"
 """Suffix of exports for Foxglove (`h3data.export.foxglove.write`), which lie beside recordings but are none."""
 
@@ -66,17 +53,17 @@ def open_recording(path: str | os.PathLike[str] | RemotePath) -> Recording | Dat
         from h3data.recording.parquet.dataset import Dataset
 
         return Dataset(path)
-    kind = looks_like(path)
-    if kind == "an MCAP log":
+    form = _format_of(path)
+    if form.name == "mcap":
         from h3data.recording.mcap.read import read_mcap
 
         return read_mcap(path)
     if path.suffix == ".part":
-        raise FormatError(f"An unfinished file ({kind}) with nothing to recover: {path}")
-    if kind == "a gfx-replay file of Habitat":
-        raise FormatError(f"This is {kind}. Hint: `h3data import {path} -o DIR` makes an MCAP log of it: {path}")
-    parquet = " Hint: open the dataset folder that it belongs to." if kind == "a Parquet file" else ""
-    raise FormatError(f"Expected an MCAP log or a dataset folder, this looks like {kind}.{parquet} File: {path}")
+        raise FormatError(f"An unfinished file ({form.title}) with nothing to recover: {path}")
+    hint = form.hint or (f"`h3data import {path} -o DIR` makes an MCAP log of it" if form.read else "")
+    raise FormatError(
+        f"Expected an MCAP log or a dataset folder, this looks like {form.title}.{hint and f' Hint: {hint}.'} File: {path}"
+    )
 
 
 def open_steps(path: str | os.PathLike[str] | RemotePath, *, episode: int | None = None) -> Steps:
@@ -111,35 +98,12 @@ def _episode(opened: Recording | Dataset, number: int, root: str) -> Recording:
     return opened.recording(number)
 
 
-def looks_like(path: AnyPath) -> str:
-    """Kind of a file, judged by how it begins: ``an MCAP log``, ``a gfx-replay file of Habitat``, ``text``, ..."""
+def _format_of(path: AnyPath) -> Format:
+    """The format of a file; of one in a remote store only the beginning is read."""
+    if isinstance(path, Path):
+        return detect(SourceFile(path, chunk_bytes=_HEAD_BYTES))
     try:
         with open_binary(path) as stream:
-            head = stream.read(_HEAD)
+            return format_by_beginning(stream.read(_HEAD_BYTES))
     except OSError as error:
         raise InputError(f"The file cannot be read ({error.strerror or error}): {path}") from error
-    if not head:
-        return "an empty file"
-    if head[:2] == b"\x1f\x8b":
-        return _json_kind(_gunzip_head(path)) or "a gzip archive"
-    for magic, kind in _MAGIC.items():
-        if head.startswith(magic):
-            return kind
-    return _json_kind(head) or ("text" if b"\0" not in head else "binary data of an unknown kind")
-
-
-def _json_kind(head: bytes) -> str | None:
-    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if text[:1] not in (b"{", b"["):
-        return None
-    if b'"keyframes"' in head or b'"keyframe"' in head:
-        return "a gfx-replay file of Habitat"
-    return "a JSON file"
-
-
-def _gunzip_head(path: AnyPath) -> bytes:
-    try:
-        with open_binary(path) as file, gzip.open(file) as stream:
-            return stream.read(_HEAD)
-    except (OSError, EOFError, zlib.error):
-        return b""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,14 @@ AssetsOption = Annotated[
 ]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene with anything left out or guessed.")]
 MissingFlag = Annotated[bool, tyro.conf.arg(help="Leave out what a Habitat scene has no files for, with a warning.")]
+
+
+@dataclass(frozen=True)
+class NameOf:
+    """Marks a text option that names an entry of a registry: its help lists the names, those of plug-ins included."""
+
+    names: Callable[[], Iterable[str]]
+    """Asked only when the command is chosen: finding plug-ins takes some milliseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)

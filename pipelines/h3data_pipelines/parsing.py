@@ -13,7 +13,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, NoReturn, cast, get_args, get_type_hints
@@ -22,7 +22,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.errors import InputError, did_you_mean
-from h3data_pipelines.command import Command, Group
+from h3data_pipelines.command import Command, Group, NameOf
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 _SILENT = ("None", "False", "", "''")
@@ -77,6 +77,9 @@ def _options(command: type[Command], prog: str, words: list[str]) -> Command:
 def _quiet(command: type[Command]) -> Any:
     """The command, whose help keeps defaults that say something and leaves out the others."""
     for name, kind in get_type_hints(command, include_extras=True).items():
+        names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
+        if names is not None:
+            kind = Annotated[kind, _text_of(names.names())]
         hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
         command.__annotations__[name] = Annotated[kind, hint]
     return command
@@ -168,6 +171,17 @@ _KINDS: dict[Any, tuple[str, Any]] = {
     str: ("TEXT", str),
     Path: ("PATH", _path),
 }
+
+
+def _text_of(names: Iterable[str]) -> PrimitiveConstructorSpec[str]:
+    """A text whose help shows ``names``; what else it may be is for the command to judge."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=f"{{{','.join(names)}}}",
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    )
 
 
 @_registry.primitive_rule

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from h3data.bodies.motion.bvh import read_bvh_file
 from h3data.errors import FormatError, H3DataError
+from h3data.formats import detect
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.episodes.episode_files import read_episodes
 from h3data.habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
@@ -33,7 +34,6 @@ from h3data.mesh.primitives import primitive_mesh
 from h3data.npz_arrays import npz_arrays
 from h3data.recording import AssetRef, read_mcap, write_mcap
 from h3data.replay import Replay
-from h3data.sniff import sniff
 from h3data_pipelines.cli import main
 
 POSE = {"translation": [1.5, 0.25, -2], "rotation": [1, 0, 0, 0]}
@@ -159,7 +159,7 @@ def read_or_refuse(folder: Path, kind: str, data: bytes) -> None:
     _, name, reader = FILES[kind]
     path = folder / name
     path.write_bytes(data)
-    sniff(path)
+    detect(path)
     told = "read"
     try:
         with np.errstate(all="ignore"):

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from h3data.errors import FormatError, H3DataError, InputError, SceneError
+from h3data.formats import detect
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.loading import load_mesh, node_box
 from h3data.mesh.primitives import primitive_mesh
 from h3data.recording import AssetRef
-from h3data.sniff import sniff
 from h3data_pipelines.cli import main
 
 POSE = {"translation": [1, 0, 2], "rotation": [1, 0, 0, 0]}
@@ -50,7 +50,7 @@ REPLAYS = {
 def test_hostile_replays_are_refused(case: str, tmp_path: Path) -> None:
     path = tmp_path / "x.gfx_replay.json"
     path.write_bytes(REPLAYS[case])
-    sniff(path)  # never raises on content
+    detect(path)  # never raises on content
     with pytest.raises(FormatError, match=r"x\.gfx_replay\.json"):
         read_gfx_replay(path)
 
@@ -58,7 +58,7 @@ def test_hostile_replays_are_refused(case: str, tmp_path: Path) -> None:
 def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     path = tmp_path / "x.gfx_replay.json"
     path.write_bytes(b"\xef\xbb\xbf" + replay_text())
-    assert sniff(path) == "gfx_replay"
+    assert detect(path).name == "gfx_replay"
     assert len(read_gfx_replay(path)) == 1
 
 

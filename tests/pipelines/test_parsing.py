@@ -34,7 +34,7 @@ REFUSED = {
     "generate wander -o x --episodes": "Missing value for argument '--episodes'. See: h3data generate --help",
     "robots reach quad_arm 1 2": "Missing value for argument 'point'. Expected 3 values. See: h3data robots reach --help",
     "robots reach quad_arm 1 2 z": "POINT: expected a number, got 'z'. See: h3data robots reach --help",
-    "export a --to b -o c": "Invalid choice 'b' for argument '--to'. Expected one of ('gfx-replay', 'gltf',",
+    "export a --to b -o c": "Cannot export to 'b'. Expected one of: gfx-replay, gltf,",
     "view a -o": "Missing value for argument '-o/--out'. See: h3data view --help",
 }
 

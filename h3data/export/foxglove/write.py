@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.export.posed_parts import PosedPart
-from h3data.files import part_file
+from h3data.export.posing import missing_note, posed_parts
+from h3data.files import part_file, size_text
+from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, pose_from_matrix
 from h3data.recording.log_lines import log_lines
 from h3data.recording.mcap.header import episode_metadata, log_time, start_time
@@ -23,6 +25,7 @@ from h3data.recording.opening import FOXGLOVE_SUFFIX
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column
 from h3data.render.camera import Camera
+from h3data.replay import Replay, camera_track
 
 if TYPE_CHECKING:
     from mcap_protobuf.writer import Writer
@@ -90,6 +93,34 @@ def write_foxglove(
     with part_file(path) as part, part.open("wb") as stream, writer_class(stream) as mcap:
         mcap.add_metadata("h3.episode", episode_metadata(recording.episode))
         return _Export(recording, posed, mcap, cameras).write(path, pictures)
+
+
+def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
+    """Exports one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
+    (recording,) = recordings
+    replay = Replay(recording, assets=request.assets, detail=False)
+    tracks = [camera_track(replay, name) for name in request.cameras]
+    frames = replay.frames(tracks, range(len(recording) if tracks else 0), threads=request.threads)
+    shown = request.progress(frames, len(recording), "frame") if tracks else frames
+    file = write_foxglove(
+        recording,
+        lambda steps: posed_parts(replay, steps),
+        request.out,
+        cameras=[FoxgloveCamera(camera=track.camera, poses=track.poses) for track in tracks],
+        pictures=((step, [image["rgb"] for image in images]) for step, images in shown),
+    )
+    size, missing = file.path.stat().st_size, sorted(replay.missing)
+    text = (
+        f"{file.path}: {file.messages} messages on {len(file.topics)} topics, {file.frames} frames, {size_text(size)}"
+    )
+    data = {
+        "messages": file.messages,
+        "topics": list(file.topics),
+        "frames": file.frames,
+        "bytes": size,
+        "missing": missing,
+    }
+    return Exported(text=text + missing_note(missing, "are marked placeholders"), data=data)
 
 
 class _Export:

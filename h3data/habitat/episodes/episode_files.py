@@ -17,10 +17,11 @@ import msgspec
 
 from h3data.array_pickle import is_pickle
 from h3data.errors import FormatError, InputError
+from h3data.formats import SourceFile, json_format
+from h3data.formats.json_files import not_json
 from h3data.habitat.episodes.episode_json import Notes, decode_episodes, encode_episode, encode_json
 from h3data.habitat.episodes.episode_pickle import unpickle_episodes
 from h3data.habitat.episodes.episode_records import ContentFile, EpisodeSet, RearrangeEpisode
-from h3data.sniff import KIND_WORDS, json_kind, not_json, read_bytes
 
 _OBJECT = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _LIST = msgspec.json.Decoder(list[msgspec.Raw])
@@ -71,7 +72,7 @@ def _collector_paused() -> Iterator[None]:
 # --- the file ---------------------------------------------------------------------------------------------------------
 def _open(path: Path) -> tuple[Sequence[msgspec.Raw], dict[str, Any]]:
     """The episodes, still text, and the other keys of the file."""
-    data = read_bytes(path)
+    data = SourceFile(path).data
     if is_pickle(data):
         return unpickle_episodes(data, path), {}
     try:
@@ -95,15 +96,15 @@ def _other_kind(path: Path, data: bytes) -> FormatError:
         return _too_deep(path)
     except (msgspec.DecodeError, UnicodeDecodeError) as fault:
         return _not_json(path, data, fault)
-    kind = json_kind(content, name=path.name)
-    if kind == "rearrange_episodes":
+    other = json_format(content, name=path.name)
+    if other.name == "rearrange_episodes":
         got = type(content["episodes"]).__name__
         return FormatError(f"Expected a list under 'episodes', got {_JSON_WORDS.get(got, got)}: {path}")
     if not isinstance(content, dict):
         word = _JSON_WORDS.get(type(content).__name__, "a value")
         return FormatError(f"Expected an episode dataset, an object with the key 'episodes'; this is {word}: {path}")
     keys = ", ".join(list(content)[:5]) or "no keys"
-    return FormatError(f"Expected an episode dataset, this is {KIND_WORDS.get(kind, kind)} (it has {keys}): {path}")
+    return FormatError(f"Expected an episode dataset, this is {other.title} (it has {keys}): {path}")
 
 
 _JSON_WORDS = {"dict": "an object", "list": "a list", "str": "a string", "int": "a number", "float": "a number",

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from h3data.errors import H3DataError
-from h3data.sniff import decode_json, read_bytes
+from h3data.formats.source_file import SourceFile, decode_json
 
 METRICS_FILE = "processed_metrics.json"
 _RESULTS = {
@@ -36,7 +36,7 @@ def partnr_result(path: Path) -> dict[str, Any]:
 
 def _result(file: Path, path: Path) -> dict[str, Any]:
     try:
-        content = decode_json(read_bytes(file))
+        content = decode_json(SourceFile(file).data)
     except (H3DataError, msgspec.DecodeError):
         return {}
     names = content.get("eid_to_filename") if isinstance(content, dict) else None

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.formats.source_file import decode_json
 from h3data.geometry import IDENTITY_POSE, quat_sign_continuous
 from h3data.habitat.gfx.gfx_keyframes import BonePose, Creation, Keyframe, Load, Transform
 from h3data.limits import MAX_BODIES, MAX_STEPS, check_count
-from h3data.sniff import decode_json
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20

@@ -15,18 +15,11 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from h3data.errors import FormatError
-from h3data.json_stream import ArrayElements, ArrayFault
-from h3data.sniff import (
-    BYTE_ORDER_MARK,
-    CHUNK_BYTES,
-    KIND_WORDS,
-    REPLAY_MEMBERS,
-    byte_chunks,
-    decode_json,
-    json_kind,
-    not_json,
-    truncated,
-)
+from h3data.formats import SourceFile, json_format
+from h3data.formats.json_files import not_json, truncated
+from h3data.formats.json_stream import ArrayElements, ArrayFault
+from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
+from h3data.formats.table import REPLAY_MEMBERS
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 """What fits a float32 also after a product or two."""
@@ -141,15 +134,14 @@ _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]
 _OPENING_BYTES = 4096
 
 
-def read_keyframes(
-    path: Path, digest: Callable[[bytes], object], *, chunk_bytes: int = CHUNK_BYTES
-) -> Iterator[Keyframe]:
+def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[Keyframe]:
     """Keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``, one by one.
 
     A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
     with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
     """
-    chunks = _digested(byte_chunks(path, chunk_bytes), digest)
+    path = file.path
+    chunks = _digested(file.chunks(), digest)
     head = b""
     while len(head) < _OPENING_BYTES and (chunk := next(chunks, b"")):
         head += chunk
@@ -248,8 +240,7 @@ def _content(path: Path, data: bytes) -> Any:
 def _other_kind(path: Path, content: Any) -> FormatError:
     if isinstance(content, dict):
         keys = ", ".join(list(content)[:8]) or "none"
-        kind = json_kind(content, name=path.name)
-        shape = f"Its top-level keys are: {keys}; it looks like {KIND_WORDS.get(kind, kind)}."
+        shape = f"Its top-level keys are: {keys}; it looks like {json_format(content, name=path.name).title}."
     else:
         shape = f"It holds a JSON {type(content).__name__}."
     return FormatError(f"Expected a gfx-replay (JSON with the key 'keyframes'). {shape} {path}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import uuid
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
+from h3data.formats import SourceFile
 from h3data.habitat.assets import EMPTY_URI, clean_path
 from h3data.habitat.gfx.gfx_agents import add_agents
 from h3data.habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
@@ -29,7 +31,7 @@ _UNTELLING_STEMS = {"textured", "mesh", "model", "visual", "collider", "textured
 _UNTELLING_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets", "tsdf", "poisson"}
 
 
-def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
+def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -> Recording:
     """The recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
 
     A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the drawn nodes, asset names, nothing else. So:
@@ -46,10 +48,11 @@ def read_gfx_replay(path: str | Path, *, fps: float | None = None) -> Recording:
 
     ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
     """
-    path = Path(path)
+    file = SourceFile.of(path)
+    path = file.path
     dt_ns = STEP_NS if fps is None else _step_ns(fps)
     digest = hashlib.sha256()
-    fold = fold_keyframes(read_keyframes(path, digest.update), path)
+    fold = fold_keyframes(read_keyframes(file, digest.update), path)
     assets, refs, notes = _assets(fold, path)
     bodies, tracks = _bodies(fold, refs, path)
     columns: dict[str, NDArray[Any]] = {"time_ns": np.arange(fold.steps, dtype=np.int64) * dt_ns}

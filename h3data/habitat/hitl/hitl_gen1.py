@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.array_pickle import is_pickle
 from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
+from h3data.formats import FORMATS, SourceFile
 from h3data.geometry import Array, ground_pose
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
@@ -33,7 +35,6 @@ from h3data.habitat.hitl.hitl_records import (
 )
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
-from h3data.sniff import KIND_WORDS, read_bytes
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)
 PERSON_VALUES = JOINT_VALUES + 32
@@ -65,7 +66,7 @@ class Log(msgspec.Struct):
 
 
 def read_hitl_log(
-    path: str | Path, *, fps: float = 30.0, assets: AssetLibrary | None = None,
+    path: str | os.PathLike[str], *, fps: float = 30.0, assets: AssetLibrary | None = None,
     joint_order: JointOrder | None = None,
 ) -> Recording:  # fmt: skip
     """The recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
@@ -82,8 +83,8 @@ def read_hitl_log(
     Raises:
         FormatError: it is something else, truncated or damaged, or a pickle that asks for code (it is named).
     """
-    path = Path(path)
-    data = read_bytes(path)
+    file = SourceFile.of(path)
+    path, data = file.path, file.data
     log = _log(data, path)
     if not log.steps:
         raise FormatError(f"A log without steps: {path}")
@@ -120,14 +121,13 @@ def read_hitl_log(
 
 
 def _log(data: bytes, path: Path) -> Log:
-    what = KIND_WORDS["hitl_log"]
     if not is_pickle(data):
-        return decoded(data, Log, path, what=what)
+        return decoded(data, Log, path, expected="hitl_log")
     content = unpickle_log(data, path)
     try:
         return msgspec.convert(content, Log)
     except msgspec.ValidationError as fault:
-        raise FormatError(f"Not {what}: {fault}: {path}") from None
+        raise FormatError(f"Not {FORMATS.get('hitl_log').title}: {fault}: {path}") from None
 
 
 # --- agents -----------------------------------------------------------------------------------------------------------

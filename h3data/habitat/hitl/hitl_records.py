@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.formats import FORMATS, json_format
+from h3data.formats.json_files import not_json
+from h3data.formats.source_file import decode_json
+from h3data.formats.table import JSON
 from h3data.geometry import quat_sign_continuous
 from h3data.habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
 from h3data.habitat.hitl.hitl_places import Place
 from h3data.habitat.scenes.object_handles import HANDLE, template_of
 from h3data.limits import check_size
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording
-from h3data.sniff import KIND_WORDS, decode_json, json_kind, not_json
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 Vec3 = tuple[Number, Number, Number]
@@ -35,18 +38,19 @@ T = TypeVar("T")
 Scalar = TypeVar("Scalar", bound=np.number[Any])
 
 
-def decoded(data: bytes, kind: type[T], path: Path, *, what: str) -> T:
-    """The JSON document as ``kind``; a `FormatError` says where it is not a ``what``."""
+def decoded(data: bytes, kind: type[T], path: Path, *, expected: str) -> T:
+    """The JSON document as ``kind``; a `FormatError` says where it differs from the file format named ``expected``."""
     try:
         return decode_json(data, kind)
     except msgspec.ValidationError as fault:
+        title = FORMATS.get(expected).title
         try:
-            found = json_kind(decode_json(data), name=path.name)
-        except msgspec.DecodeError:
-            found = "json"
-        if KIND_WORDS.get(found) not in (None, what, KIND_WORDS["json"]):
-            raise FormatError(f"Expected {what}, this is {KIND_WORDS[found]}: {path}") from None
-        raise FormatError(f"Not {what}: {fault}: {path}") from None
+            other = json_format(decode_json(data), name=path.name)
+        except msgspec.DecodeError:  # such as a number that msgspec takes for text only
+            other = JSON
+        if other is not JSON and other.name != expected:
+            raise FormatError(f"Expected {title}, this is {other.title}: {path}") from None
+        raise FormatError(f"Not {title}: {fault}: {path}") from None
     except msgspec.DecodeError as fault:
         raise not_json(path, data, fault) from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.episodes.partnr import partnr_result
@@ -31,7 +33,6 @@ from h3data.habitat.hitl.hitl_records import (
 )
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
-from h3data.sniff import KIND_WORDS, read_bytes
 
 Order = Literal["xyzw", "wxyz"]
 _LAST_UNIX_S = 9e9
@@ -87,7 +88,7 @@ class File(msgspec.Struct):
 
 
 def read_hitl_episode(
-    path: str | Path, *, assets: AssetLibrary | None = None, quaternion_order: Order | None = None
+    path: str | os.PathLike[str], *, assets: AssetLibrary | None = None, quaternion_order: Order | None = None
 ) -> Recording:
     """The recording in an ``{episode_index}.json(.gz)`` of a ``rearrange_v2`` session.
 
@@ -110,9 +111,9 @@ def read_hitl_episode(
     Raises:
         FormatError: it is something else, truncated or damaged.
     """
-    path = Path(path)
-    data = read_bytes(path)
-    file = decoded(data, File, path, what=KIND_WORDS["hitl_episode"])
+    source = SourceFile.of(path)
+    path, data = source.path, source.data
+    file = decoded(data, File, path, expected="hitl_episode")
     if not file.frames:
         raise FormatError(f"An episode without frames: {path}")
     frames, steps = file.frames, len(file.frames)

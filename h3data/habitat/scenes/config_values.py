@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import FormatError
-from h3data.sniff import read_json
+from h3data.formats.json_files import read_json
 
 
 def read_object(path: Path) -> dict[str, Any]:
     """The content of a JSON file that must hold an object."""
-    _, content = read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict):
         raise FormatError(f"Expected a JSON object, got {type(content).__name__}: {path}")
     return content

@@ -1,4 +1,4 @@
-"""``h3data import``: recordings that others made become recordings of ours."""
+"""``h3data import``: turns recordings of other programs into MCAP recordings."""
 
 from __future__ import annotations
 
@@ -10,26 +10,19 @@ import tyro
 from tqdm import tqdm
 
 from h3data.errors import FormatError, H3DataError, InputError
+from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
 from h3data.habitat.assets import AssetLibrary
-from h3data.habitat.gfx.gfx_replay import read_gfx_replay
-from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
-from h3data.habitat.hitl.hitl_session import read_hitl_episode
 from h3data.recording import Recording
 from h3data.replay import Replay
-from h3data.sniff import KIND_WORDS, FileKind, sniff
 from h3data_pipelines.assets.scene_reports import text_table
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
-
-_SUFFIXES = (".pkl.gz", ".json", ".json.gz")
-_RECORDINGS = ("gfx_replay", "hitl_log", "hitl_episode", "pickle", "unknown")
-"""Kinds that can become recordings: if one of them cannot be read, that is a failure; the others are skipped."""
 
 
 @dataclass(frozen=True)
 class Import:
-    """Turn Habitat recordings into MCAP recordings. Folders are walked, kinds are detected by content.
+    """Turn recordings of other programs into MCAP recordings. Folders are searched, formats are detected by content.
 
-    Reads gfx-replay files and the logs of Habitat's human-in-the-loop tools (docs/import.md).
+    Reads gfx-replay files, the logs of Habitat's human-in-the-loop tools, and formats of plug-ins (docs/import.md).
 
     Examples:
         h3data import my_session.gfx_replay.json -o rec/
@@ -57,55 +50,60 @@ class Import:
         sources = _collect(self.paths, self.out)
         library = AssetLibrary(self.assets)
         if len(sources) == 1 and sources[0][0] in self.paths:
-            return _report([self._one(*sources[0], library, {})])  # refused as a whole if it cannot be read
+            path, target = sources[0]
+            file = SourceFile(path)
+            return _report([self._one(file, detect(file), target, library, {})])  # refused as a whole if unreadable
         rows: list[dict[str, Any]] = []
         written: dict[Path, Path] = {}
         for path, target in tqdm(sources, desc="import", unit="file", disable=None):
-            twin = written.get(target)
-            if twin is not None and twin.name == path.name.replace(".json", ".pkl") and sniff(path) == "hitl_log":
-                reason = f"the same log as {twin.name}, which is not rounded"
-                rows.append({"source": str(path), "status": "skipped", "kind": "hitl_log", "reason": reason})
-                continue
+            file, form = SourceFile(path), None
+            row: dict[str, Any] = {"source": str(path), "status": "failed", "kind": "unknown"}
             try:
-                rows.append(self._one(path, target, library, written))
+                form = detect(file)
+                row["kind"] = form.name
+                twin = written.get(target)
+                if form.name == "hitl_log" and twin is not None and twin.name == path.name.replace(".json", ".pkl"):
+                    row |= {"status": "skipped", "reason": f"the same log as {twin.name}, which is not rounded"}
+                else:
+                    row = self._one(file, form, target, library, written)
             except H3DataError as error:
-                kind = sniff(path) if isinstance(error, FormatError) else "unknown"
-                status = "failed" if kind in _RECORDINGS else "skipped"
-                rows.append({"source": str(path), "status": status, "kind": kind, "reason": str(error)})
+                row["reason"] = str(error)
+                if form is not None and form.read is None and form.name != "unknown":
+                    row["status"] = "skipped"
+            rows.append(row)
         return _report(rows)
 
-    def _one(self, path: Path, target: Path, library: AssetLibrary, written: dict[Path, Path]) -> dict[str, Any]:
+    def _one(
+        self, file: SourceFile, form: Format, target: Path, library: AssetLibrary, written: dict[Path, Path]
+    ) -> dict[str, Any]:
         from h3data.recording import write_mcap
 
-        kind, recording = self._read(path, library)
+        recording = self._read(file, form, library)
         if target in written:
-            raise InputError(f"Another input of this run became {target}. Import this one with another -o: {path}")
+            raise InputError(f"Another input of this run became {target}. Import this one with another -o: {file.path}")
         claim_file(target, force=self.force)
         summary = summarize(recording, library)
         faults = [*summary["warnings"], *(f"missing asset {name}" for name in summary["missing"])]
         if self.strict and faults:
-            raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {path}")
+            raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {file.path}")
         write_mcap(recording, target, overwrite=self.force)
-        written[target] = path
+        written[target] = file.path
         return {
-            "source": str(path),
+            "source": str(file.path),
             "status": "imported",
-            "kind": kind,
+            "kind": recording.episode.info.get("source", {}).get("format", form.name),  # a pickle is a HITL log
             "recording": str(target),
             **summary,
         }
 
-    def _read(self, path: Path, library: AssetLibrary) -> tuple[FileKind, Recording]:
-        """What a file is and its recording; the kind of most files, gfx-replays, is not looked for twice."""
-        try:
-            return "gfx_replay", read_gfx_replay(path, fps=self.fps)
-        except FormatError:
-            kind = sniff(path)
-            if kind == "hitl_episode":
-                return kind, read_hitl_episode(path, assets=library)
-            if kind in ("hitl_log", "pickle"):
-                return "hitl_log", read_hitl_log(path, fps=self.fps, assets=library)
-            raise
+    def _read(self, file: SourceFile, form: Format, library: AssetLibrary) -> Recording:
+        if form.name in ("json", "unknown"):
+            form = FORMATS.get("gfx_replay")  # whose reader says where it stops being one
+        if form.read is None:
+            hint = f" Hint: {form.hint}." if form.hint else ""
+            raise FormatError(f"Expected a recording, this is {form.title}.{hint} {file.path}")
+        options = {"fps": self.fps, "assets": library}
+        return load(form, "read")(file, **{name: options[name] for name in form.read_options})
 
 
 def recording_stem(path: Path) -> str:
@@ -138,11 +136,12 @@ def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
     sources: list[tuple[Path, Path]] = []
     for path in paths:
         if path.is_dir():
-            found = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(_SUFFIXES))
-            found.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
-            if not found:
-                raise InputError(f"No .json, .json.gz or .pkl.gz file in this folder: {path}")
-            sources += [(p, out / p.relative_to(path).parent) for p in found]
+            suffixes = import_suffixes()
+            files = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(suffixes))
+            files.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
+            if not files:
+                raise InputError(f"No {', '.join(suffixes[:-1])} or {suffixes[-1]} file in this folder: {path}")
+            sources += [(p, out / p.relative_to(path).parent) for p in files]
         elif path.is_file():
             sources.append((path, out))
         elif path.exists():
@@ -160,13 +159,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 def _why(row: dict[str, Any]) -> str:
     """Why a file was not imported, short enough for a table."""
-    if row["status"] == "imported":
-        return ""
-    if row["kind"] == "hitl_session":
-        return "about the session; its episodes are files beside it"
-    if row["status"] == "skipped" and row["kind"] != "hitl_log":
-        return f"not a recording but {KIND_WORDS.get(row['kind'], 'of the kind ' + row['kind'])}"
-    return row["reason"].replace(f": {row['source']}", "")[:100]
+    reason = row.get("reason", "").partition(" Hint:")[0]
+    return reason.replace(row["source"], "").strip(" :")[:100]
 
 
 @dataclass

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError
+from h3data.formats import detect
 from h3data.geometry import pose_from_matrix, pose_to_matrix
 from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
 from h3data.habitat.episodes.episode_records import (
@@ -28,7 +29,6 @@ from h3data.habitat.episodes.episode_records import (
     instance_handles,
     object_poses,
 )
-from h3data.sniff import sniff
 
 IDENTITY = np.eye(4).tolist()
 HABITAT_KEYS = {
@@ -78,7 +78,7 @@ def test_real_files_come_back_as_they_were(real: Path, tmp_path: Path, name: str
     assert len(episodes) == count
     write_episodes(episodes, tmp_path / name)
     assert content(tmp_path / name) == content(real / "habitat-lab" / name)
-    assert sniff(tmp_path / name) == "rearrange_episodes"
+    assert detect(tmp_path / name).name == "rearrange_episodes"
 
 
 def test_the_demo_says_what_the_file_says(real: Path) -> None:
@@ -399,7 +399,7 @@ def test_files_of_other_kinds_are_named(tmp_path: Path) -> None:
         b'{"episodes": [{"episode_id": "0", "scene': "truncated",
         b'{"episodes": []} x': "this is not",
         b"\xff\xfe{}": "this is not",
-        b"glTF\x02": "this is a glb file",
+        b"glTF\x02": r"this is a glTF model \(.glb\)",
         gzip.compress(b'{"episodes": []}' * 50)[:-9]: "damaged or cut off",
         b"\x1f\x8b" + b"\0" * 30: "damaged or cut off",
     }

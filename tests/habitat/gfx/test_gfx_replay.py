@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError, InputError
+from h3data.formats import detect
 from h3data.geometry import (
     heading_direction,
     heading_from_quat,
@@ -24,7 +25,6 @@ from h3data.geometry import (
 )
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording.records import STEP_NS, Recording
-from h3data.sniff import sniff
 from tests.paths import REAL
 
 SESSION = REAL / "hitl" / "my_session.gfx_replay.json"
@@ -255,7 +255,7 @@ def test_single_keyframe_gzip_rate_and_stable_uid(tmp_path: Path) -> None:
     assert rec.columns["time_ns"].tolist() == [0, 50_000_000, 100_000_000]
     assert rec.episode.dt_ns == 50_000_000
     assert rec.episode.uid == read_gfx_replay(packed).episode.uid != read_gfx_replay(single).episode.uid
-    assert sniff(packed) == "gfx_replay"
+    assert detect(packed).name == "gfx_replay"
     for fps in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="fps"):
             read_gfx_replay(packed, fps=fps)
@@ -484,7 +484,7 @@ def test_real_session_cut_anywhere_never_crashes(tmp_path: Path) -> None:
             read_gfx_replay(path)
 
 
-# --- sniffing ---------------------------------------------------------------------------------------------------------
+# --- detection --------------------------------------------------------------------------------------------------------
 DATASET_0 = "habitat-sim/data/test_assets/dataset_tests/dataset_0"
 
 
@@ -511,7 +511,7 @@ DATASET_0 = "habitat-sim/data/test_assets/dataset_tests/dataset_0"
         ("habitat-sim/LICENSE", "unknown"),
     ],
 )  # fmt: skip
-def test_real_files_are_sniffed(path: str, kind: str) -> None:
+def test_formats_of_real_files_are_detected(path: str, kind: str) -> None:
     if not (REAL / path).exists():
         pytest.skip(f"{path} is not on this machine")
-    assert sniff(REAL / path) == kind
+    assert detect(REAL / path).name == kind

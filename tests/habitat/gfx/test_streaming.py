@@ -18,11 +18,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import FormatError
+from h3data.formats import SourceFile, detect
+from h3data.formats.json_stream import ArrayElements, ArrayFault
+from h3data.formats.table import REPLAY_MEMBERS
 from h3data.habitat.gfx.gfx_keyframes import Keyframe, read_keyframes
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
-from h3data.json_stream import ArrayElements, ArrayFault
 from h3data.recording import recordings_equal
-from h3data.sniff import REPLAY_MEMBERS, sniff
 
 NASTY = ['"', "\\", '\\"', "}{][", "é\u2028\x00", "\\\\", 'a"b\\', ""]
 TEXT = b'[{"loads":[{"filepath":"a\\\\\\"]}{[\\u0022.glb"}]} ,\n{}, {"a":{"b":[[],[{}],"}"]}},{"c":"\\\\"}\t]  ,"more":[{}]}'
@@ -109,7 +110,7 @@ def test_a_file_is_the_same_in_pieces_of_any_size(tmp_path: Path, size: int) -> 
     path = tmp_path / "x.gfx_replay.json.gz"
     path.write_bytes(gzip.compress(json.dumps(content).encode()))
     seen = bytearray()
-    keyframes = list(read_keyframes(path, seen.extend, chunk_bytes=size))
+    keyframes = list(read_keyframes(SourceFile(path, chunk_bytes=size), seen.extend))
     assert bytes(seen) == gzip.decompress(path.read_bytes())
     assert keyframes == msgspec.convert(content["keyframes"], list[Keyframe])
 
@@ -124,7 +125,7 @@ def test_keyframes_need_not_come_first(tmp_path: Path) -> None:
         again = read_gfx_replay(tmp_path / name)
         for column, values in first.columns.items():
             np.testing.assert_array_equal(again.columns[column], values)
-        assert sniff(tmp_path / name) == "gfx_replay"
+        assert detect(tmp_path / name).name == "gfx_replay"
 
 
 @pytest.mark.parametrize(
@@ -157,7 +158,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
         path = tmp_path / f"{frames}.json"
         path.write_text(json.dumps(replay(frames)))
         tracemalloc.start()
-        count = sum(1 for _ in read_keyframes(path, lambda _: None, chunk_bytes=1 << 14))
+        count = sum(1 for _ in read_keyframes(SourceFile(path, chunk_bytes=1 << 14), lambda _: None))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert count == frames

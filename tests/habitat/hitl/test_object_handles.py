@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from h3data.formats import detect
 from h3data.geometry import transform_points
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
@@ -18,7 +19,6 @@ from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.primitives import box_mesh
 from h3data.recording import AssetRef
 from h3data.replay import Replay
-from h3data.sniff import sniff
 
 CAN = AssetRef(name="can", uri="handle:can")
 SESSION = "habitat-lab/reference/hitl/session_1user_policy"
@@ -111,7 +111,7 @@ def test_objects_lie_where_the_simulator_drew_them(real: Path) -> None:
 def test_physics_settings_are_told_from_stages(tmp_path: Path) -> None:
     file = tmp_path / "default.physics_config.json"
     file.write_text(json.dumps({"physics_simulator": "bullet", "gravity": [0, -9.8, 0]}))
-    assert sniff(file) == "physics_config"
+    assert detect(file).name == "physics_config"
     file = tmp_path / "plain.stage_config.json"
     file.write_text(json.dumps({"render_asset": "a.glb", "gravity": [0, -9.8, 0]}))
-    assert sniff(file) == "stage_config"
+    assert detect(file).name == "stage_config"

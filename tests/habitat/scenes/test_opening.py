@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib
 import json
 import os
 from pathlib import Path
@@ -15,10 +14,10 @@ import trimesh
 
 import h3data
 from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneError
+from h3data.formats import SourceFile, detect
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.scene import save_scene, scene_digest
 from h3data.scene.records import instance_bounds
-from h3data.sniff import sniff
 from h3data_pipelines.cli import main
 from tests.habitat.scenes.dataset_folder import Dataset
 
@@ -247,16 +246,15 @@ def test_mirrored_objects_are_allowed(dataset: Dataset) -> None:
 
 
 def test_gzip_that_unpacks_out_of_proportion_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("h3data.sniff")  # its name is that of the function in the package
-    monkeypatch.setattr(module, "UNPACKED_BYTES", 1 << 16)
+    monkeypatch.setattr("h3data.formats.source_file.UNPACKED_BYTES", 1 << 16)
     bomb = tmp_path / "x.scene_instance.json.gz"
     bomb.write_bytes(gzip.compress(b" " * (1 << 20)))
-    assert sniff(bomb) == "unknown"
+    assert detect(bomb).name == "unknown"
     with pytest.raises(FormatError, match=r"unpack to more than .*x\.scene_instance\.json\.gz"):
-        module.read_bytes(bomb)
+        _ = SourceFile(bomb).data
     fine = tmp_path / "y.json.gz"
     fine.write_bytes(gzip.compress(b'{"stage_instance": {}}'))
-    assert sniff(fine) == "scene_instance"
+    assert detect(fine).name == "scene_instance"
 
 
 def test_a_loop_of_links_ends(dataset: Dataset) -> None:

@@ -1,0 +1,35 @@
+"""File formats: what a file is, judged by its content; what reads it as a recording; what writes recordings in it.
+
+One table (`h3data.formats.table`) lists the built-in formats. Installed packages add theirs by entry points of the group
+``h3data.formats``, each of which is a `Format` (docs/import.md). Readers and writers are imported at first use.
+"""
+
+from __future__ import annotations
+
+from h3data.formats.format import Exported, ExportRequest, Format
+from h3data.formats.registry import (
+    FORMATS,
+    detect,
+    export_format,
+    export_options,
+    format_by_beginning,
+    import_suffixes,
+    json_format,
+    load,
+)
+from h3data.formats.source_file import SourceFile
+
+__all__ = [
+    "FORMATS",
+    "ExportRequest",
+    "Exported",
+    "Format",
+    "SourceFile",
+    "detect",
+    "export_format",
+    "export_options",
+    "format_by_beginning",
+    "import_suffixes",
+    "json_format",
+    "load",
+]

@@ -1,0 +1,84 @@
+"""Records that describe a file format, for the built-in table and for plug-ins alike."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+Function = str | Callable[..., Any] | None
+"""A function, or ``module:name`` of one that is imported at first use."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A file format: how to recognise it, and how to read or write recordings in it."""
+
+    name: str
+    """As in tables and JSON output: ``gfx_replay``; on the command line with dashes. An entry point has the same name."""
+    title: str
+    """A noun phrase for messages: "a gfx-replay recording"."""
+    begins: re.Pattern[bytes] | None = None
+    """Matches the first bytes of such files, after gzip and a byte order mark."""
+    members: Callable[[Mapping[str, Any], str], bool] | None = None
+    """Whether a JSON document with these top-level members, in a file of this name, has the format. Of the values only
+    ``keyframes`` is decoded; other objects are shown as {}, anything else as None."""
+    suffixes: tuple[str, ...] = ()
+    """Endings of file names. `h3data import` collects them from folders; they decide only where neither ``begins`` nor
+    ``members`` is given."""
+    hint: str = ""
+    """What to do with such a file where a recording is expected."""
+
+    read: Function = None
+    """Called as ``read(file, **options)`` with a path (a `SourceFile`, which saves reading its bytes again); returns a
+    `h3data.recording.Recording`."""
+    read_options: tuple[Literal["fps", "assets"], ...] = ()
+    """Keyword arguments that ``read`` takes: ``fps``, steps per second of files without times; ``assets``, an
+    `h3data.habitat.assets.AssetLibrary`."""
+
+    write: Function = None
+    """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
+    `ExportRequest`; returns an `Exported`."""
+    write_options: tuple[Literal["agent", "assets", "light", "camera"], ...] = ()
+    """Options of `h3data export` that apply; the others are refused."""
+    target: Literal["file", "folder", "dataset"] = "file"
+    """What is written. A dataset is a folder as in docs/format.md, which ``--force`` replaces."""
+    many: bool = False
+    """Whether one output holds many recordings."""
+
+    @property
+    def option(self) -> str:
+        """The name on the command line."""
+        return self.name.replace("_", "-")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRequest:
+    """What an export was asked for, beside the recordings."""
+
+    out: Path
+    """The file or folder to write; parents of a file, and the folder, exist."""
+    force: bool = False
+    """Whether existing files may be replaced."""
+    agent: str | None = None
+    """The agent whose actions are exported (default: the first robot that acts)."""
+    assets: Sequence[Path] = ()
+    """Folders below which recorded asset files are searched."""
+    light: bool = False
+    """Whether to take meshes of people with fewer vertices."""
+    cameras: Sequence[str] = ()
+    """Cameras to render, by name or file."""
+    threads: int = 1
+    """Threads for rendering."""
+    progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items
+    """Wraps an iterable to show progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """What was written: text for people, data for machines."""
+
+    text: str
+    data: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,61 @@
+"""JSON files of other programs; errors say where and why a file stops being JSON."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from h3data.errors import FormatError
+from h3data.formats import format_by_beginning
+from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file (gzip allowed).
+
+    Raises:
+        InputError: there is no such file.
+        FormatError: it is not JSON; the message says where it stops being so.
+    """
+    data = SourceFile(path).data
+    try:
+        return decode_json(data)
+    except msgspec.DecodeError as fault:
+        raise not_json(path, data, fault) from None
+
+
+def not_json(path: Path, data: bytes, fault: Exception, *, start: int = 0) -> FormatError:
+    """The error for bytes that are not a JSON document; they begin at byte ``start`` of the file."""
+    text = str(fault)
+    if not data.strip():
+        return FormatError(f"Expected JSON, the file is empty: {path}")
+    if "truncated" in text:
+        return truncated(path, start + len(data))
+    actual = format_by_beginning(data)
+    if not start and actual.begins is not None and actual.members is None:
+        return FormatError(f"Expected JSON, this is {actual.title}: {path}")
+    number = _not_finite(data.removeprefix(BYTE_ORDER_MARK), text, start)
+    if number is not None:
+        return FormatError(f"{number}, which JSON does not allow. Hint: fix it where the file was made. {path}")
+    text = text.removeprefix("JSON is malformed: ")
+    text = re.sub(r"\(byte (\d+)\)", lambda at: f"(byte {int(at[1]) + start})", text)
+    return FormatError(f"Expected JSON, this is not: {text}: {path}")
+
+
+def truncated(path: Path, size: int) -> FormatError:
+    """The error for a JSON document that is cut off after ``size`` bytes."""
+    return FormatError(f"The JSON is truncated: it ends at byte {size}. Hint: copy the file again. {path}")
+
+
+def _not_finite(data: bytes, fault: str, start: int) -> str | None:
+    """The NaN or infinity (as Python and NumPy write them) at which decoding failed; None for any other fault."""
+    at = re.search(r"\(byte (\d+)\)", fault)
+    number = re.compile(rb"-?(?:NaN|Infinity)").match(data, int(at[1])) if at else None
+    if number is None:
+        return None
+    keys = re.findall(rb'"((?:[^"\\]|\\.)*)"\s*:', data[: number.start()])
+    under = f"under {keys[-1].decode(errors='replace')!r} " if keys else ""
+    return f"{number[0].decode()} {under}(byte {start + number.start()})"

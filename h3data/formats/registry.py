@@ -1,0 +1,178 @@
+"""Built-in and third-party formats by name; detection of a file's format."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import msgspec
+
+from h3data.errors import FormatError, H3DataError, InputError, PluginError, did_you_mean
+from h3data.formats.format import Format
+from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
+from h3data.formats.table import BUILT_IN, JSON, UNKNOWN
+from h3data.plugins import PluginWarning, Registry, load_reference
+
+
+def _check(loaded: Any) -> None:
+    if not isinstance(loaded, Format):
+        raise InputError(f"expected an h3data.formats.Format, got {type(loaded).__name__}.")
+    for field in ("name", "title"):
+        if not isinstance(getattr(loaded, field), str) or not getattr(loaded, field):
+            raise InputError(f"the field {field!r} must be a text that is not empty.")
+    if loaded.read is None and loaded.write is None:
+        raise InputError("one of the fields 'read' and 'write' must be given.")
+    for field in ("read", "write"):
+        value = getattr(loaded, field)
+        if not (value is None or callable(value) or (isinstance(value, str) and ":" in value)):
+            raise InputError(f"the field {field!r} must be a function or module:name, got {value!r}.")
+
+
+FORMATS: Registry[Format] = Registry(
+    "h3data.formats", {one.name: one for one in BUILT_IN}, what="file format", check=_check
+)
+
+
+def load(chosen: Format, field: Literal["read", "write"]) -> Callable[..., Any]:
+    """Imports the function that reads or writes a format.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    function = getattr(chosen, field)
+    if not isinstance(function, str):
+        return function
+    try:
+        return load_reference(function)
+    except H3DataError:
+        raise
+    except Exception as fault:  # a plug-in's module can raise anything
+        raise PluginError(
+            f"The field {field!r} of the file format {FORMATS.origin(chosen.name)} cannot be imported from {function}: "
+            f"{type(fault).__name__}: {fault}."
+        ) from fault
+
+
+# --- detection --------------------------------------------------------------------------------------------------------
+def detect(path: str | os.PathLike[str]) -> Format:
+    """The format of a file, from its content; gzip is unpacked. A file name only decides between kinds of config.
+
+    Of a gfx-replay as habitat-sim writes it only the beginning is read. NaN and Infinity, which are not JSON, are accepted:
+    a file that cannot be read still has a format. Third-party formats are asked where no built-in reader fits.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    file = SourceFile.of(path)
+    try:
+        built_in = format_by_beginning(file.head)
+        if built_in is JSON:
+            built_in = _format_by_members(file)
+    except FormatError:
+        return replace(UNKNOWN, title="a damaged gzip archive")
+    if built_in.read is not None:
+        return built_in
+    return next(_third_party_formats(file), built_in)
+
+
+def format_by_beginning(head: bytes) -> Format:
+    """The built-in format of a file that begins with ``head``; `JSON` where its members must be asked."""
+    text = head.removeprefix(BYTE_ORDER_MARK)
+    for one in BUILT_IN:
+        if one.begins is not None and one.begins.match(text):
+            return one
+    if text.lstrip()[:1] in (b"{", b"["):
+        return JSON
+    if not head:
+        return replace(UNKNOWN, title="an empty file")
+    if head.startswith(b"\x1f\x8b"):
+        return replace(UNKNOWN, title="a gzip archive")
+    return replace(UNKNOWN, title="text" if b"\0" not in head else "binary data of an unknown kind")
+
+
+def json_format(document: Any, *, name: str = "") -> Format:
+    """The built-in format of a decoded JSON document from a file called ``name``."""
+    if not isinstance(document, dict):
+        return JSON
+    return next((one for one in BUILT_IN if one.members is not None and one.members(document, name)), JSON)
+
+
+def _format_by_members(file: SourceFile) -> Format:
+    members = _members(file)
+    return UNKNOWN if members is None else json_format(members, name=file.path.name)
+
+
+def _members(file: SourceFile) -> Any:
+    """What `Format.members` looks at; None if the file is not JSON. Other values are not decoded: files may be long."""
+    try:
+        members = decode_json(file.data, dict[str, msgspec.Raw])
+        return {key: _glimpse(key, bytes(text)) for key, text in members.items()}
+    except msgspec.ValidationError:
+        return []
+    except msgspec.DecodeError:
+        pass
+    try:
+        return json.loads(file.data.removeprefix(BYTE_ORDER_MARK))
+    except (ValueError, RecursionError):
+        return None
+
+
+def _glimpse(key: str, text: bytes) -> Any:
+    if key in ("keyframes", "keyframe"):
+        return decode_json(text)
+    return {} if text.startswith(b"{") else None
+
+
+def _third_party_formats(file: SourceFile) -> Iterator[Format]:
+    """Installed formats that fit; warns about those whose check fails."""
+    plugins = FORMATS.load_third_party()
+    members = _members(file) if any(one.members is not None for one in plugins.values()) else None
+    head = file.head.removeprefix(BYTE_ORDER_MARK)
+    for one in plugins.values():
+        try:
+            if one.begins is not None or one.members is not None:
+                fits = bool(one.begins is not None and one.begins.match(head))
+                fits |= one.members is not None and isinstance(members, dict) and one.members(members, file.path.name)
+            else:
+                fits = file.path.name.endswith(one.suffixes or ("\0",))
+        except Exception as fault:  # a plug-in can raise anything
+            text = f"the field 'members' fails with {type(fault).__name__}: {fault}."
+            warnings.warn(f"Ignored: the file format {FORMATS.origin(one.name)}: {text}", PluginWarning, stacklevel=4)
+            continue
+        if fits and one.read is not None:
+            yield one
+
+
+# --- lists ------------------------------------------------------------------------------------------------------------
+def import_suffixes() -> tuple[str, ...]:
+    """Endings of the files that `h3data import` collects from a folder."""
+    readable = (one for one in FORMATS.load_all().values() if one.read is not None)
+    return tuple(dict.fromkeys(suffix for one in readable for suffix in one.suffixes))
+
+
+def export_options() -> Mapping[str, Format]:
+    """Formats that recordings can be exported to, by their names on the command line."""
+    return {one.option: one for one in FORMATS.load_all().values() if one.write is not None}
+
+
+def export_format(name: str) -> Format:
+    """The format to export to, by its name or as ``module:name``.
+
+    Raises:
+        InputError: nothing can be exported to it.
+        PluginError: it comes from a plug-in that cannot be used.
+    """
+    try:
+        chosen = FORMATS.get(name if ":" in name else name.replace("-", "_"))
+    except InputError:
+        chosen = None
+    if chosen is not None and chosen.write is not None:
+        return chosen
+    options = export_options()
+    raise InputError(
+        f"Cannot export to {name!r}.{did_you_mean(name, options)} Expected one of: {', '.join(options)}; or module:name."
+    )
