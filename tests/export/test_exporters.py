@@ -14,7 +14,8 @@ import pytest
 import trimesh
 
 from h3data.bodies.people.skeleton import JOINT_NAMES
-from h3data.bodies.robots.robot_loading import load_robot, robot_names
+from h3data.bodies.robots.robot_files import robot_names
+from h3data.bodies.robots.robot_loading import load_robot
 from h3data.errors import InputError
 from h3data.export.csv_tables import write_csv_tables
 from h3data.export.gfx_replay_write import write_gfx_replay

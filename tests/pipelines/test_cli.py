@@ -204,7 +204,7 @@ BAD = {
     "missing file": (["metrics", "nowhere.mcap"], "no such file"),
     "missing replay": (["import", "nowhere.json", "-o", "rec"], "no such file"),
     "not json": (["import", "text.json", "-o", "rec"], "JSON"),
-    "json of another kind": (["import", "other.json", "-o", "rec"], "keyframes"),
+    "json of another kind": (["import", "other.json", "-o", "rec"], "an episode dataset"),
     "truncated replay": (["import", "cut.gfx_replay.json", "-o", "rec"], "JSON"),
     "empty folder": (["import", "empty", "-o", "rec"], "No .json"),
     "unknown task": (["generate", "dishes", "-o", "ds"], "social_nav"),

@@ -435,7 +435,7 @@ def test_kinds_of_files_are_told_apart(tmp_path):
         open_recording(root)
     cases = {
         "replay.json": (b'{"keyframes": []}', r"gfx-replay.*h3data import"),
-        "any.json": (b'{"a": 1}', "a JSON file"),
+        "any.json": (b'{"a": 1}', "JSON of an unknown kind"),
         "model.glb": (b"glTF\2\0\0\0", "glTF model"),
         "empty.mcap": (b"", "an empty file"),
         "text.mcap": (b"hello", "looks like text"),
