@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 from h3data.bodies.people.legs import SIDES, X, Z, rotation
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
-from h3data.geometry import Array, quat_from_matrix, quat_nlerp
+from h3data.geometry import Array, quat_from_matrix
 
 HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
 """A drawn-in upper arm: so far down from the T-pose, swung forward, and turned inwards about itself, which brings a bent
 forearm in front of the body."""
 
-_SHOULDERS = [JOINT_INDEX[f"{side}_shoulder"] for side, _, _ in SIDES]
+_SHOULDERS = np.array([JOINT_INDEX[f"{side}_shoulder"] for side, _, _ in SIDES])
 _IN = np.stack(
     [
         quat_from_matrix(rotation(X, -FORWARD_DEG) @ rotation(Z, -sign * HANG_DEG) @ rotation(X, TWIST_DEG))
@@ -37,8 +37,8 @@ def draw_in(quats: Array, arms: ArrayLike) -> None:
     shares = np.asarray(arms, np.float64)
     if shares.shape not in ((2,), (len(quats), 2)) or not np.isfinite(shares).all():
         raise InputError(f"Expected how far two arms are drawn in, [{len(quats)}, 2], got shape {list(shares.shape)}.")
-    shares = np.broadcast_to(np.clip(shares, 0.0, 1.0), (len(quats), 2))
-    rows = np.flatnonzero(shares.any(1))
-    if len(rows):
-        swinging = quats[rows][:, _SHOULDERS]
-        quats[rows[:, None], _SHOULDERS] = quat_nlerp(swinging, np.broadcast_to(_IN, swinging.shape), shares[rows])
+    if shares.any():
+        from h3data.bodies.people.clip_kernel import tuck_all
+
+        every = np.ascontiguousarray(np.broadcast_to(np.clip(shares, 0.0, 1.0), (len(quats), 2)))
+        tuck_all(quats, every, _SHOULDERS, _IN)

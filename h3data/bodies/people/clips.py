@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +18,6 @@ from h3data.bodies.people.gait import (
     GaitStyle,
     gait_posture,
     jog_stride,
-    on_ground,
-    settled,
     stand_posture,
     start_phase,
     turn_posture,
@@ -26,8 +25,11 @@ from h3data.bodies.people.gait import (
 )
 from h3data.bodies.people.legs import Legs, Posture, solve_legs, within_reach
 from h3data.errors import InputError
-from h3data.geometry import Array, normalized, quat_conjugate, quat_from_axis_angle, quat_multiply, quat_rotate
+from h3data.geometry import Array, quat_from_axis_angle, quat_multiply, quat_rotate
 from h3data.geometry import quat_sign_continuous as sign_continuous
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.clip_kernel import ClipArrays
 
 STAND_BELOW_MPS = 0.15
 """Slower than this nobody steps: the standing clip plays."""
@@ -37,6 +39,8 @@ JOG_SPEED_MPS = 2.5
 JOG_ABOVE_MPS = 2.0
 CLIP_FRAMES = 128
 """Frames are interpolated linearly: planted feet creep less than 0.1 mm (measured over all bodies)."""
+_FLAT = np.zeros((0, 2))
+"""Heights of a floor that is level with the root."""
 _TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """Body frame (+Z forward) to agent root frame (x forward)."""
 
@@ -159,21 +163,30 @@ def pose_at_speed(
     for rows in (np.nonzero(jogs)[0], np.nonzero(~jogs)[0]):
         if len(rows):
             moving = gaits.posture(speed[rows], phase[rows])
-            floor = None if ground is None else np.broadcast_to(ground, (len(speed), 2))[rows]
+            floor = _FLAT if ground is None else _floor_heights(ground, len(speed))[rows]
             quats[rows], pelvis[rows] = _blended(gaits.legs, moving, phase[rows], blend[rows], floor)
     return quats, pelvis
 
 
 @lru_cache(maxsize=64)
-def _standing(legs: Legs) -> Posture:
-    """One frame of standing, which all frames are blended with."""
-    return stand_posture(legs)
+def _standing_arrays(legs: Legs) -> tuple[Array, Array, Array, Array]:
+    """The frame of standing that all frames are blended with: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
+    stand = stand_posture(legs)
+    return stand.quats[0], stand.pelvis[0], stand.ankle[0], stand.foot[0]
 
 
-def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array | None) -> tuple[Array, Array]:
-    stand = _standing(legs)
-    posture = settled(legs, stand, moving, phase, np.clip(blend, 0, 1))
-    return _posed(legs, posture if ground is None else on_ground(legs, posture, ground))
+def _floor_heights(ground: ArrayLike, frames: int) -> Array:
+    """Heights [T, 2] [m] of the floor under both feet."""
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(ground, np.float64), (frames, 2)))
+
+
+def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array) -> tuple[Array, Array]:
+    from h3data.bodies.people.leg_kernel import settle_all
+
+    quats, pelvis, ankle, foot = (a.copy() for a in (moving.quats, moving.pelvis, moving.ankle, moving.foot))
+    settle_all(legs.measures, _standing_arrays(legs), quats, pelvis, ankle, foot, phase, blend, ground)
+    quats[:, 0] = quat_multiply(_TO_ROOT, quats[:, 0])
+    return quats, quat_rotate(_TO_ROOT, pelvis)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,6 +206,16 @@ class ClipTable:
     """Shape [sum of frames, 2, 3]."""
     foot: Array
     """Shape [sum of frames, 2, 3]."""
+
+    @cached_property
+    def arrays(self) -> ClipArrays:
+        """For `h3data.bodies.people.clip_kernel`."""
+        from h3data.bodies.people.clip_kernel import ClipArrays
+
+        return ClipArrays(
+            legs=self.legs.measures, first=self.first, frames=self.frames, quats=self.quats, pelvis=self.pelvis,
+            ankle=self.ankle, foot=self.foot, stand=_standing_arrays(self.legs), to_root=_TO_ROOT,
+        )  # fmt: skip
 
 
 def clip_table(clips: Sequence[Clip], legs: Legs) -> ClipTable:
@@ -216,41 +239,22 @@ def sample_clips(
 
     ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
     ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see
-    `h3data.bodies.people.gait.settled`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
+    `h3data.bodies.people.leg_kernel.settle`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
     relative to the root. Frames are interpolated: the motion is continuous.
     """
-    motion, phase, blend = np.broadcast_arrays(
-        np.atleast_1d(motion_id), np.atleast_1d(np.asarray(phase, np.float64)), np.atleast_1d(blend)
+    from h3data.bodies.people.clip_kernel import sample_all
+
+    motion, phase, blend = (
+        np.asarray(np.atleast_1d(values), dtype)
+        for values, dtype in ((motion_id, np.int64), (phase, np.float64), (blend, np.float64))
     )
+    if not len(motion) == len(phase) == len(blend):
+        motion, phase, blend = (np.ascontiguousarray(a) for a in np.broadcast_arrays(motion, phase, blend))
     if motion.size and (motion.min() < 0 or motion.max() >= len(table.frames)):
         raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {motion.min()}..{motion.max()}.")
-    place = (phase - np.floor(phase)) * table.frames[motion]
-    lower = np.floor(place)
-    weight = place - lower
-    index = lower.astype(np.int64) % table.frames[motion]
-    upper = table.first[motion] + (index + 1) % table.frames[motion]
-    index = table.first[motion] + index
-
-    def mixed(values: Array, rows: NDArray[np.intp]) -> Array:
-        low, share = values[index[rows]], weight[rows]
-        return low + share.reshape(-1, *[1] * (low.ndim - 1)) * (values[upper[rows]] - low)
-
-    # neighbouring frames share a hemisphere, so a plain mix and one normalisation are enough
-    every = np.arange(len(index))
-    quats, pelvis = normalized(mixed(table.quats, every)), mixed(table.pelvis, every)
-    rows = np.nonzero((blend < 1) | (ground is not None))[0]
-    if len(rows):
-        back = quat_conjugate(_TO_ROOT)
-        body_quats = quats[rows]
-        body_quats[:, 0] = quat_multiply(back, body_quats[:, 0])
-        moving = Posture(
-            quats=body_quats, pelvis=quat_rotate(back, pelvis[rows]), ankle=mixed(table.ankle, rows),
-            foot=mixed(table.foot, rows),
-        )  # fmt: skip
-        floor = None if ground is None else np.broadcast_to(ground, (len(blend), 2))[rows]
-        quats[rows], pelvis[rows] = _blended(
-            table.legs, moving, phase[rows], np.asarray(blend, np.float64)[rows], floor
-        )
+    quats, pelvis = np.empty((len(motion), 55, 4)), np.empty((len(motion), 3))
+    floor = _FLAT if ground is None else _floor_heights(ground, len(motion))
+    sample_all(table.arrays, motion, phase, blend, floor, quats, pelvis)
     return quats, pelvis
 
 

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.people.legs import SIDES, Legs, Posture, X, Y, Z, lowest_point, rotation, within_reach
+from h3data.bodies.people.legs import SIDES, Legs, Posture, X, Y, Z, lowest_point, rotation
 from h3data.bodies.people.skeleton import FINGERS, JOINT_COUNT, JOINT_INDEX
-from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix, quat_nlerp
+from h3data.geometry import Array, quat_from_axis_angle, quat_from_matrix
 
 STAND_ANKLE_Z_M = -0.03
 """A standing person's ankles are this far behind the pelvis' place."""
 TURN_PER_CYCLE_RAD = np.pi / 4
 """A stepping turn sets each foot anew every 45 degrees."""
-_TURN_STANCE, _TURN_LIFT_M, _SETTLE_LIFT = 0.56, 0.05, 0.3
+_TURN_STANCE, _TURN_LIFT_M = 0.56, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,7 +226,7 @@ def _set_arm(quats: Array, side: str, sign: float, flexion: Array, elbow: Array,
             quats[:, JOINT_INDEX[f"{side}_{finger}{k}"]] = quat_from_axis_angle(Z, np.radians(-sign * curl))
 
 
-# --- standing, turning on the spot, and the ways between ----------------------------------------------------------------
+# --- standing and turning on the spot ----------------------------------------------------------------
 def stand_posture(legs: Legs, frames: int = 1) -> Posture:
     """Standing: feet flat, knees hardly bent, arms hanging."""
     quats = np.tile([0.0, 0, 0, 1], (frames, JOINT_COUNT, 1))
@@ -260,34 +260,3 @@ def turn_posture(legs: Legs, phase: Array, *, left: bool) -> Posture:
     pelvis[:, 0] += 0.012 * np.cos(2 * np.pi * (phase - TURN_START_PHASE))
     pelvis[:, 1] -= 0.012
     return replace(stand, pelvis=pelvis, ankle=ankle, foot=foot)
-
-
-def settled(legs: Legs, stand: Posture, moving: Posture, phase: Array, blend: Array) -> Posture:
-    """Between standing (``blend`` [T] 0) and ``moving`` at its ``phase`` [T] (1), by steps instead of sliding.
-
-    From 1 to 0.5 the foot that is up, or about to leave the floor, goes to its standing place; below 0.5 the other one
-    does. A foot on its way is lifted, so a stop on the spot drags nothing. A start jumps to more than 0.5 and begins at
-    the clip's start phase, where the left foot needs no move.
-    """
-    quats = quat_nlerp(stand.quats, moving.quats, np.broadcast_to(blend[:, None], moving.quats.shape[:-1]))
-    pelvis = stand.pelvis + blend[:, None] * (moving.pelvis - stand.pelvis)
-    own = (phase[:, None] - np.array([start for _, _, start in SIDES])) % 1.0
-    first = own >= 0.5
-    s = np.clip(np.where(first, 2 * blend[:, None] - 1, 2 * blend[:, None]), 0, 1)[..., None]
-    s = s * s * (3 - 2 * s)
-    ankle = stand.ankle + s * (moving.ankle - stand.ankle)
-    foot = stand.foot + s * (moving.foot - stand.foot)
-    apart = np.linalg.norm((moving.ankle - stand.ankle)[..., [0, 2]], axis=-1)
-    apart += 0.2 * np.radians(np.abs(moving.foot - stand.foot)[..., 1])
-    lift = _SETTLE_LIFT * np.minimum(apart, 0.3) + 0.015 * np.minimum(apart / 0.004, 1)
-    ankle[..., 1] += lift * 4 * (s * (1 - s))[..., 0]
-    ankle[..., 1] += np.maximum(-lowest_point(legs, ankle, foot), 0)
-    return within_reach(legs, Posture(quats=quats, pelvis=pelvis, ankle=ankle, foot=foot))
-
-
-def on_ground(legs: Legs, posture: Posture, ground: Array) -> Posture:
-    """The same with the floor at ``ground`` [T, 2] [m] under the left and the right foot, relative to the root."""
-    ankle, pelvis = posture.ankle.copy(), posture.pelvis.copy()
-    ankle[..., 1] += ground
-    pelvis[:, 1] += ground.mean(axis=1)
-    return within_reach(legs, replace(posture, ankle=ankle, pelvis=pelvis))

@@ -24,9 +24,9 @@ from h3data.bodies.people.clips import (
     pose_at_speed,
     sample_clips,
 )
-from h3data.bodies.people.skeleton import JOINT_NAMES, PARENTS, forward_kinematics
+from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
 from h3data.bodies.people.skinning import Skin, apply_skin, build_skin, skin_chunks
-from h3data.geometry import Array, normalized, pose_to_matrix, quat_to_matrix
+from h3data.geometry import Array, normalized
 from h3data.mesh.records import Mesh
 
 LOD_BELOW_PX = 220.0
@@ -159,18 +159,22 @@ class Humanoid:
 
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
         """World matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and what `clip_pose` returned."""
-        root = np.broadcast_to(np.eye(4), (len(quats), 4, 4)).copy()
-        root[:, :3, :3] = quat_to_matrix(np.asarray(quats, np.float64)[:, 0])
-        root[:, :3, 3] = pelvis
-        world = pose_to_matrix(np.asarray(base_pose, np.float64)) @ root
-        return forward_kinematics(np.asarray(quats, np.float64), world, self.joint_offsets)
+        from h3data.bodies.people.clip_kernel import joint_frames
+
+        base = _doubles(base_pose).reshape(-1, 7)
+        frames = np.empty((len(quats), JOINT_COUNT, 4, 4))
+        joint_frames(base, _doubles(quats), _doubles(pelvis), self.joint_offsets, PARENT_ARRAY, frames)
+        return frames
 
     def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:
         """World matrices [T, 55, 4, 4] of a free-form pose: pelvis frames [T, 7] in the world (body axes: +Z forward) and
         the local rotations of the other joints [T, 54, 4], SMPL-X order."""
-        root, rest = np.asarray(root_pose, np.float64), np.asarray(joint_quat, np.float64)
-        quats = np.concatenate([root[:, None, 3:], rest], axis=1)
-        return forward_kinematics(quats, pose_to_matrix(root), self.joint_offsets)
+        from h3data.bodies.people.clip_kernel import free_joint_frames
+
+        quats = _doubles(joint_quat)
+        frames = np.empty((len(quats), JOINT_COUNT, 4, 4))
+        free_joint_frames(_doubles(root_pose), quats, self.joint_offsets, PARENT_ARRAY, frames)
+        return frames
 
     def skin(self, joint_matrices: Array, *, lod: bool = True) -> NDArray[np.float32]:
         """World vertices, float32 [..., V, 3], of joint frames [..., 55, 4, 4]: frames, worlds, or worlds and frames (one
@@ -233,3 +237,8 @@ class Humanoid:
             f"Humanoid({self.name!r}, {self.height_m:.2f} m, {self.mesh}, LOD {self.lod_mesh}, "
             f"{len(self.capsules)} capsules, clips {', '.join(self.motion_names)})"
         )
+
+
+def _doubles(values: ArrayLike) -> Array:
+    """As the kernels take them."""
+    return np.ascontiguousarray(values, np.float64)

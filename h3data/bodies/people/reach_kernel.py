@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from h3data.bodies.people.leg_kernel import KNEES_OUT, solve_leg
 from h3data.bodies.people.legs import LEG_MAX
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.bodies.people.tuple_math import (
@@ -58,8 +59,6 @@ _GAZE_YAW, _GAZE_PITCH, _NECK_SHARE = 0.9, 0.75, 0.4
 """The head turns by this much [rad] towards a target straight aside or below."""
 _HANG = 0.85
 """Share of the trunk's lean that the other arm does not follow: it hangs."""
-_KNEES_OUT = 0.10
-"""As in `h3data.bodies.people.legs.solve_legs`."""
 _COM_AHEAD_M, _COM_BEHIND_M, _COM_ASIDE_M = -0.01, 0.01, 0.02
 """The centre of mass keeps this far behind the toe joints, before the heels, and outside the ankles at most."""
 
@@ -99,28 +98,15 @@ class ReachBody(NamedTuple):
 
 @njit(nogil=True)
 def _solve_leg(body, k, pelvis_turn, hip, quats):
-    """One leg from its hip to its ankle; returns knee flexion, lean of the shank and the knee."""
-    thigh, shank = body.bones[0], body.bones[1]
-    ankle = row3(body.ankles, k)
-    way = plus(ankle, hip, -1.0)
-    distance = math.sqrt(dot(way, way))
-    reach = min(distance, (thigh + shank) * 0.9999)
-    down = (way[0] / distance, way[1] / distance, way[2] / distance)
-    forward = (_KNEES_OUT if k == 0 else -_KNEES_OUT, 0.0, 1.0)
-    pole = unit(plus(forward, down, -dot(forward, down)))
-    c = min(max((thigh * thigh + reach * reach - shank * shank) / (2 * thigh * reach), -1.0), 1.0)
-    s = math.sqrt(1 - c * c)
-    inner = min(max((thigh * thigh + shank * shank - reach * reach) / (2 * thigh * shank), -1.0), 1.0)
-    flexion = math.pi - math.acos(inner)
-    bone = plus((c * down[0], c * down[1], c * down[2]), pole, s)
-    front = plus((c * pole[0], c * pole[1], c * pole[2]), down, -s)
-    up = (-bone[0], -bone[1], -bone[2])
-    thigh_turn = from_axes(cross(up, front), up, front)
-    knee_turn = from_vector(flexion, 0.0, 0.0)
-    put(quats, body.joints[5 + k], multiply(inverse(pelvis_turn), thigh_turn))
+    """One leg from its hip to its ankle, the foot flat; returns knee flexion, lean of the shank and the knee."""
+    ankle, out = row3(body.ankles, k), KNEES_OUT if k == 0 else -KNEES_OUT
+    flexion, bone, thigh_turn, hip_turn, knee_turn, ankle_turn, _ = solve_leg(
+        body.bones[0], body.bones[1], out, pelvis_turn, hip, ankle, 0.0, 0.0
+    )
+    put(quats, body.joints[5 + k], hip_turn)
     put(quats, body.joints[7 + k], knee_turn)
-    put(quats, body.joints[9 + k], inverse(multiply(thigh_turn, knee_turn)))
-    knee = plus(hip, bone, thigh)
+    put(quats, body.joints[9 + k], ankle_turn)
+    knee = plus(hip, bone, body.bones[0])
     return flexion, math.atan2(knee[2] - ankle[2], knee[1] - ankle[1]), knee, thigh_turn
 
 

@@ -6,9 +6,6 @@ Zero pose = T-pose with every joint frame aligned to the body frame (+Z forward,
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
-from h3data.geometry import Array, quat_to_matrix
 
 _BODY = (
     ("pelvis", ""),
@@ -55,35 +52,4 @@ JOINT_NAMES: tuple[str, ...] = tuple(name for name, _ in _ROWS)
 JOINT_INDEX: dict[str, int] = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARENTS: tuple[int, ...] = tuple(JOINT_INDEX[parent] if parent else -1 for _, parent in _ROWS)
 JOINT_COUNT = len(JOINT_NAMES)
-
-
-def _levels() -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
-    depth = [0] * JOINT_COUNT
-    for joint, parent in enumerate(PARENTS):
-        depth[joint] = depth[parent] + 1 if parent >= 0 else 0
-    result = []
-    for level in range(1, max(depth) + 1):
-        joints = np.array([j for j in range(JOINT_COUNT) if depth[j] == level])
-        result.append((joints, np.array(PARENTS)[joints]))
-    return tuple(result)
-
-
-_LEVELS = _levels()
-
-
-def forward_kinematics(quats: Array, root_matrix: Array, offsets: Array) -> Array:
-    """Joint frames [T, 55, 4, 4] in the frame of ``root_matrix``.
-
-    ``quats`` [T, 55, 4] are local rotations, of which the pelvis' is ignored: ``root_matrix`` [T, 4, 4] is its frame.
-    ``offsets`` [55, 3] are the joints' places in their parents' frames [m]. One step per level of the tree (10), so the
-    cost per frame falls with T: 0.24 ms for one frame, 0.016 ms in a batch (research/humanoids.md 4).
-    """
-    local = np.zeros((*quats.shape[:-1], 4, 4), quats.dtype)
-    local[..., :3, :3] = quat_to_matrix(quats)
-    local[..., :3, 3] = offsets
-    local[..., 3, 3] = 1
-    frames = np.empty_like(local)
-    frames[:, 0] = root_matrix
-    for joints, parents in _LEVELS:
-        frames[:, joints] = frames[:, parents] @ local[:, joints]
-    return frames
+PARENT_ARRAY = np.array(PARENTS)

@@ -54,6 +54,34 @@ def turned(q, v):
 
 
 @njit(nogil=True)
+def positive(q):
+    """The same rotation with w >= 0."""
+    return (-q[0], -q[1], -q[2], -q[3]) if q[3] < 0 else q
+
+
+@njit(nogil=True)
+def normalized(q):
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] / length, q[1] / length, q[2] / length, q[3] / length) if length > 0.0 else q
+
+
+@njit(nogil=True)
+def nlerp(a, b, weight):
+    """Normalised linear blend along the shorter arc; weight 0 gives a, 1 gives b."""
+    dot4 = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    b = (-b[0], -b[1], -b[2], -b[3]) if dot4 < 0 else b
+    rest = 1 - weight
+    return normalized(
+        (
+            a[0] * rest + b[0] * weight,
+            a[1] * rest + b[1] * weight,
+            a[2] * rest + b[2] * weight,
+            a[3] * rest + b[3] * weight,
+        )
+    )
+
+
+@njit(nogil=True)
 def from_vector(x, y, z):
     """Quaternion of a rotation vector."""
     angle = math.sqrt(x * x + y * y + z * z)

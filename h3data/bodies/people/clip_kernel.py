@@ -1,0 +1,128 @@
+"""Motion clips and the joint tree, compiled: frames of a clip table, arms drawn in, frames of joints and capsules."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from h3data.bodies.people.leg_kernel import LegMeasures, settle, stand_on, write_legs
+from h3data.bodies.people.tuple_math import inverse, multiply, nlerp, normalized, put, row3, row4, turned
+from h3data.geometry import Array
+from h3data.kernels import kernel
+
+
+class ClipArrays(NamedTuple):
+    """`h3data.bodies.people.clips.ClipTable` for kernels: all clips of a body, one below the other."""
+
+    legs: LegMeasures
+    first: NDArray[np.int64]
+    frames: NDArray[np.int64]
+    quats: Array
+    pelvis: Array
+    ankle: Array
+    foot: Array
+    stand: tuple[Array, Array, Array, Array]
+    """Standing in the body frame: quats [55, 4], pelvis [3], ankle and foot [2, 3]."""
+    to_root: Array
+    """Rotation from the body frame to the agent root frame, shape [4]."""
+
+
+@njit(nogil=True)
+def _mix(low, high, share):
+    return low + share * (high - low)
+
+
+@kernel(error_model="numpy")
+def sample_all(table, motion, phase, blend, ground, quats, pelvis):
+    """Poses [T] of clips at phases, led to standing where ``blend`` is below 1, into quats [T, 55, 4] and pelvis [T, 3].
+
+    ``ground`` [T, 2], or [0, 2] where the floor is flat.
+    """
+    ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
+    to_root = (table.to_root[0], table.to_root[1], table.to_root[2], table.to_root[3])
+    for t in range(len(quats)):
+        clip = motion[t]
+        count = table.frames[clip]
+        place = (phase[t] - math.floor(phase[t])) * count
+        index = math.floor(place)
+        share = place - index
+        low = table.first[clip] + int(index) % count
+        high = table.first[clip] + (int(index) % count + 1) % count
+        # neighbouring frames share a hemisphere, so a plain mix and one normalisation are enough
+        for j in range(quats.shape[1]):
+            a, b = row4(table.quats[low], j), row4(table.quats[high], j)
+            mixed = (_mix(a[0], b[0], share), _mix(a[1], b[1], share), _mix(a[2], b[2], share), _mix(a[3], b[3], share))
+            put(quats[t], j, normalized(mixed))
+        for i in range(3):
+            pelvis[t, i] = _mix(table.pelvis[low, i], table.pelvis[high, i], share)
+        if blend[t] >= 1 and not len(ground):
+            continue
+        for k in range(2):
+            for i in range(3):
+                ankle[k, i] = _mix(table.ankle[low, k, i], table.ankle[high, k, i], share)
+                foot[k, i] = _mix(table.foot[low, k, i], table.foot[high, k, i], share)
+        put(quats[t], 0, multiply(inverse(to_root), row4(quats[t], 0)))
+        pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(inverse(to_root), row3(pelvis, t))
+        settle(table.legs, table.stand, quats[t], pelvis[t], ankle, foot, phase[t], min(max(blend[t], 0.0), 1.0))
+        if len(ground):
+            stand_on(table.legs, quats[t], pelvis[t], ankle, ground[t])
+        write_legs(table.legs, quats[t], pelvis[t], ankle, foot, angles)
+        put(quats[t], 0, multiply(to_root, row4(quats[t], 0)))
+        pelvis[t, 0], pelvis[t, 1], pelvis[t, 2] = turned(to_root, row3(pelvis, t))
+
+
+@kernel(error_model="numpy")
+def tuck_all(quats, shares, shoulders, tucked):
+    """Blend the two ``shoulders`` of poses [T, 55, 4] with their ``tucked`` rotations [2, 4] by ``shares`` [T, 2], in place."""
+    for t in range(len(quats)):
+        if shares[t, 0] != 0.0 or shares[t, 1] != 0.0:
+            for k in range(2):
+                put(quats[t], shoulders[k], nlerp(row4(quats[t], shoulders[k]), row4(tucked, k), shares[t, k]))
+
+
+@njit(nogil=True)
+def write_frame(parent, q, x, y, z, frame):
+    """The frame [4, 4] of a joint from its parent's, its local rotation and its place there."""
+    i, j, k, w = q
+    a, b, c = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
+    d, e, f = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
+    g, h, m = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)
+    for r in range(3):
+        u, v, s = parent[r, 0], parent[r, 1], parent[r, 2]
+        frame[r, 0], frame[r, 1], frame[r, 2] = u * a + v * d + s * g, u * b + v * e + s * h, u * c + v * f + s * m
+        frame[r, 3] = u * x + v * y + s * z + parent[r, 3]
+    frame[3, 0] = frame[3, 1] = frame[3, 2] = 0.0
+    frame[3, 3] = 1.0
+
+
+@njit(nogil=True)
+def _write_tree(quats, offsets, parents, frames):
+    """Frames [55, 4, 4] of all joints below the pelvis, whose frame is there; ``quats`` [54, 4] are theirs."""
+    for j in range(1, len(parents)):
+        x, y, z = row3(offsets, j)
+        write_frame(frames[parents[j]], row4(quats, j - 1), x, y, z, frames[j])
+
+
+@kernel(error_model="numpy")
+def joint_frames(base, quats, pelvis, offsets, parents, frames):
+    """Frames [T, 55, 4, 4] of all joints from agent roots [T or 1, 7], local rotations [T, 55, 4] and pelvis places [T, 3]."""
+    unit, world = np.eye(4), np.empty((4, 4))
+    for t in range(len(quats)):
+        root = base[t if len(base) > 1 else 0]
+        write_frame(unit, (root[3], root[4], root[5], root[6]), root[0], root[1], root[2], world)
+        write_frame(world, row4(quats[t], 0), pelvis[t, 0], pelvis[t, 1], pelvis[t, 2], frames[t, 0])
+        _write_tree(quats[t, 1:], offsets, parents, frames[t])
+
+
+@kernel(error_model="numpy")
+def free_joint_frames(root, quats, offsets, parents, frames):
+    """Frames [T, 55, 4, 4] of all joints from those of the pelvis in the world [T, 7] and rotations of the others [T, 54, 4]."""
+    world = np.eye(4)
+    for t in range(len(quats)):
+        p = root[t]
+        write_frame(world, (p[3], p[4], p[5], p[6]), p[0], p[1], p[2], frames[t, 0])
+        _write_tree(quats[t], offsets, parents, frames[t])
