@@ -19,7 +19,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.api import make, open, render_frame
+    from h3data.api import make, open, render_frame, session, simulate
     from h3data.errors import H3DataError
     from h3data.metrics import measure
     from h3data.recording import Dataset, Recording
@@ -30,6 +30,8 @@ _HOMES = {
     "make": "h3data.api",
     "open": "h3data.api",
     "render_frame": "h3data.api",
+    "session": "h3data.api",
+    "simulate": "h3data.api",
     "measure": "h3data.metrics",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
@@ -52,6 +54,8 @@ __all__ = [
     "measure",
     "open",
     "render_frame",
+    "session",
+    "simulate",
 ]
 
 

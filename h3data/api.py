@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.metadata
+import importlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, did_you_mean
 from h3data.recording import Recording, open_recording
 from h3data.render import Output
 from h3data.replay import CameraTrack, Replay, camera_at
@@ -66,18 +65,29 @@ def render_frame(
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
 
 
-def make(task: str, **options: Any) -> Any:
+def make(task: str, *args: Any, **options: Any) -> Any:
     """A training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)`` (docs/environments.md).
 
-    Tasks are the entry points of the group ``h3data.tasks``, so installed packages may bring their own; ``options`` go to
-    the task.
+    Arguments are those of `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the
+    group ``h3data.tasks`` and by ``module:Class``.
 
     Raises:
-        InputError: no such task is installed.
+        InputError: no such task, scenes or option.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
-    tasks = {entry.name: entry for entry in importlib.metadata.entry_points(group="h3data.tasks")}
-    if task not in tasks:
-        there = ", ".join(sorted(tasks)) or "(none is installed)"
-        raise InputError(f"Unknown task {task!r}.{did_you_mean(task, tasks)} Expected one of: {there}.")
-    return tasks[task].load()(**options)
+    return _simulator("envs.make").make(task, *args, **options)
+
+
+def session(task: str, *args: Any, **options: Any) -> Any:
+    """An episode to be played one step at a time: `sim_kinematic.tasks.sessions.session`."""
+    return _simulator("tasks.sessions").session(task, *args, **options)
+
+
+def simulate(task: str, *args: Any, **options: Any) -> Recording:
+    """One episode played under policies: `sim_kinematic.tasks.sessions.simulate`."""
+    return _simulator("tasks.sessions").simulate(task, *args, **options)
+
+
+def _simulator(module: str) -> Any:
+    """A module of the simulator, which h3data itself does not import: it lies above."""
+    return importlib.import_module(f"sim_kinematic.{module}")

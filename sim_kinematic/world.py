@@ -1,153 +1,324 @@
-"""W worlds in one home with any robots and people: step them, and say who touches whom.
+"""W worlds with the same agents, each in a home of its own: places everybody, moves everybody, says who touches whom.
 
 ```python
-worlds = AgentWorlds(scene, "robot,robot,human", worlds=16)
-worlds.reset(seed=0)
-touching = worlds.step([drive, drive, way_points])  # [16, 2] each; touching [16, 3]: of worlds.pairs
+world = World(agents_of("robot,robot,human"), worlds=16)
+world.place(starts, [free] * 16)                     # [16, 3, 3]: x, z, heading
+world.step([Drive(a), Drive(b), WalkTo(points)])     # [16, 2] each
+world.touching                                       # [16, 3]: of world.pairs
 ```
+
+A world of one is W = 1. Motion, contact and arms are those of the kernels in `sim_kinematic.motion`; a task
+(`sim_kinematic.tasks.task`) adds rules, a runner (`sim_kinematic.tasks.runner`) adds time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
-from h3data.geometry import Array
-from h3data.scene import FreeSpace, Scene
+from h3data.geometry import Array, ground_pose
+from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
-from sim_kinematic.agents.roster import AgentSpec, make_roster, sample_places
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
-from sim_kinematic.contact.clearance import clip_reach, robot_reach
+from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
-from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots, walk_humans
 
+Rows = NDArray[np.intp]
 
-class AgentWorlds:
-    """W worlds with the same agents: robots that are driven, people who walk to way points."""
+
+class Drive(NamedTuple):
+    """Base velocities: forward and left turn in -1..1 of the limits, [W, 2]; a robot that moves sideways takes [W, 3].
+
+    People drive too: as a disc that slides along obstacles, forwards only.
+    """
+
+    velocity: Array
+
+
+class WalkTo(NamedTuple):
+    """Points that people walk straight to, turning on the spot first, [W, 2] [m]."""
+
+    points: Array
+
+
+class Keep(NamedTuple):
+    """Where people are, whatever the world thinks of it: the next moment of a recorded track."""
+
+    xz: Array
+    """[W, 2] [m]."""
+    heading: Array
+    """[W] [rad]."""
+    posture: Posture
+
+
+class Posture(NamedTuple):
+    """What the bodies of people do, one row per world."""
+
+    clip: NDArray[np.int64]
+    """Index of the motion clip."""
+    phase: Array
+    """Place in its cycle, 0..1."""
+    blend: Array
+    """Its weight over standing, 0..1."""
+    arms: Array
+    """How far the left and the right arm are tucked in, 0..1, [W, 2]."""
+
+
+Command = Drive | WalkTo | Keep
+
+
+class World:
+    """W worlds with one roster. State arrays are changed in place; `before` is the state one step ago."""
 
     def __init__(
-        self, scene: Scene, agents: str | Sequence[str] = ("robot", "human"), *, worlds: int = 1,
-        spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        roster: Sequence[AgentSpec],
+        *,
+        worlds: int = 1,
+        base: BaseSpec | None = None,
+        walker: WalkerSpec | None = None,
+        person_radius_m: float = 0.25,
+    ) -> None:
         """
         Args:
-            scene: The home.
-            agents: Who is there (`make_roster`).
+            roster: Who is there: robots, then people.
             worlds: W.
-            spec: Speeds and radii; ``spawn_distance_m`` is how far apart they begin, where there is room.
-            free: The map, which saves building it again.
+            base: How robots drive, as far as their own base does not say (`base_of`).
+            walker: How people walk.
+            person_radius_m: Radius of a person who drives.
 
         Raises:
-            InputError: there are no such agents, or W is not at least 1.
+            InputError: W is not at least 1.
         """
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
-        self.scene, self.spec = scene, spec or SocialNavSpec()
-        size = self.spec.agent_radius_m, self.spec.agent_height_m
-        self.free = free or FreeSpace.from_scene(scene, radius_m=size[0], height_m=size[1])
-        self.cast: tuple[AgentSpec, ...] = make_roster(agents)
-        robots = [member.body for member in self.cast if isinstance(member.body, Robot)]
+        self.roster, self.worlds = tuple(roster), int(worlds)
+        rules, self.walker = base or BaseSpec(), walker or WalkerSpec()
+        self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
+        """Discs and limits of each robot; the rules for people."""
+        self._disc = BaseSpec(
+            max_speed_mps=self.walker.speed_mps,
+            max_turn_rad_s=self.walker.turn_rad_s,
+            allow_back=False,
+            disc_offsets_m=(0.0,),
+            disc_radius_m=person_radius_m,
+        )
+        robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
+        people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
-            int(worlds), robots=len(robots), people=len(self.cast) - len(robots), joints=[len(r.rest) for r in robots]
+            self.worlds, robots=len(robots), people=people, joints=[len(r.rest) for r in robots]
         )
-        self.pairs = tuple(combinations(range(len(self.cast)), 2))
+        self.before, self.start = self.state.copy(), self.state.copy()
+        self._moments = tuple(zip(self.before.arrays(), self.state.arrays(), strict=True))
+        self.clips = tuple(
+            member.body.clip_for_speed(self.walker.speed_mps) if isinstance(member.body, Humanoid) else -1
+            for member in self.roster
+        )
+        """The clip that each agent walks with, -1 of robots."""
+        self.floors: list[FreeSpace] = []
+        """The map of each world."""
+        self.groups: list[tuple[FreeSpace, Rows]] = []
+        """The worlds that share a map: it and their indices."""
+        self.blocked = np.zeros((self.worlds, len(self.roster)), np.bool_)
+        """Agents that touched an obstacle in the last step, [W, A]."""
+        self.pairs = tuple(combinations(range(len(self.roster)), 2))
         """Numbers (a < b) of all pairs of agents."""
-        self.touching = np.zeros((self.state.worlds, len(self.pairs)), np.bool_)
-        """Which pairs touch after the last step, [W, P]."""
-        self._contacts = AgentContacts(*(body_shapes(member.body) for member in self.cast))
-        self._reach = [
-            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in self.cast
-        ]
-        self.bases = tuple(base_of(m.body, self.spec.robot) for m in self.cast if isinstance(m.body, Robot))
-        """Discs and limits of each robot."""
-        robots_free = (floor_of(r, base, scene, self.free) for r, base in zip(robots, self.bases, strict=True))
-        self.floors = (*robots_free, *[self.free] * (len(self.cast) - len(robots)))
-        """The floor on which each agent finds its paths."""
+        self.touching = np.zeros((self.worlds, len(self.pairs)), np.bool_)
+        """Pairs that touch after the last step, [W, P]."""
+        self._kept: dict[int, Posture] = {}
+        self._contact = _PairContacts(self.roster, self.pairs)
 
-    def reset(self, seed: int) -> None:
-        """Everybody at a random free place of each world, at rest.
-
-        Raises:
-            SceneError: there is no room for them.
-        """
-        self.place(np.stack([self._places(generator(seed, "agent_worlds", world=w)) for w in range(self.state.worlds)]))
-
-    def place(self, places: Array) -> None:
-        """Everybody at ``(x, z, heading)``, [W, A, 3] or [A, 3] in all worlds, at rest."""
+    def place(self, starts: Array, floors: Sequence[FreeSpace], rows: Rows | None = None) -> None:
+        """Put everybody at ``starts`` [n, A, 3] (x, z, heading), at rest, in the worlds ``rows`` [n] (default: all), each
+        on its map."""
+        rows = np.arange(self.worlds) if rows is None else rows
         joints = [own.joints.shape[1] for own in self.state.robots]
-        self.state.put(
-            slice(None), WorldState.zeros(1, robots=len(joints), people=len(self.state.people), joints=joints)
-        )
-        for k, (member, own) in enumerate(zip(self.cast, self.state.agents, strict=True)):
-            own.xz[:], own.heading[:] = places[..., k, :2], places[..., k, 2]
+        fresh = WorldState.zeros(len(rows), robots=len(joints), people=len(self.state.people), joints=joints)
+        for k, (member, own) in enumerate(zip(self.roster, fresh.agents, strict=True)):
+            own.xz[:], own.heading[:] = starts[:, k, :2], starts[:, k, 2]
             if isinstance(own, RobotState) and isinstance(member.body, Robot):
                 own.joints[:] = member.body.rest
-        self.touching = self._touching()
+        for state in (self.state, self.before, self.start):
+            state.put(rows, fresh)
+        if len(self.floors) != self.worlds:
+            self.floors = list(floors)
+        for w, free in zip(rows.tolist(), floors, strict=True):
+            self.floors[w] = free
+        number = {id(free): k for k, free in enumerate(dict.fromkeys(self.floors))}
+        of = np.array([number[id(free)] for free in self.floors])
+        self.groups = [(self.floors[g[0]], g) for g in (np.flatnonzero(of == k) for k in np.unique(of))]
+        self._kept.clear()
+        self.blocked[rows] = False
+        self.touching[rows] = self._touching(rows)
 
-    def _places(self, rng: np.random.Generator) -> Array:
-        return sample_places(
-            self.scene, self.free, self.cast, rng, apart_m=self.spec.spawn_distance_m, rules=self.spec.robot
-        )  # fmt: skip
-
-    def step(self, actions: Sequence[ArrayLike]) -> NDArray[np.bool_]:
-        """Move all agents by one step and return which pairs touch, [W, P].
-
-        Args:
-            actions: One array for each agent: of a robot forward and left turn, -1..1 of its limits, [W, 2]; of a person the
-                way point ``(x, z)`` that she walks straight to, [W, 2].
+    def step(self, commands: Sequence[Command]) -> None:
+        """Move all agents by one step of 1/30 s: people first, then robots, as in Habitat.
 
         Raises:
-            InputError: there is not one for each agent, or one has another shape or is not finite; then nothing has moved.
+            InputError: there is not one command for each agent, or one has another shape or is not finite; then nothing
+                has moved.
         """
-        state = self.state
-        if len(actions) != len(self.cast):
-            raise InputError(f"Expected one action for each of {len(self.cast)} agents, got {len(actions)}.")
-        rows = [np.asarray(action, np.float64) for action in actions]
-        for member, row in zip(self.cast, rows, strict=True):
-            width = 3 if member.kind == "robot" and self.spec.robot.max_lateral_mps else 2
-            if row.shape != (state.worlds, width) or not np.isfinite(row).all():
-                raise InputError(
-                    f"Expected finite actions of {member.name}, shape {[state.worlds, width]}, got shape {list(row.shape)}"
-                    f"{'' if np.isfinite(row).all() else ' with numbers that are not finite'}."
-                )
-        bases = (*self.bases, *[self.spec.robot] * len(state.people))
-        for member, own, row, base in zip(self.cast, state.agents, rows, bases, strict=True):
-            if isinstance(own, HumanState):
-                walk_humans(own, row, self.spec.human)
-                if isinstance(member.body, Humanoid):
-                    draw_arms(own, self.free, member.body, self.spec.human.arms)
-            else:
-                drive_robots(own, self.free, row, base)
-        self.touching = self._touching()
-        return self.touching
-
-    def _touching(self) -> NDArray[np.bool_]:
-        """By distance first, then by FCL in the worlds where a pair is near."""
+        commands = self._checked(commands)
+        for before, now in self._moments:
+            before[...] = now
         agents = self.state.agents
-        near = np.zeros((self.state.worlds, len(self.pairs)), np.bool_)
-        for p, (a, b) in enumerate(self.pairs):
-            near[:, p] = np.hypot(*(agents[a].xz - agents[b].xz).T) <= self._reach[a] + self._reach[b]
-        found = np.zeros_like(near)
-        rows = np.flatnonzero(near.any(1))
-        if not len(rows):
-            return found
-        speed, floor_y = self.spec.human.speed_mps, self.free.floor_y
-        frames = [
-            shape_frames(member.body, body_frames(member.body, own.take(rows), floor_y, speed_mps=speed))
-            for member, own in zip(self.cast, agents, strict=True)
+        for k, command in enumerate(commands):
+            own = agents[k]
+            if isinstance(own, HumanState) and isinstance(command, WalkTo):
+                walk_humans(own, command.points, self.walker)
+            elif isinstance(own, HumanState) and isinstance(command, Keep):
+                own.distance[:] += np.hypot(*(command.xz - own.xz).T)
+                own.xz[:], own.heading[:], self._kept[k] = command.xz, command.heading, command.posture
+        for free, rows in self.groups:
+            alone = len(rows) == self.worlds
+            part = self.state if alone else self.state.take(rows)
+            for k, (command, member) in enumerate(zip(commands, self.roster, strict=True)):
+                own, body = part.agents[k], member.body
+                if isinstance(own, HumanState) and isinstance(body, Humanoid):
+                    if isinstance(command, Drive):
+                        self.blocked[rows, k] = self._drive_person(own, free, command.velocity[rows])
+                    if not isinstance(command, Keep):
+                        draw_arms(own, free, body, self.walker.arms)
+            for k, command in enumerate(commands):
+                own = part.agents[k]
+                if isinstance(own, RobotState) and isinstance(command, Drive):
+                    drive_robots(own, free, command.velocity[rows], self.bases[k])
+                    self.blocked[rows, k] = own.contact
+            if not alone:
+                self.state.put(rows, part)
+        self.touching = self._touching(np.arange(self.worlds))
+
+    def posture(self, agent: int, rows: Rows) -> Posture:
+        """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
+        if agent in self._kept:
+            kept = self._kept[agent]
+            return Posture(kept.clip[rows], kept.phase[rows], kept.blend[rows], kept.arms[rows])
+        own, body = self.state.agents[agent], self.roster[agent].body
+        assert isinstance(own, HumanState)
+        assert isinstance(body, Humanoid)
+        clip = self.clips[agent]
+        walk = body.clips[clip]
+        phase = (walk.start_phase + (own.distance[rows] - own.set_off[rows]) / walk.stride_m) % 1.0
+        return Posture(
+            np.full(len(rows), clip), _recorded(phase), _recorded(own.blend[rows]), _recorded(own.arms[rows])
+        )
+
+    @property
+    def floor_y(self) -> Array:
+        """Height of the floor in each world [m], [W]."""
+        return np.array([free.floor_y for free in self.floors])
+
+    # --- parts of a step ----------------------------------------------------------------------------------------------
+    def _checked(self, commands: Sequence[Command]) -> list[Command]:
+        if len(commands) != len(self.roster):
+            raise InputError(f"Expected one command for each of {len(self.roster)} agents, got {len(commands)}.")
+        checked: list[Command] = []
+        for member, command, base in zip(self.roster, commands, self.bases, strict=True):
+            if isinstance(command, Keep):
+                checked.append(command)
+                continue
+            values = np.asarray(command[0], np.float64)
+            width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
+            if member.kind == "robot" and isinstance(command, WalkTo):
+                raise InputError(f"{member.name} drives: expected Drive, got WalkTo.")
+            if values.shape != (self.worlds, width) or not np.isfinite(values).all():
+                infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
+                raise InputError(
+                    f"Expected finite actions of {member.name}, shape {[self.worlds, width]}, got shape "
+                    f"{list(values.shape)}{infinite}."
+                )
+            checked.append(type(command)(values))
+        return checked
+
+    def _drive_person(self, state: HumanState, free: FreeSpace, velocity: Array) -> NDArray[np.bool_]:
+        """Move people as bases of one disc, and their walking cycle with them; returns who touched an obstacle."""
+        touched = np.zeros(len(velocity), np.bool_)
+        was = state.xz.copy()
+        disc = RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(velocity), 0)))
+        drive_robots(disc, free, velocity, self._disc)
+        walked = np.hypot(*(state.xz - was).T)
+        goes, rate = walked > 0, STEP_S / self.walker.blend_s
+        begins = goes & (state.blend == 0)
+        state.set_off[begins] = state.distance[begins]
+        state.distance[:] += walked
+        state.blend[:] = np.where(
+            goes, np.minimum(np.maximum(state.blend, 0.5) + rate, 1), np.maximum(state.blend - rate, 0)
+        )
+        return touched
+
+    def _touching(self, rows: Rows) -> NDArray[np.bool_]:
+        return self._contact.touching(self.state, rows, self.floor_y, self.posture, self.walker.speed_mps)
+
+
+class _PairContacts:
+    """Contact between all pairs of agents: by distance first, then by FCL in the worlds where a pair is near."""
+
+    def __init__(self, roster: Sequence[AgentSpec], pairs: Sequence[tuple[int, int]]) -> None:
+        self._roster, self._pairs = roster, pairs
+        # a robot that keeps its posture beside a person: posed together, as recorded
+        self._of = [
+            RobotHumanContact(roster[a].body, roster[b].body)  # type: ignore[arg-type]
+            if (roster[a].kind, roster[b].kind) == ("robot", "human")
+            else None
+            for a, b in pairs
         ]
-        for k, w in enumerate(rows):
-            for number, of in enumerate(frames):
-                self._contacts.update(number, of[k])
-            for p in np.flatnonzero(near[w]):
-                found[w, p] = self._contacts.collides(*self.pairs[p])
-        return found
+        self._reach = [
+            robot_reach(m.body, m.body.rest) if isinstance(m.body, Robot) else clip_reach(m.body) for m in roster
+        ]
+        self._others = [p for p, own in enumerate(self._of) if own is None]
+        self._contacts = AgentContacts(*(body_shapes(m.body) for m in roster)) if self._others else None
+
+    def touching(
+        self,
+        state: WorldState,
+        rows: Rows,
+        floor_y: Array,
+        posture: Callable[[int, Rows], Posture],
+        speed_mps: float,
+    ) -> NDArray[np.bool_]:
+        agents = state.agents
+        result = np.zeros((len(rows), len(self._pairs)), np.bool_)
+        for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
+            gap = agents[a].xz[rows] - agents[b].xz[rows]
+            apart = np.hypot(gap[:, 0], gap[:, 1])
+            if contact is None:
+                result[:, p] = apart <= self._reach[a] + self._reach[b]
+                continue
+            near = np.flatnonzero(apart <= contact.gate_m + 1e-3)
+            if len(near):
+                at = rows[near]
+                result[near, p] = contact.touching_many(
+                    ground_pose(agents[a].xz[at], agents[a].heading[at], floor_y[at]).astype(np.float32),
+                    ground_pose(agents[b].xz[at], agents[b].heading[at], floor_y[at]).astype(np.float32),
+                    *posture(b, at),
+                )
+        if self._contacts is not None:
+            self._decide(state, rows, floor_y, result, speed_mps)
+        return result
+
+    def _decide(self, state: WorldState, rows: Rows, floor_y: Array, near: NDArray[np.bool_], speed_mps: float) -> None:
+        """Ask FCL about the near pairs that are not a robot and a person, in place."""
+        assert self._contacts is not None
+        for k in np.flatnonzero(near[:, self._others].any(1)):
+            w = rows[k]
+            for number, (member, own) in enumerate(zip(self._roster, state.agents, strict=True)):
+                frames = body_frames(member.body, own.take([w]), float(floor_y[w]), speed_mps=speed_mps)
+                self._contacts.update(number, shape_frames(member.body, frames)[0])
+            for p in self._others:
+                near[k, p] = near[k, p] and self._contacts.collides(*self._pairs[p])
+
+
+def _recorded(values: Array) -> Array:
+    """Numbers as they are after having been written in float32."""
+    return values.astype(np.float32).astype(np.float64)

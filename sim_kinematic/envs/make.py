@@ -1,85 +1,126 @@
-"""What `h3data.make` calls: one function per task, named in the entry points of the group ``h3data.tasks``."""
+"""`h3data.make`: any task as a training environment."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields
+from typing import Any
 
-from h3data.errors import InputError
-from h3data.scene import Scene
-
-if TYPE_CHECKING:
-    from sim_kinematic.envs.rearrange_env import RearrangeEnv
-    from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
-    from sim_kinematic.envs.rearrange_vector_env import RearrangeVectorEnv
-    from sim_kinematic.envs.social_nav_env import SocialNavEnv
-    from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
-    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
-    from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from h3data.errors import InputError, did_you_mean
+from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.sources import Scenes
+from sim_kinematic.tasks.task import Task
 
 
-def social_nav(
-    scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
+def make(
+    task: str | Task,
+    scenes: Scenes = "h3-homes/train",
     *,
     num_envs: int | None = None,
     device: Any = None,
     agents: Sequence[str] = ("robot",),
+    render_mode: str | None = None,
     **options: Any,
-) -> SocialNavEnv | SocialNavVectorEnv | SocialNavParallelEnv | SocialNavTorchEnv:
-    """Social navigation: `SocialNavEnv`; with ``num_envs`` `SocialNavVectorEnv`; with a torch
-    ``device`` as well `SocialNavTorchEnv`; with ``agents=("robot", "human")`` `SocialNavParallelEnv`, which has one world.
+) -> Any:
+    """A training environment of a task.
+
+    Args:
+        task: By name, ``module:Class``, or a `Task`.
+        scenes: Where to play (`sim_kinematic.tasks.sources.EpisodeSource`).
+        num_envs: W worlds as a Gymnasium vector environment; None is one world as a Gymnasium environment.
+        device: A torch device: worlds as tensors (social navigation only).
+        agents: Agents that act; several make a PettingZoo environment, which has one world.
+        render_mode: ``rgb_array`` for ``render()``.
+        **options: Those of the task's stepper (`sim_kinematic.envs.world_stepper.WorldStepper`,
+            `sim_kinematic.envs.skill_stepper.SkillStepper`) and `sim_kinematic.envs.stepper.Options`.
 
     Raises:
-        InputError: scenes, agents or an option are none that we know, or both ``num_envs`` and two agents are wanted.
+        InputError: no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
+        MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
-    if sorted(agents) not in (["robot"], ["human", "robot"]):
-        raise InputError(f"Expected agents ('robot',) or ('robot', 'human'), got {agents!r}.")
-    if len(agents) == 2:
-        if num_envs is not None or device is not None:
-            raise InputError(
-                "An environment of two agents has one world, on no device. Hint: leave out num_envs and device."
-            )
-        from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
-
-        return SocialNavParallelEnv(scenes, **options)
+    found = find_task(task) if isinstance(task, str) else task
     if device is not None:
-        from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+        return _on_device(found, scenes, num_envs, device, agents, options)
+    from sim_kinematic.envs.stepper import ManySteppers, Options
 
-        return SocialNavTorchEnv(1 if num_envs is None else num_envs, scenes, device=device, **options)
+    if isinstance(agents, str):
+        agents = (agents,)
+    if len(agents) > 1 and num_envs is not None:
+        raise InputError("An environment of two agents has one world. Hint: leave out num_envs.")
+    stepper_class = _stepper_class(found)
+    if "agent" in options:
+        agents = (options.pop("agent"),)
+    shared = {f.name: options.pop(f.name) for f in fields(Options) if f.name in options}
+    _require_known(found, stepper_class, options, [f.name for f in fields(Options)])
+    given = {**options, "agents": tuple(agents), "options": Options(**shared)}
+    given = {**found.env_defaults, **given}
     if num_envs is not None:
-        from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+        from sim_kinematic.envs.vector import TaskVectorEnv
 
-        return SocialNavVectorEnv(num_envs, scenes, **options)
-    from sim_kinematic.envs.social_nav_env import SocialNavEnv
+        if found.batched:
+            return TaskVectorEnv(stepper_class(found, scenes, worlds=num_envs, **given))
+        return TaskVectorEnv(ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs))
+    stepper = stepper_class(found, scenes, **given)
+    if len(agents) > 1:
+        from sim_kinematic.envs.parallel import TaskParallelEnv
 
-    return SocialNavEnv(scenes, **options)
+        return TaskParallelEnv(stepper, name=found.name, render_mode=render_mode)
+    from sim_kinematic.envs.single import TaskEnv
+
+    return TaskEnv(stepper, render_mode=render_mode)
 
 
-def rearrange(
-    scenes: str | Scene | Sequence[str | Scene] = "h3-homes/train",
-    *,
-    num_envs: int | None = None,
-    agents: Sequence[str] = ("robot",),
-    **options: Any,
-) -> RearrangeEnv | RearrangeParallelEnv | RearrangeVectorEnv:
-    """Social rearrangement: `RearrangeEnv` of a robot or, with ``agents=("human",)``, of a person; with ``num_envs``
-    `RearrangeVectorEnv`; with both agents `RearrangeParallelEnv`, which has one world.
+def _stepper_class(task: Task) -> Any:
+    if task.batched:
+        from sim_kinematic.envs.world_stepper import WorldStepper
 
-    Raises:
-        InputError: scenes, agents or an option are none that we know, or both ``num_envs`` and two agents are wanted.
-    """
-    if sorted(agents) not in (["robot"], ["human"], ["human", "robot"]):
-        raise InputError(f"Expected agents ('robot',), ('human',) or ('robot', 'human'), got {agents!r}.")
-    if len(agents) == 2:
-        if num_envs is not None:
-            raise InputError("An environment of two agents has one world. Hint: leave out num_envs.")
-        from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
+        return WorldStepper
+    from sim_kinematic.envs.skill_stepper import SkillStepper
 
-        return RearrangeParallelEnv(scenes, **options)
-    if num_envs is not None:
-        from sim_kinematic.envs.rearrange_vector_env import RearrangeVectorEnv
+    return SkillStepper
 
-        return RearrangeVectorEnv(num_envs, scenes, agent=agents[0], **options)
-    from sim_kinematic.envs.rearrange_env import RearrangeEnv
 
-    return RearrangeEnv(scenes, agent=agents[0], **options)
+def _require_known(task: Task, stepper: Any, options: dict[str, Any], shared: Sequence[str]) -> None:
+    """Refuses options that nobody takes."""
+    parameters = inspect.signature(stepper.__init__).parameters.values()
+    known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("worlds", "options")]
+    known += [*shared, *task.env_options, "num_envs", "device", "render_mode"]
+    for name in options:
+        if name not in known:
+            raise InputError(
+                f"Unknown option {name!r} of {task.name}.{did_you_mean(name, known)} Expected some of: {', '.join(known)}."
+            )
+
+
+def _on_device(
+    task: Task, scenes: Scenes, num_envs: int | None, device: Any, agents: Sequence[str], options: dict[str, Any]
+) -> Any:
+    if task.name != "social_nav":
+        raise InputError(f"Only social_nav runs on a torch device, not {task.name}. Hint: leave out device.")
+    if tuple(agents) != ("robot",):
+        raise InputError("On a torch device only the robot acts. Hint: leave out agents or device.")
+    from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
+
+    return SocialNavTorchEnv(1 if num_envs is None else num_envs, scenes, device=device, **options)
+
+
+# --- Gymnasium's registry ---------------------------------------------------------------------------------------------
+def social_nav(**options: Any) -> Any:
+    """``gymnasium.make("h3data/SocialNav-v0")``."""
+    return make("social_nav", **options)
+
+
+def rearrange(**options: Any) -> Any:
+    """``gymnasium.make("h3data/Rearrange-v0")``."""
+    return make("rearrange", **options)
+
+
+def register() -> None:
+    """Makes the built-in tasks known to Gymnasium."""
+    from sim_kinematic.envs.stepper import gymnasium
+
+    for name, function in (("SocialNav", "social_nav"), ("Rearrange", "rearrange")):
+        if f"h3data/{name}-v0" not in gymnasium.registry:
+            entry = f"sim_kinematic.envs.make:{function}"
+            gymnasium.register(f"h3data/{name}-v0", entry_point=entry, vector_entry_point=entry)

@@ -79,7 +79,7 @@ class SocialNavTorchEnv:
         """
         Args:
             num_envs: W.
-            scenes: As `sim_kinematic.tasks.social_nav_batch.SocialNavBatch`.
+            scenes: As `sim_kinematic.tasks.sources.EpisodeSource`.
             device: Where all is: ``cuda``, ``cuda:1``, ``cpu``.
             dtype: Of the state: by default float64 on the CPU, else float32.
             observations: Names of what `step` shows.
@@ -98,7 +98,7 @@ class SocialNavTorchEnv:
         Raises:
             InputError: an argument is none that a device knows, or there is no such device.
         """
-        from sim_kinematic.tasks.social_nav_batch import TRAINING
+        from sim_kinematic.tasks.social_nav import TRAINING
         from sim_kinematic.torch.episodes import EpisodeBank
 
         unknown = sorted(set(observations) - set(get_args(TorchObservation)))
@@ -238,16 +238,24 @@ class SocialNavTorchEnv:
     @cached_property
     def single_action_space(self) -> Box:
         """Of one world."""
-        from sim_kinematic.envs.social_nav_observations import gymnasium
+        from sim_kinematic.envs.stepper import gymnasium
 
         return gymnasium.spaces.Box(-1.0, 1.0, (self.sim.action_width,), np.float32)
 
     @cached_property
     def single_observation_space(self) -> Dict:
         """Of one world."""
-        from sim_kinematic.envs.social_nav_observations import gymnasium, state_box
+        from sim_kinematic.envs.stepper import gymnasium
+        from sim_kinematic.sensing.observation_set import box
+        from sim_kinematic.sensing.table import SENSORS
 
-        spaces: dict[str, Any] = {name: state_box(name) for name in self._names if name != "arm_depth"}
+        spaces: dict[str, Any] = {
+            name: gymnasium.spaces.Box(0.0, 1.0, (1,), np.float32)
+            if name == "humanoid_detector"
+            else box(SENSORS[name].limits())
+            for name in self._names
+            if name != "arm_depth"
+        }
         if self._cameras is not None and "arm_depth" in self._names:
             shape = (self._cameras.renderer.height, self._cameras.renderer.width, 1)
             spaces["arm_depth"] = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
@@ -256,14 +264,14 @@ class SocialNavTorchEnv:
     @cached_property
     def action_space(self) -> Space[Any]:
         """Of all worlds."""
-        from sim_kinematic.envs.social_nav_observations import gymnasium
+        from sim_kinematic.envs.stepper import gymnasium
 
         return gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
 
     @cached_property
     def observation_space(self) -> Space[Any]:
         """Of all worlds."""
-        from sim_kinematic.envs.social_nav_observations import gymnasium
+        from sim_kinematic.envs.stepper import gymnasium
 
         return gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.network import Network, load_network
-from sim_kinematic.policies.social_nav import Command, View
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.social_nav import View
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
@@ -113,11 +114,11 @@ class LearnedNavigation:
         require(network, "social_nav", NAVIGATION_INPUTS, outputs=2)
         self.network = network
 
-    def __call__(self, view: View, spec: BaseSpec) -> Command:
+    def __call__(self, view: View, spec: BaseSpec) -> Velocity:
         """As `sim_kinematic.policies.social_nav.Policy`."""
         out = self.network(navigation_input(view, spec, self.network.observations))
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()
-        return Command(forward, turn, "follow" if view.met else "find")
+        return Velocity(forward, turn, "follow" if view.met else "find")
 
 
 def require(network: Network, task: str, known: Mapping[str, Any], *, outputs: int) -> None:

@@ -29,8 +29,8 @@ class LearnedChooser:
         require(network, TASK, SENSES, outputs=len(self.choices))
         self.network = network
 
-    def choose(self, view: TaskView) -> Action:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.choose`."""
+    def act(self, view: TaskView) -> Action:
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 

@@ -83,7 +83,7 @@ class TaskView(NamedTuple):
 class HighLevelPolicy(Protocol):
     """The upper layer."""
 
-    def choose(self, view: TaskView) -> Action:
+    def act(self, view: TaskView) -> Action:
         """What to do next; asked when the last action has ended or was interrupted."""
         ...
 
@@ -109,7 +109,7 @@ class Planner:
     """So many of its objects are behind it."""
     _tries: int = 0
 
-    def choose(self, view: TaskView) -> Action:
+    def act(self, view: TaskView) -> Action:
         while self._passed < len(self.objects):
             k = self.objects[self._passed]
             failed = view.last is not None and view.last.outcome == "failed"
@@ -134,7 +134,7 @@ class Chooser:
     _avoid: dict[int, int] = field(default_factory=dict)
     """Objects at which it failed, and until which step it leaves them."""
 
-    def choose(self, view: TaskView) -> Action:
+    def act(self, view: TaskView) -> Action:
         if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
             self._avoid[self._object] = view.step + 60
         held = np.flatnonzero(view.held_by == view.agent)

@@ -2,19 +2,134 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.policies.policy import FunctionPolicy, KeptMoment, Velocity
 from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
 
 RESUMED = "resumed"
 """Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
+
+
+class RecordedVelocities:
+    """Repeats recorded base velocities up to a step, then hands over to another policy.
+
+    A policy with a memory is asked from the start, so that in the end it remembers what it did then.
+    """
+
+    def __init__(self, choices: Mapping[int, Any], *, until: int, own: Any) -> None:
+        self._choices, self._until, self._own = choices, until, own
+
+    @classmethod
+    def of(
+        cls, recording: Recording, number: int, commands: Sequence[tuple[int, Any]] | None, *, until: int, own: Any
+    ) -> RecordedVelocities:
+        """From the commands that came from outside, else from the column ``agent_<i>.action``.
+
+        Raises:
+            InputError: commands or skills are not of the kind that the simulator knows.
+        """
+        if commands is not None:
+            return cls(dict(commands), until=until, own=own)
+        actions = recording.columns[f"agent_{number}.action"]
+        if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
+            raise InputError(
+                f"Expected agent_{number}.action [T, 2] of finite numbers, got shape {list(actions.shape)}."
+            )
+        names = recording.agents[number].skill_names
+        codes = recording.columns.get(f"agent_{number}.skill", np.full(len(recording), -1))
+        strange = sorted({int(c) for c in codes if not -1 <= c < len(names)})
+        if strange:
+            raise InputError(
+                f"Unknown skill codes {strange[:5]} in agent_{number}.skill. Expected: {', '.join(names)}."
+            )
+        choices = {
+            k: Velocity(forward, turn, names[code] if code >= 0 else "")
+            for k, ((forward, turn), code) in enumerate(zip(actions[:until].tolist(), codes.tolist(), strict=False))
+        }
+        return cls(choices, until=until, own=own)
+
+    def act(self, view: Any) -> Any:
+        if view.step >= self._until:
+            return self._own.act(view)
+        if self._own is not None and not isinstance(self._own, FunctionPolicy):
+            self._own.act(view)
+        if view.step not in self._choices:
+            raise InputError(f"The recorded raw input has no command for step {view.step}.")
+        return self._choices[view.step]
+
+
+class RecordedCommands:
+    """Repeats commands that came from outside in a task with skills, then hands over to another policy."""
+
+    def __init__(self, commands: Sequence[tuple[int, Any]], *, until: int, own: Any) -> None:
+        self._commands = [(step, choice) for step, choice in commands if step < until]
+        self._until, self._own, self._next = until, own, 0
+        self.since = until if own is not None else 0
+
+    def act(self, view: Any) -> Any:
+        if view.step >= self._until and self._own is not None:
+            return self._own.act(view)
+        if self._next >= len(self._commands) or self._commands[self._next][0] != view.step:
+            raise InputError(f"The recorded raw input has no command for step {view.step}.")
+        self._next += 1
+        return self._commands[self._next - 1][1]
+
+    def interrupts(self, view: Any) -> str:
+        """Aborts where a command came while a skill was running."""
+        if view.step >= self._until and self._own is not None:
+            interrupts = getattr(self._own, "interrupts", None)
+            return RESUMED if view.step == self._until else interrupts(view) if interrupts is not None else ""
+        there = self._next < len(self._commands) and self._commands[self._next][0] == view.step
+        return "commanded" if there else ""
+
+
+class RecordedTrack:
+    """A person who keeps a recorded track, whatever the others do."""
+
+    def __init__(self, recording: Recording, number: int, body: Any) -> None:
+        """
+        Raises:
+            InputError: the person's body was not recorded as clips at every step.
+        """
+        if not len(recording):
+            raise InputError("The recording has no steps, so there is no track of a person to keep.")
+        names = [f"agent_{number}.{n}" for n in ("base_pose", "motion_id", "motion_phase", "motion_blend")]
+        lacks = [n for n in names if n not in recording.columns]
+        if lacks:
+            raise InputError(f"The person's body must be recorded as clips; the recording lacks: {', '.join(lacks)}.")
+        base, *self._motion = (recording.columns[n] for n in names)
+        self._arms = recording.columns.get(f"agent_{number}.motion_arms", np.zeros((len(recording), 2), np.float32))
+        if self._arms.shape != (len(recording), 2):
+            raise InputError(f"Expected agent_{number}.motion_arms [T, 2], got shape {list(self._arms.shape)}.")
+        if not all(np.isfinite(array).all() for array in (base, self._arms, *self._motion)):
+            raise InputError("The person's track must be finite at every step.")
+        clips = len(body.clips)
+        if ((self._motion[0] < 0) | (self._motion[0] >= clips)).any():
+            raise InputError(f"agent_{number}.motion_id must be in 0..{clips - 1}.")
+        self._xz = base[:, [0, 2]].astype(np.float64)
+        self._heading = np.unwrap(heading_from_quat(base[:, 3:].astype(np.float64)))
+
+    def track(self) -> NDArray[np.float64]:
+        """Positions after each step, [T, 2] [m]."""
+        return self._xz
+
+    def act(self, view: Any) -> KeptMoment:
+        step = view.step
+        clip, phase, blend = (array[step] for array in self._motion)
+        left, right = self._arms[step].tolist()
+        return KeptMoment(
+            self._xz[step], float(self._heading[step]), int(clip), float(phase), float(blend), (left, right)
+        )
 
 
 @dataclass(eq=False)
@@ -39,9 +154,9 @@ class RecordedPolicy:
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
-    def choose(self, view: TaskView) -> Action:
-        """As `HighLevelPolicy.choose`."""
-        choice = self.own.choose(view) if self.own is not None and view.step >= self.since else None
+    def act(self, view: TaskView) -> Action:
+        """As `HighLevelPolicy.act`."""
+        choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
             return choice
         interrupted = view.last is not None and view.last.outcome == "aborted"

@@ -16,6 +16,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.policies.policy import Velocity
 
 ROBOT_SKILLS = ("find", "follow", "back_up", "wait")
 
@@ -42,15 +43,7 @@ class View(NamedTuple):
     """Where she will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
 
 
-class Command(NamedTuple):
-    """What a policy wants: base velocity in -1..1 of the limits, and what it calls that."""
-
-    forward: float
-    turn: float
-    skill: str
-
-
-Policy = Callable[[View, BaseSpec], Command]
+Policy = Callable[[View, BaseSpec], Velocity]
 
 KEEP_DISTANCE_M = 1.5
 """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
@@ -104,7 +97,7 @@ def _expected_walk(view: View) -> NDArray[np.float64]:
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
 
-def heuristic_expert(view: View, spec: BaseSpec) -> Command:
+def heuristic_expert(view: View, spec: BaseSpec) -> Velocity:
     """The paper's expert: shortest path to the person when farther than 1.5 m, back away from her inside.
 
     Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
@@ -115,17 +108,17 @@ def heuristic_expert(view: View, spec: BaseSpec) -> Command:
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
 
 
-def plain_expert(view: View, spec: BaseSpec) -> Command:
+def plain_expert(view: View, spec: BaseSpec) -> Velocity:
     """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
     her. It tries nothing out and foresees nothing, so she often pins it against a wall."""
     if not np.isfinite(view.geodesic_m):
-        return Command(0.0, 0.0, "wait")
+        return Velocity(0.0, 0.0, "wait")
     gap = (view.geodesic_m - KEEP_DISTANCE_M) / (spec.max_speed_mps * STEP_S)
     if gap <= 0:
         backward, turn, _ = _straight_back(view, spec, gap)
-        return Command(backward, turn, "back_up")
+        return Velocity(backward, turn, "back_up")
     error, turn = _steer(view, next_waypoint(view, spec), spec)
-    return Command(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
+    return Velocity(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
 
 
 def _straight_back(view: View, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
@@ -134,32 +127,32 @@ def _straight_back(view: View, spec: BaseSpec, gap: float) -> tuple[float, float
     return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
 
 
-def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Command:
+def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Velocity:
     """Towards ``goal`` [2], by at most ``gap`` steps of way."""
     if not np.isfinite(view.geodesic_m):
-        return Command(0.0, 0.0, "wait")
+        return Velocity(0.0, 0.0, "wait")
     error, turn = _steer(view, next_waypoint(view._replace(human_xz=goal), spec), spec)
     commands = np.vstack([[(1.0, turn, _steps_to_turn(error, spec), 1.0)], _STEERING])
     ends = roll_out(view.free, spec, view.robot_xz, view.robot_heading, commands, look_steps=STEER_STEPS)
     left, off = _way_left(view.free, goal, ends.xz, ends.heading)
     forward, turn = commands[np.argmin(left + TURN_COST_M * off), :2].tolist()
-    return Command(min(gap, forward), turn, "follow" if view.met else "find")
+    return Velocity(min(gap, forward), turn, "follow" if view.met else "find")
 
 
-def _back_up(view: View, spec: BaseSpec, gap: float) -> Command:
+def _back_up(view: View, spec: BaseSpec, gap: float) -> Velocity:
     """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
     backward, turn, error = _straight_back(view, spec, gap)
     straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
     walk = _expected_walk(view)
     trial = partial(roll_out, view.free, spec, view.robot_xz, view.robot_heading, look_steps=ESCAPE_STEPS)
     if trial(straight, walk).gap_m[0] >= MARGIN_M:
-        return Command(backward, turn, "back_up")
+        return Velocity(backward, turn, "back_up")
     commands = np.concatenate([straight, _BACKING])
     ends = trial(commands, walk)
     dx, dz = (walk[-1] - ends.xz).T
     error = np.abs(wrap_angle(np.arctan2(-dz, dx) - ends.heading))
     best = np.argmin(ROOM_COST * np.maximum(MARGIN_M - ends.gap_m, 0.0) + TURN_COST_M / 2 * error)
-    return Command(float(commands[best, 0]), float(commands[best, 1]), "back_up")
+    return Velocity(float(commands[best, 0]), float(commands[best, 1]), "back_up")
 
 
 def _way_left(
@@ -171,7 +164,7 @@ def _way_left(
     return left, np.nan_to_num(error, nan=np.pi)
 
 
-def sampling_expert(view: View, spec: BaseSpec) -> Command:
+def sampling_expert(view: View, spec: BaseSpec) -> Velocity:
     """Draws commands, tries each beside the person as she will walk on, and takes the best: the way to 1.5 m from her,
     facing her, with room between both.
 
@@ -183,7 +176,7 @@ def sampling_expert(view: View, spec: BaseSpec) -> Command:
     return _best_sample(view, spec, _expected_walk(view))
 
 
-def future_oracle(view: View, spec: BaseSpec) -> Command:
+def future_oracle(view: View, spec: BaseSpec) -> Velocity:
     """The sampling expert that knows the person's whole future: goes to where she can first be met, and gives way in time.
 
     Raises:
@@ -205,10 +198,10 @@ def _meeting(view: View, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz
 
 
-def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Command:
+def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Velocity:
     """The best of drawn commands beside a person who walks along ``walk`` [H, 2]."""
     if not np.isfinite(view.geodesic_m):
-        return Command(0.0, 0.0, "wait")
+        return Velocity(0.0, 0.0, "wait")
     drawn = generator(view.seed, "policy/sampling", step=view.step).uniform(-1, 1, (SAMPLES, 3))
     steps = np.exp2(3.5 + 1.5 * drawn[:, 2])  # 4 to 32
     forward = np.where(np.arange(SAMPLES) % 2, np.sign(drawn[:, 0]), drawn[:, 0])
@@ -220,23 +213,23 @@ def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Comma
     best = np.argmin(np.abs(left - KEEP_DISTANCE_M) + TURN_COST_M * error + ROOM_COST * lacking)
     forward, turn = commands[best, :2].tolist()
     skill = "back_up" if forward < 0 and view.geodesic_m < KEEP_DISTANCE_M else "follow" if view.met else "find"
-    return Command(forward, turn, skill)
+    return Velocity(forward, turn, skill)
 
 
-def stand_still(view: View, spec: BaseSpec) -> Command:
+def stand_still(view: View, spec: BaseSpec) -> Velocity:
     """Does nothing: the floor under every score."""
     del view, spec
-    return Command(0.0, 0.0, "wait")
+    return Velocity(0.0, 0.0, "wait")
 
 
-def random(view: View, spec: BaseSpec) -> Command:
+def random(view: View, spec: BaseSpec) -> Velocity:
     """A uniformly random base velocity at every step, the same for the same seed: what chance achieves."""
     del spec
     forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
-    return Command(float(forward), float(turn), "follow" if view.met else "find")
+    return Velocity(float(forward), float(turn), "follow" if view.met else "find")
 
 
-def learned_follower(view: View, spec: BaseSpec) -> Command:
+def learned_follower(view: View, spec: BaseSpec) -> Velocity:
     """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
     return _follower()(view, spec)
 

@@ -1,92 +1,264 @@
-"""Recordings simulated again: compared step by step, continued from any step, or with another robot beside the same people.
+"""Recordings simulated again: compared step by step, continued from any step, or with other robots beside the same people.
 
-A recording holds its scene, its rules, its starts, its seed and what every agent was told to do, so the simulator's state
-after any step follows from it: no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused
-if that does not give the recorded states bit for bit.
+A recording holds its scene, its rules, its starts, its seed and every decision, so the simulator's state after any step
+follows from it: no hidden numbers are stored. "Resume from step K" plays the K recorded steps, and is refused if that does
+not give the recorded states bit for bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import Any
 
-from h3data.errors import InputError
-from h3data.recording import Recording
-from sim_kinematic.tasks import resume_rearrange, resume_social_nav, resume_wander
-from sim_kinematic.tasks.resimulation import Difference, Verification, first_difference
+import numpy as np
 
-if TYPE_CHECKING:
-    from sim_kinematic.policies.rearrange import HighLevelPolicy
-    from sim_kinematic.policies.social_nav import Policy
+from h3data.errors import H3DataError, InputError
+from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
+from sim_kinematic.policies.policy import KINDS, AssignedPolicy
+from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.recorder import Recorder, finished
+from sim_kinematic.tasks.registry import find_task, task_registry
+from sim_kinematic.tasks.resimulation import (
+    Difference,
+    Verification,
+    compared,
+    first_difference,
+    header_from,
+    is_counterfactual,
+    origin,
+    require,
+    require_kept,
+    require_step,
+    scene_and_map,
+)
+from sim_kinematic.tasks.runner import COMMAND, run
+from sim_kinematic.tasks.task import Episode, Task
 
-__all__ = ["TASKS", "Difference", "Verification", "counterfactual", "first_difference", "resume", "verify"]
+__all__ = ["Difference", "Verification", "counterfactual", "first_difference", "resume", "task_of", "verify"]
 
-TASKS = ("social_nav", "rearrange", "wander")
-"""Whose recordings can be simulated again."""
+
+def task_of(recording: Recording) -> Task:
+    """The task of a recording.
+
+    Raises:
+        InputError: it is not installed, or the recording is of no simulated task.
+    """
+    name = str(recording.episode.info.get("task") or recording.episode.task)
+    try:
+        return find_task(name)
+    except InputError as fault:
+        known = ", ".join(task_registry().names())
+        raise InputError(
+            f"Only recordings of {known} and of installed tasks can be simulated again, this one is of the task {name!r}: "
+            f"{fault} Hint: h3data validate checks any recording."
+        ) from None
 
 
 def verify(recording: Recording) -> Verification:
-    """Simulate what was recorded and compare every stored column, and the hash of the state, step by step.
+    """Simulates what was recorded and compares every stored column, and the hash of the state, step by step.
 
     Bit for bit on one architecture; elsewhere the last bits of sines and square roots may differ.
 
     Raises:
-        H3DataError: it cannot be simulated again: it is of another task, or lacks something.
+        H3DataError: it cannot be simulated again: its task is not installed, or it lacks something.
     """
-    task = _task(recording)
-    if task == "rearrange":
-        return resume_rearrange.verify(recording)
-    return resume_wander.verify(recording) if task == "wander" else resume_social_nav.verify(recording)
+    task, episode = _restored(recording)
+    steps = len(recording)
+    if not steps:
+        return Verification(steps=0, difference=None)
+    own = _assigned(task, episode, recording, {}, strict=False)
+    policies = task.recorded_policies(recording, episode, own, until=steps)
+    played = _Played(
+        task, episode, policies, recording, steps=steps, keeps_people=is_counterfactual(recording), since=steps
+    )
+    return compared(recording, played.columns, played.ended)
 
 
 def resume(
-    recording: Recording, step: int, *, policy: str | Policy | HighLevelPolicy | Sequence[str | HighLevelPolicy] | None = None,
-    partner: str | HighLevelPolicy | Sequence[str | HighLevelPolicy] | None = None,
-) -> Recording:  # fmt: skip
+    recording: Recording, step: int, *, policy: Any = None, partner: Any = None, agents: dict[str, Any] | None = None
+) -> Recording:
     """The episode anew: its first ``step`` steps as they are, then simulated on, by default as it was.
 
-    ``policy`` moves the robots from then on; ``partner`` the people, of rearrangement only. Who wanders has no policy.
+    ``policy`` moves the robots from then on, ``partner`` the people; ``agents`` chooses by name (`Task.assign`).
 
     Raises:
         InputError: there is no such step or policy, or the recorded states before it do not come out again.
     """
-    task = _task(recording)
-    if task == "rearrange":
-        return resume_rearrange.resume(recording, step, policy=policy, partner=partner)  # type: ignore[arg-type]
-    if partner is not None or (task == "wander" and policy is not None):
-        what = "partner" if partner is not None else "policy"
-        raise InputError(f"Nobody in recordings of {task} follows a {what}. Hint: leave it out.")
-    if task == "wander":
-        return resume_wander.resume(recording, step)
-    return resume_social_nav.resume(recording, step, policy=policy)  # type: ignore[arg-type]
+    chosen = {**_by_kind(policy, partner), **(agents or {})}
+    if is_counterfactual(recording):
+        if any(KINDS.get(key, "human") == "human" for key in chosen):
+            raise InputError("People of a counterfactual recording keep their tracks. Hint: leave out the partner.")
+        return _continued(recording, step, chosen, keeps_people=True)
+    return _continued(recording, step, chosen, keeps_people=False)
 
 
-def counterfactual(
-    recording: Recording,
-    policy: str | Policy | HighLevelPolicy | Sequence[str | HighLevelPolicy] | None,
-    *,
-    step: int = 0,
-) -> Recording:
+def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recording:
     """The same people on their recorded tracks beside robots that follow ``policy`` from ``step`` on.
 
-    They do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
+    People do not react: ``info["human_reactive"]`` is False. It ends with their tracks, or as the rules say.
 
     Raises:
-        InputError: as `resume`; or it has no robot or no person, or her body was not recorded.
+        InputError: as `resume`; or it has no robot or no person, or a person's body was not recorded.
     """
-    task = _task(recording)
-    if task == "wander":
-        raise InputError("Robots that wander follow no policy. Expected a recording of social_nav or rearrange.")
-    if task == "rearrange":
-        return resume_rearrange.counterfactual(recording, policy, step=step)  # type: ignore[arg-type]
-    return resume_social_nav.counterfactual(recording, policy, step=step)  # type: ignore[arg-type]
-
-
-def _task(recording: Recording) -> str:
-    task = recording.episode.task
-    if task not in TASKS:
+    if {agent.kind for agent in recording.agents} != {"robot", "human"}:
         raise InputError(
-            f"Only recordings of {', '.join(TASKS)} can be simulated again, this one is of the task {task!r}. "
-            "Hint: h3data validate checks any recording."
+            "Expected a recording of robots and people: people keep their tracks, robots follow the policy."
         )
-    return task
+    return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
+
+
+def recorded_commands(recording: Recording, task: Task) -> dict[int, list[tuple[int, Any]]]:
+    """Commands from outside by agent, each with its step, from the recorded raw input.
+
+    Raises:
+        InputError: a command is malformed.
+    """
+    import msgspec
+
+    commands: dict[int, list[tuple[int, Any]]] = {}
+    for event in recording.inputs:
+        if event.kind != COMMAND:
+            continue
+        try:
+            data = msgspec.json.decode(event.payload, type=dict[str, Any])
+            commands.setdefault(int(data["agent"]), []).append(
+                (int(data["step"]), task.choice_from_json(data["choice"]))
+            )
+        except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
+            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
+    return commands
+
+
+# --- one continued run ------------------------------------------------------------------------------------------------
+def _continued(recording: Recording, step: int, chosen: dict[str, Any], *, keeps_people: bool) -> Recording:
+    require_step(recording, step)
+    task, episode = _restored(recording)
+    new = task.changed_policies(recording, chosen)
+    assigned = _assigned(task, episode, recording, new, strict=True, keeps_people=keeps_people)
+    changed = [bool(_chosen_for(episode, k, new)) for k in range(len(assigned))]
+    policies = task.recorded_policies(recording, episode, assigned, until=step, changed=changed)
+    played = _Played(
+        task, episode, policies, recording, steps=len(recording) if keeps_people else None, keeps_people=keeps_people,
+        since=step,
+    )  # fmt: skip
+    robots = [n for n in played.columns if any(n.startswith(f"agent_{k}.") for k in _numbers(recording, "robot"))]
+    # beside a kept track, what was measured of the person may differ in its last bits
+    require_kept(recording, step, played.columns, played.ended, robots if keeps_people and task.clip_coded else None)
+    came = origin(recording, step)
+    info = {**task.run_info(episode, assigned), **task.continued_info(policies)}
+    if keeps_people:
+        info |= {"ended": played.ended, **task.kept_info(recording, episode, played.play)}
+        info |= {"counterfactual": {**came, **played.track}, "human_reactive": False}
+    else:
+        info |= {**task.hindsight(episode, played.play, assigned), **task.kept_info(recording, episode, played.play)}
+        info |= {"resumed_from": came}
+    what = "counterfactual" if keeps_people else "resume"
+    label = ":".join([what, str(step), *task.run_names(assigned)])
+    header = header_from(recording, label)
+    return finished(header, played.columns, info, played.skills, played.events, played.inputs)
+
+
+@dataclass(init=False)
+class _Played:
+    """A recording's episode played by policies, with people on their recorded tracks if they keep them."""
+
+    def __init__(
+        self, task: Task, episode: Episode, policies: Sequence[AssignedPolicy], recording: Recording, *,
+        steps: int | None, keeps_people: bool, since: int = 0,
+    ) -> None:  # fmt: skip
+        self.play: Play = task.play(episode, policies, measure=False)
+        self.track: dict[str, Any] = {}
+        recorder = Recorder(header_from(recording, "again"), self.play)
+        most = episode.spec.max_steps if steps is None else min(steps, episode.spec.max_steps)
+        keep = None
+        if keeps_people:
+            self.track, keep = task.keep_people(self.play, recording, since)
+        if most:
+            run(self.play, recorder, steps=most, progress=keep)
+        self.ended = self.play.ended
+        recording_made = recorder.finish({}) if len(recorder) else None
+        self.columns: Columns = recorder.columns() if recording_made else {"time_ns": np.zeros(0, np.int64)}
+        self.skills: tuple[SkillSpan, ...] = tuple(recorder.skills)
+        self.events: tuple[Event, ...] = tuple(recorder.events)
+        rows = len(self.columns["time_ns"])
+        self.inputs: tuple[InputEvent, ...] = tuple(
+            event for event in recording.inputs if event.time_ns < since * recording.episode.dt_ns
+        )
+        if keeps_people:
+            if self.ended == "max_steps" and rows < episode.spec.max_steps:
+                self.ended = "track_end"
+            self._keep(task, recording, rows)
+
+    def _keep(self, task: Task, recording: Recording, rows: int) -> None:
+        """Columns, skills and events of people as recorded, as far as the task says."""
+        people = _numbers(recording, "human")
+        kept = {
+            name: recording.columns[name][:rows]
+            for name in self.columns
+            if name in recording.columns and task.is_kept_column(name, people)
+        }
+        self.columns |= kept
+        self.columns["state_hash"] = state_hash({n: a for n, a in self.columns.items() if n != "state_hash"})
+        cut = [
+            span if span.end_step < rows else replace(span, end_step=rows - 1, **task.cut_span)
+            for span in recording.skills
+            if span.agent in people and span.start_step < rows
+        ]
+        robots = [span for span in self.skills if span.agent not in people]
+        self.skills = task.merged_spans(robots, cut)
+        if task.clip_coded:
+            theirs = [e for e in recording.events if e.agent in people and e.step < rows]
+            self.events = tuple(sorted([*theirs, *self.events], key=lambda event: event.step))
+
+
+def _restored(recording: Recording) -> tuple[Task, Episode]:
+    task = task_of(recording)
+    require(recording, columns=task.needed_columns(recording))
+    file = recording.attachments["scene.glb"]
+    return task, task.restore(recording, lambda radius, height: scene_and_map(file, radius, height))
+
+
+def _assigned(
+    task: Task, episode: Episode, recording: Recording, new: dict[str, Any], *, strict: bool, keeps_people: bool = False
+) -> list[AssignedPolicy]:
+    """What decides for each agent: what is chosen, else the recording's own policy."""
+    named = task.recorded_names(recording)
+    result = []
+    for k, member in enumerate(episode.roster):
+        choice = _chosen_for(episode, k, new)
+        try:
+            result.append(task.recorded_policy(episode, k, named[k] if choice is None else choice))
+        except H3DataError as fault:
+            if choice is not None:
+                raise
+            if strict and not (keeps_people and member.kind == "human"):
+                entry, option = ("policy", "--policy") if member.kind == "robot" else ("partner", "--partner")
+                raise InputError(
+                    f"The recording's own {entry} is not at hand; name one with {option}. {fault}"
+                ) from None
+            result.append(AssignedPolicy(None, named[k], member.kind))
+    return result
+
+
+def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
+    """The choice for one agent: by its name, else by its kind, one for all or one for each."""
+    from sim_kinematic.policies.policy import each_of
+
+    member = episode.roster[number]
+    for key in (member.name, member.name.replace("human", "person")):
+        if key in new and key not in KINDS:
+            return new[key]
+    for key, kind in KINDS.items():
+        if kind == member.kind and new.get(key) is not None:
+            numbers = [k for k, other in enumerate(episode.roster) if other.kind == kind]
+            return each_of(new[key], len(numbers), kind)[numbers.index(number)]
+    return None
+
+
+def _by_kind(policy: Any, partner: Any) -> dict[str, Any]:
+    return {kind: choice for kind, choice in (("robot", policy), ("human", partner)) if choice is not None}
+
+
+def _numbers(recording: Recording, kind: str) -> list[int]:
+    return [k for k, agent in enumerate(recording.agents) if agent.kind == kind]

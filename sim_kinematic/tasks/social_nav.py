@@ -1,103 +1,71 @@
-"""Social navigation, simulated: a robot must find a walking person and follow her at 1-2 m, facing her, without contact
+"""Social navigation: a robot must find a walking person and follow them at 1-2 m, facing them, without contact
 (paper section 4.1 and appendix; spec/habitat.md 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
-from h3data.errors import SceneError
+from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, ground_pose
-from h3data.recording import Event, Recording, RecordingHeader
+from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.agents.arm_tuck import draw_arms
+from sim_kinematic.agents.roster import AgentSpec, kinds_of
 from sim_kinematic.agents.stands import discs_fit, robot_fits
-from sim_kinematic.agents.waypoint_walker import HumanPlan, WaypointHuman, human_plan
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
-from sim_kinematic.contact.clearance import RobotHumanContact
+from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
-from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.motion.step import drive_robots, walk_humans
-from sim_kinematic.policies.social_nav import ROBOT_SKILLS, Policy, View, policy_by_name, policy_name
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.state import HUMAN, ROBOT
+from sim_kinematic.policies.policy import AssignedPolicy
+from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, View
+from sim_kinematic.policies.waypoints import WaypointPolicy
+from sim_kinematic.sensing.sensor import facing
 from sim_kinematic.tasks.oracle import oracle_min_steps
-from sim_kinematic.tasks.social_nav_log import (
-    HUMAN_SKILLS,
-    EpisodeLog,
-    Sink,
-    Step,
-    describe,
-    facing,
-    finished,
-    motion_phase,
-)
+from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.predicates import is_found
+from sim_kinematic.tasks.recorder import scene_attachment
+from sim_kinematic.tasks.rewards import Encounter, SocialNavReward
+from sim_kinematic.tasks.task import MAX_STEPS, Episode, Outcome, Task, agent_base, agent_floor
 
-ROBOT, HUMAN = 0, 1
+HUMAN_SKILLS = ("walk", "turn")
+TRAINING = SocialNavSpec(spawn_distance_m=3.0)
+"""The paper's rules for training: both start at least 3 m apart (appendix, social navigation)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Where both begin."""
+    """Where robot and person begin."""
 
     robot_xz: NDArray[np.float64]
     robot_heading: float
     human_xz: NDArray[np.float64]
     human_heading: float
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SocialNavWorld:
-    """The unchanging half of an episode: home, map, bodies, rules, seed."""
-
-    scene: Scene
-    free: FreeSpace
-    seed: int
-    spec: SocialNavSpec
-    robot: Robot
-    human: Humanoid
-    starts: Starts
-    human_name: str
-    robot_name: str
-    goals: tuple[tuple[float, float], ...] = ()
-    """Points ``(x, z)`` that the person walks to first; none: she draws all from the seed."""
-
-    @cached_property
-    def base(self) -> BaseSpec:
-        """Discs and limits of the robot."""
-        return base_of(self.robot, self.spec.robot)
-
-    @cached_property
-    def robot_floor(self) -> FreeSpace:
-        """The floor on which the robot finds its paths."""
-        return floor_of(self.robot, self.base, self.scene, self.free)
+    @property
+    def places(self) -> Array:
+        """``(x, z, heading)`` of robot and person, [2, 3]."""
+        return np.array([[*self.robot_xz, self.robot_heading], [*self.human_xz, self.human_heading]])
 
     @classmethod
-    def create(
-        cls, scene: Scene, *, seed: int, spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
-        human: str = "female_0", robot: str = "quad_arm",
-    ) -> SocialNavWorld:  # fmt: skip
-        """An episode of ``scene`` with starts drawn from ``seed``; ``free`` saves building the map again."""
-        spec = spec or SocialNavSpec()
-        free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
-        body = load_robot(robot)
-        return cls(
-            scene=scene, free=free, seed=seed, spec=spec, robot=body, human=load_humanoid(human),
-            starts=draw_starts(free, seed, spec, fits=robot_fits(body, spec.robot, scene, free)),
-            human_name=human, robot_name=robot,
-        )  # fmt: skip
+    def of(cls, places: Array) -> Starts:
+        """From the first row of a robot and the second of a person, [2, 3]."""
+        robot, human = np.asarray(places, np.float64)
+        return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
 
 
-def draw_starts(
+def sample_pair_starts(
     free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
 ) -> Starts:
-    """Samples start poses at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
+    """Samples starts at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
 
     ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
     the rules is kept free of obstacles.
@@ -119,213 +87,353 @@ def draw_starts(
             continue
         if (fits or base_fits)(robot_xz, robot_heading):
             return Starts(
-                robot_xz=robot_xz, robot_heading=float(robot_heading), human_xz=human_xz,
+                robot_xz=robot_xz,
+                robot_heading=float(robot_heading),
+                human_xz=human_xz,
                 human_heading=float(human_heading),
-            )  # fmt: skip
+            )
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
         f"{farthest:.1f} m apart). Hint: a smaller --spawn-distance, or a larger home."
     )
 
 
-def simulate_social_nav(
-    world: SocialNavWorld,
-    *,
-    policy: str | Policy = "heuristic_expert",
-    episode_id: str = "0",
-    sink: Callable[[RecordingHeader], Sink] | None = None,
-    progress: Callable[[int], object] | None = None,
-) -> Recording:
-    """Run one episode to its end and return its recording.
+@dataclass(eq=False)
+class SocialNavState:
+    """What the rules remember of W worlds, [W] each."""
 
-    ``sink`` is called once, with what is known before the first step, and returns what receives rows and events while they
-    come, such as a `RecordingWriter`; it is closed at the end, aborted on an error. ``progress`` is called with 1 after
-    every step.
-    """
-    act = policy_by_name(policy) if isinstance(policy, str) else policy
-    header = describe(world, episode_id=episode_id, policy=policy_name(policy))
-    clip = world.human.clip_for_speed(world.spec.human.speed_mps)
-    log = EpisodeLog(world, clip, sink(header) if sink is not None else None)
-    try:
-        ended = play(world, act, log, progress=progress)
-        columns = log.columns()
-        info = {"ended": ended, **hindsight(world)}
-        recording = finished(header, columns, info, log.events)
-        if log.sink is not None:
-            for span in recording.skills:
-                log.sink.skill(span)
-            log.sink.close(info=info)
-    except BaseException:
-        if log.sink is not None:
-            log.sink.abort()
-        raise
-    return recording
+    rewards: SocialNavReward | None
+    """None where nobody asks for rewards."""
+    geodesic: Array
+    """Shortest path from robot to person [m], inf where there is none."""
+    collides: NDArray[np.bool_]
+    """Robot and person touch."""
+    found: NDArray[np.bool_]
+    """The robot has found the person in this episode."""
+    success: NDArray[np.bool_]
+    """The robot has followed the person long enough."""
+    faces: Array
+    """Cosine between the robot's forward axis and the direction to the person."""
+    collisions: NDArray[np.int64]
+    goal: int = -1
+    """The person's last known goal, in a world that is recorded."""
+    plan: HumanPlan | None = None
+    """The scripted person's whole walk, once somebody has asked for it."""
+    track: list[NDArray[np.float64]] | None = None
+    """Where a person who follows no script has been."""
 
 
-class Posture(NamedTuple):
-    """What the person's body does: the clip that she plays, her place in it (0..1), its weight over standing, and how far her
-    arms are drawn in."""
+class SocialNav(Task):
+    """Find the person, then follow them (paper section 4.1)."""
 
-    clip: int
-    phase: float
-    blend: float
-    arms: tuple[float, float] = (0.0, 0.0)
+    name: ClassVar[str] = "social_nav"
+    Spec: ClassVar[type[Any]] = SocialNavSpec
+    profile: ClassVar[str] = ""
+    columns: ClassVar[Mapping[str, Any]] = {
+        "sim.human_goal": np.int32,
+        "sim.human_leg": np.int32,
+        "metrics.geodesic_agents": np.float32,
+        "metrics.facing": np.float32,
+    }
+    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ROBOT_SKILLS, "human": HUMAN_SKILLS}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": POLICIES}
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "heuristic_expert", "human": "waypoints"}
+    env_defaults: ClassVar[Mapping[str, Any]] = {"spec": TRAINING}
+    env_options: ClassVar[tuple[str, ...]] = ("reward",)
 
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def sample(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: SocialNavSpec, roster: tuple[AgentSpec, ...]
+    ) -> Episode:
+        _require_pair(roster)
+        fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
+        starts = sample_pair_starts(free, seed, spec, fits=fits)
+        return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
-class Human(Protocol):
-    """Who moves the person."""
+    def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
+        from sim_kinematic.tasks.social_nav_episodes import episode_from, rules_of
 
-    goal: int
-    """Index of her current goal, -1 before the first."""
-    leg: int
-    """Index of the way point within the path to it."""
-
-    def advance(self, state: HumanState, step: int) -> Posture:
-        """Move her by one step, in place; returns what her body does then, in float32 as it is recorded."""
-        ...
-
-
-@runtime_checkable
-class Foreseen(Protocol):
-    """A person whose whole future is known."""
-
-    def track(self) -> NDArray[np.float64]:
-        """Where she is after each step of the episode, shape [steps, 2] [m]."""
-        ...
-
-
-class ScriptedHuman(WaypointHuman):
-    """The way-point walker with a body: what `play` moves by default."""
-
-    def __init__(self, world: SocialNavWorld, clip: int) -> None:
-        super().__init__(world.free, world.seed, world.spec.human, world.goals)
-        self._world, self._clip = world, clip
-        self._track: NDArray[np.float64] | None = None
-
-    def track(self) -> NDArray[np.float64]:
-        """As `Foreseen.track`; computed when first asked for."""
-        if self._track is None:
-            self._track = plan_of(self._world).xz
-        return self._track
-
-    def advance(self, state: HumanState, step: int) -> Posture:
-        """As `Human.advance`."""
-        del step  # she remembers where she goes
-        walk_humans(state, self.target(state.xz[0])[None], self.spec)
-        draw_arms(state, self.free, self._world.human, self.spec.arms)
-        since = state.distance[0] - state.set_off[0]
-        phase = motion_phase(self._world, self._clip, since)
-        left, right = state.arms[0].astype(np.float32).tolist()
-        return Posture(self._clip, float(phase), float(np.float32(state.blend[0])), (left, right))
-
-
-def play(
-    world: SocialNavWorld, act: Policy, log: EpisodeLog, *, human: Human | None = None, steps: int | None = None,
-    progress: Callable[[int], object] | None = None,
-) -> str:  # fmt: skip
-    """Step to the end of the episode, or for ``steps`` at most, into ``log``; returns what ended it.
-
-    Commands are rounded to float32 before they act, so that the recorded ones are those that acted. ``human`` moves the
-    person (default: her script).
-    """
-    spec, free, starts = world.spec, world.free, world.starts
-    robot, person = RobotState.zeros(1), HumanState.zeros(1)
-    robot.xz[0], robot.heading[0] = starts.robot_xz, starts.robot_heading
-    person.xz[0], person.heading[0] = starts.human_xz, starts.human_heading
-    robot_xz, human_xz = robot.xz[0], person.xz[0]  # views: they follow the state
-    human = human or ScriptedHuman(world, log.clip)
-    contact = RobotHumanContact(world.robot, world.human)
-    met = False
-    before: tuple[NDArray[np.float64], float] | None = None
-    human_before: NDArray[np.float64] | None = None
-    track = human.track if isinstance(human, Foreseen) else None
-    geodesic = float(free.geodesic(robot_xz, human_xz))
-    for step in range(spec.max_steps if steps is None else min(steps, spec.max_steps)):
-        heading = float(robot.heading[0])
-        view = View(
-            world.robot_floor, robot_xz.copy(), heading, human_xz.copy(), geodesic, met, world.seed, step, before, human_before,
-            None if track is None else partial(_from, track, step),
-        )  # fmt: skip
-        before, human_before = (view.robot_xz, heading), view.human_xz
-        command = act(view, world.base)
-        action = np.array([command.forward, command.turn], np.float32)
-        goal, walked = human.goal, float(person.distance[0])
-        posture = human.advance(person, step)
-        drive_robots(robot, free, action[None], world.base)
-        geodesic = float(free.geodesic(robot_xz, human_xz))
-        collision = _collides(world, robot, person, contact, posture)
-        log.add(
-            Step(
-                robot_x=robot_xz[0],
-                robot_z=robot_xz[1],
-                robot_heading=robot.heading[0],
-                robot_contact=robot.contact[0],
-                human_x=human_xz[0],
-                human_z=human_xz[1],
-                human_heading=person.heading[0],
-                human_distance=person.distance[0] - person.set_off[0],
-                human_blend=person.blend[0],
-                human_left_arm=person.arms[0, 0],
-                human_right_arm=person.arms[0, 1],
-                human_skill=HUMAN_SKILLS.index("walk" if person.distance[0] > walked else "turn"),
-                human_goal=human.goal,
-                human_leg=human.leg,
-                forward=action[0],
-                turn=action[1],
-                robot_skill=ROBOT_SKILLS.index(command.skill),
-                geodesic=geodesic,
-                collision=collision,
+        info, agents = recording.episode.info, recording.agents
+        lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
+        if lacks:
+            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        if [a.kind for a in agents] != ["robot", "human"]:
+            raise InputError(f"Expected a robot and a human, in this order, got: {[a.kind for a in agents]}.")
+        try:
+            stored = msgspec.convert(
+                {
+                    "robot_start": info["robot_start"],
+                    "human_start": info["human_start"],
+                    "human_goals": info.get("human_goals", ())
+                    if info.get("partner", "waypoints") == "waypoints"
+                    else (),
+                    "seed": recording.episode.seed,
+                    "max_steps": info["spec"]["max_steps"],
+                    "robot": agents[ROBOT].model,
+                    "human": agents[HUMAN].model,
+                    "rules": info["spec"],
+                },
+                SocialNavEpisode,
             )
+        except (msgspec.ValidationError, KeyError, TypeError) as fault:
+            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+        if not np.isfinite([*stored.robot_start, *stored.human_start, *np.ravel(stored.human_goals)]).all():
+            raise InputError("The recording's starts and goals must be finite numbers.")
+        rules = rules_of(stored)
+        if rules.max_steps > MAX_STEPS:
+            raise InputError(f"Expected at most {MAX_STEPS} steps, the recording's rules say {rules.max_steps}.")
+        home, free = scene(rules.agent_radius_m, rules.agent_height_m)
+        return episode_from(stored, home, spec=rules, free=free)
+
+    # --- policies -----------------------------------------------------------------------------------------------------
+    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
+        from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
+        from sim_kinematic.policies.policy import FunctionPolicy
+
+        kind = episode.roster[number].kind
+        if kind == "robot" and is_learned(name):
+            return AssignedPolicy(
+                FunctionPolicy(LearnedNavigation(network_of(name)), agent_base(episode, number)), stamped(name), kind
+            )
+        if kind == "human" and name == "waypoints":
+            walker = WaypointPolicy(episode.free, episode.seed, episode.spec.human, goals_of(episode))
+            return AssignedPolicy(walker, name, kind)
+        return None
+
+    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+        if agent != ROBOT:
+            return play.agent_view(agent, world)
+        state: SocialNavState = play.memory
+        robot, person = play.world.state.agents
+        was, was_person = play.world.before.agents
+        episode, step = play.episodes[world], int(play.steps[world])
+        return View(
+            agent_floor(episode, ROBOT),
+            robot.xz[world].copy(),
+            float(robot.heading[world]),
+            person.xz[world].copy(),
+            float(state.geodesic[world]),
+            bool(state.found[world]),
+            episode.seed,
+            step,
+            (was.xz[world].copy(), float(was.heading[world])) if step else None,
+            was_person.xz[world].copy() if step else None,
+            self._future(play, step),
         )
-        if progress is not None:
-            progress(1)
-        if isinstance(human, WaypointHuman) and human.goal != goal:
-            x, z = human.goals[-1]
-            log.event(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
-        if not met and spec.near_m <= geodesic <= spec.far_m:
-            met = bool(facing(robot_xz, robot.heading[0], human_xz) > spec.facing_dot)
-            if met:
-                log.event(Event(step=step, agent=ROBOT, kind="found", target="human"))
-        if collision:
-            log.event(Event(step=step, agent=ROBOT, kind="collision", target="human"))
-            if spec.end_on_collision:
-                return "collision"
-    return "max_steps"
+
+    def _future(self, play: WorldPlay, step: int) -> Callable[[], NDArray[np.float64]] | None:
+        """The person's positions from this step on, where somebody knows them."""
+        policy = play.policies[HUMAN].policy if play.policies else None
+        if isinstance(policy, WaypointPolicy):
+            return lambda: _plan(play).xz[step:]
+        track = getattr(policy, "track", None)
+        return None if track is None else partial(_after, track, step)
+
+    # --- rules --------------------------------------------------------------------------------------------------------
+    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        worlds = play.world.worlds
+        if play.memory is None:
+            reward = play.options.get("reward", "paper")
+            play.memory = SocialNavState(
+                rewards=SocialNavReward(worlds, profile=reward, rules=play.spec) if play.measure else None,
+                geodesic=np.zeros(worlds),
+                collides=np.zeros(worlds, np.bool_),
+                found=np.zeros(worlds, np.bool_),
+                success=np.zeros(worlds, np.bool_),
+                faces=np.zeros(worlds),
+                collisions=np.zeros(worlds, np.int64),
+            )
+        state: SocialNavState = play.memory
+        state.collisions[rows] = 0
+        state.found[rows] = state.success[rows] = state.collides[rows] = False
+        state.goal, state.plan, state.track = -1, None, None
+        self._look(play, rows)
+        if state.rewards is not None:
+            fresh = np.zeros(worlds, np.bool_)
+            fresh[rows] = True
+            worth = state.rewards.reset(self._encounter(play), where=fresh)
+            state.success[rows] |= worth.success[rows]
+
+    def judge(self, play: WorldPlay) -> Outcome:
+        state: SocialNavState = play.memory
+        had = state.found.copy()
+        self._look(play, np.arange(play.world.worlds))
+        if state.rewards is not None:
+            state.collisions += state.collides | play.world.state.robots[0].contact
+            worth = state.rewards.step(self._encounter(play))
+            state.success |= worth.success
+            reward, ends = worth.reward, worth.ends
+        else:
+            reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
+        policy = play.policies[HUMAN].policy if play.policies else None
+        scripted = isinstance(policy, WaypointPolicy)
+        if play.policies and not scripted:
+            state.track = state.track or []
+            state.track.append(play.world.state.people[0].xz[0].copy())
+        return Outcome(
+            reward=reward,
+            terminated=ends,
+            success=state.success,
+            columns={
+                "sim.human_goal": np.full(play.world.worlds, policy.goal if scripted else -1),
+                "sim.human_leg": np.full(play.world.worlds, policy.leg if scripted else 0),
+                "metrics.geodesic_agents": state.geodesic,
+                "metrics.facing": state.faces,
+            },
+            events=self._events(play, state, policy if scripted else None, not had[0]) if play.policies else (),
+        )
+
+    def _events(
+        self, play: WorldPlay, state: SocialNavState, walker: WaypointPolicy | None, lost: bool
+    ) -> list[tuple[int, Event]]:
+        events, step = [], play.step - 1
+        if walker is not None and walker.goal != state.goal:
+            state.goal = walker.goal
+            x, z = walker.goals[-1]
+            events.append(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
+        if lost and state.found[0]:
+            events.append(Event(step=step, agent=ROBOT, kind="found", target="human"))
+        if state.collides[0]:
+            events.append(Event(step=step, agent=ROBOT, kind="collision", target="human"))
+        return [(0, event) for event in events]
+
+    def end_reason(self, play: WorldPlay, world: int) -> str:
+        return "collision"
+
+    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+        state: SocialNavState = play.memory
+        assert state.rewards is not None
+        return {
+            "geodesic_m": state.geodesic.copy(),
+            "found": state.found.copy(),
+            "success": state.success.copy(),
+            "followed": state.rewards.followed.copy(),
+            "collides": state.collides.copy(),
+            "robot_contact": play.world.state.robots[0].contact.copy(),
+        }
+
+    def _look(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        """Distances, contact and whether the person is found, of some worlds."""
+        state: SocialNavState = play.memory
+        world = play.world
+        robot, person = world.state.agents
+        everywhere = len(rows) == world.worlds
+        for free, group in world.groups:
+            some = group if everywhere else np.intersect1d(group, rows)
+            state.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
+        state.collides[rows] = world.touching[rows, 0]
+        state.faces[rows] = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
+        began = play.steps[rows] > 0  # the start itself is no step
+        state.found[rows] |= is_found(state.geodesic[rows], state.faces[rows], play.spec) & began
+
+    def _encounter(self, play: WorldPlay) -> Encounter:
+        state: SocialNavState = play.memory
+        robot, person = play.world.state.agents
+        return Encounter(
+            robot_xz=robot.xz,
+            robot_heading=robot.heading,
+            human_xz=person.xz,
+            geodesic=state.geodesic,
+            collides=state.collides,
+            collisions=state.collisions,
+            faces=state.faces,
+        )
+
+    # --- recording ----------------------------------------------------------------------------------------------------
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        spec, (robot, human) = episode.spec, episode.starts.tolist()
+        info = {
+            "policy": policies[ROBOT].name,
+            "max_steps": spec.max_steps,
+            "spec": asdict(spec),
+            "robot_start": robot,
+            "human_start": human,
+        }
+        if policies[HUMAN].name != "waypoints":
+            info["partner"] = policies[HUMAN].name
+        goals = goals_of(episode)
+        if goals:  # known before the first step, so that what a crash leaves can be continued
+            info["human_goals"] = [list(goal) for goal in goals]
+        return info
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        digest = scene_attachment(episode.scene)[1]
+        robot, human = episode.roster
+        goals, partner = goals_of(episode), policies[HUMAN].name
+        told = f":{Starts.of(episode.starts)}:{goals}" if goals else ""  # else they follow from the seed
+        policy = policies[ROBOT].name + ("" if partner == "waypoints" else f":{partner}")
+        what = f"h3data:social_nav:{digest}:{robot.model}:{human.model}:{episode.seed}:{policy}:{episode.spec}{told}"
+        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
+
+    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        return [policies[ROBOT].name, *([] if policies[HUMAN].name == "waypoints" else [policies[HUMAN].name])]
+
+    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        if chosen.get("human") is not None and "external" not in str(recording.episode.info.get("partner", "")):
+            raise InputError(
+                "Nobody in recordings of social_nav follows a partner: the person walks by a script. Hint: leave it out."
+            )
+        return chosen
+
+    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """The person's goals and the oracle's ``l`` follow from their whole plan, however long the episode lasted; of a
+        person without a script, from the track that they walked."""
+        assert isinstance(play, WorldPlay)
+        info: dict[str, Any] = {"ended": play.ended}
+        state: SocialNavState = play.memory
+        if isinstance(policies[HUMAN].policy, WaypointPolicy):
+            return {**info, **plan_info(episode, _plan(play))}
+        if state.track:
+            info["oracle_min_steps"] = _oracle(episode, np.array(state.track))
+        return info
 
 
-def _from(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
-    return track()[step:]
+def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
+    """Points ``(x, z)`` that the person walks to first; none: they are all sampled from the seed."""
+    return tuple((float(x), float(z)) for x, z in episode.extra.get("human_goals", ()))
 
 
-def _collides(
-    world: SocialNavWorld, robot: RobotState, person: HumanState, contact: RobotHumanContact, posture: Posture
-) -> bool:
-    """Whether robot and person touch in what is recorded: poses in float32."""
-    if np.hypot(*(robot.xz[0] - person.xz[0])) > contact.gate_m + 1e-3:
-        return False
-    floor = world.free.floor_y
-    return contact.touching(
-        ground_pose(robot.xz[0], robot.heading[0], floor).astype(np.float32),
-        ground_pose(person.xz[0], person.heading[0], floor).astype(np.float32),
-        *posture,
+def plan_of(episode: Episode) -> HumanPlan:
+    """What the scripted person will do in an episode of greatest length."""
+    x, z, heading = episode.starts[HUMAN]
+    return human_plan(
+        episode.free,
+        np.array([x, z]),
+        float(heading),
+        episode.seed,
+        episode.spec.human,
+        episode.spec.max_steps,
+        goals_of(episode),
     )
 
 
-def plan_of(world: SocialNavWorld) -> HumanPlan:
-    """What the scripted person will do in an episode of greatest length."""
-    starts, spec = world.starts, world.spec
-    return human_plan(
-        world.free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals
-    )  # fmt: skip
-
-
-def hindsight(world: SocialNavWorld) -> dict[str, Any]:
-    """What follows from the person's whole plan, however long the episode lasted: her goals, and the oracle's ``l``."""
-    starts, spec, free = world.starts, world.spec, world.free
-    plan = plan_of(world)
+def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
+    """The person's goals, and the oracle's minimum steps ``l``."""
     return {
         "human_goals": [[float(x), float(z)] for x, z in plan.goals],
-        "oracle_min_steps": oracle_min_steps(
-            free, starts.robot_xz, starts.robot_heading, plan.xz, replace(spec, robot=world.base)
-        ),
+        "oracle_min_steps": _oracle(episode, plan.xz),
     }
+
+
+def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
+    x, z, heading = episode.starts[ROBOT]
+    return oracle_min_steps(episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT)))
+
+
+def _plan(play: WorldPlay) -> HumanPlan:
+    state: SocialNavState = play.memory
+    if state.plan is None:
+        state.plan = plan_of(play.episode)
+    return state.plan
+
+
+def _after(track: Callable[[], NDArray[np.float64]], step: int) -> NDArray[np.float64]:
+    return track()[step:]
+
+
+def _require_pair(roster: Sequence[AgentSpec]) -> None:
+    if kinds_of(roster) != ("robot", "human"):
+        raise InputError(
+            f"In social_nav one robot follows one person, got: {', '.join(kinds_of(roster))}. "
+            "Hint: rearrange and wander take any agents."
+        )

@@ -12,43 +12,39 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.habitat.scene_names import open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SceneSource
-from sim_kinematic.agents.waypoint_walker import human_plan
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, Starts
+from sim_kinematic.motion.state import HUMAN, ROBOT
+from sim_kinematic.tasks.social_nav import SocialNav, plan_of
+from sim_kinematic.tasks.task import Episode
 
 SNAP_M = 0.05
 """A stored point may be this far off the free floor: files round to a centimetre, navigation meshes to a cell."""
 
 
-def episode_of(world: SocialNavWorld) -> SocialNavEpisode:
-    """The episode that ``world`` is about to play, with every goal that the person can reach in its time.
+def stored_episode(episode: Episode) -> SocialNavEpisode:
+    """The record of an episode, with every goal that the person can reach in its time.
 
-    Depends on scene, seed and rules alone; `world_of` gives the same world back, bit for bit.
+    Depends on scene, seed and rules alone; `episode_from` gives the same episode back, bit for bit.
     """
-    starts, spec, free = world.starts, world.spec, world.free
-    plan = human_plan(
-        free, starts.human_xz, starts.human_heading, world.seed, spec.human, spec.max_steps, world.goals
-    )  # fmt: skip
-    robot_x, robot_z = map(float, starts.robot_xz)
-    human_x, human_z = map(float, starts.human_xz)
+    robot, human = episode.starts.tolist()
     return SocialNavEpisode(
-        robot_start=(robot_x, robot_z, starts.robot_heading),
-        human_start=(human_x, human_z, starts.human_heading),
-        human_goals=tuple((float(x), float(z)) for x, z in plan.goals),
-        floor_y=float(free.floor_y),
-        max_steps=spec.max_steps,
-        seed=world.seed,
-        robot=f"robot/{world.robot_name}",
-        human=f"humanoid/{world.human_name}",
-        scene_sha256=scene_digest(world.scene),
-        scene_source=dict(world.scene.source),
-        rules=msgspec.to_builtins(asdict(spec)),
+        robot_start=tuple(robot),
+        human_start=tuple(human),
+        human_goals=tuple((float(x), float(z)) for x, z in plan_of(episode).goals),
+        floor_y=float(episode.free.floor_y),
+        max_steps=episode.spec.max_steps,
+        seed=episode.seed,
+        robot=f"robot/{episode.roster[ROBOT].model}",
+        human=f"humanoid/{episode.roster[HUMAN].model}",
+        scene_sha256=scene_digest(episode.scene),
+        scene_source=dict(episode.scene.source),
+        rules=msgspec.to_builtins(asdict(episode.spec)),
     )
 
 
@@ -69,16 +65,16 @@ def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 
 def drawn_episode(source: SceneSource, *, seed: int, spec: SocialNavSpec) -> SocialNavEpisode:
     """The episode that ``seed`` draws in a scene under these rules."""
     free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
-    return episode_of(SocialNavWorld.create(open_scene(source), seed=seed, spec=spec, free=free))
+    return stored_episode(SocialNav().episode(open_scene(source), seed=seed, spec=spec, free=free))
 
 
-def world_of(
+def episode_from(
     episode: SocialNavEpisode, scene: Scene, *, spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
     human: str | None = None,
-) -> SocialNavWorld:  # fmt: skip
-    """The world that plays a stored episode in its scene.
+) -> Episode:  # fmt: skip
+    """The episode that a record stores, in its scene.
 
-    ``spec`` and ``human`` (name of a built-in body) stand in for the episode's own; ``free`` saves building the map again.
+    ``spec`` and ``human`` (name of a built-in body) stand in for the record's own; ``free`` saves building the map again.
 
     Raises:
         SceneError: a start or a goal is not on the free floor, or they are not on one island: it is another scene.
@@ -87,16 +83,14 @@ def world_of(
     spec = spec or rules_of(episode)
     free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
     points = _on_free_floor(free, episode)
-    robot_name = episode.robot.removeprefix("robot/") or "quad_arm"
-    human_name = human or episode.human.removeprefix("humanoid/") or "female_0"
-    return SocialNavWorld(
-        scene=scene, free=free, seed=episode.seed, spec=spec, robot=load_robot(robot_name),
-        human=load_humanoid(human_name), robot_name=robot_name, human_name=human_name,
-        starts=Starts(
-            robot_xz=points[0], robot_heading=episode.robot_start[2], human_xz=points[1],
-            human_heading=episode.human_start[2],
-        ),
-        goals=tuple((float(x), float(z)) for x, z in points[2:]),
+    robot_name = episode.robot.removeprefix("robot/") or ROBOT_BODY
+    human_name = human or episode.human.removeprefix("humanoid/") or HUMAN_BODY
+    headings = np.array([[episode.robot_start[2]], [episode.human_start[2]]])
+    goals = [[float(x), float(z)] for x, z in points[2:]]
+    return Episode(
+        scene=scene, free=free, seed=episode.seed, spec=spec, starts=np.hstack([points[:2], headings]),
+        roster=make_roster(("robot", "human"), robot=robot_name, human=human_name),
+        extra={"human_goals": goals} if goals else {},
     )  # fmt: skip
 
 

@@ -13,8 +13,9 @@ from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld
-from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch
+from sim_kinematic.tasks.social_nav import TRAINING, SocialNav, Starts, goals_of
+from sim_kinematic.tasks.sources import EpisodeSource
+from sim_kinematic.tasks.task import Episode
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,38 +43,46 @@ class EpisodeBank:
         cls, scenes: str | Scene | Sequence[str | Scene], count: int, *, seed: int = 0, spec: SocialNavSpec = TRAINING,
         robot: str = "quad_arm", human: str = "female_0",
     ) -> EpisodeBank:  # fmt: skip
-        """The first ``count`` episodes of the run ``seed``: those that a `SocialNavBatch` begins.
+        """The first ``count`` episodes of the run ``seed``: those that environments of the same seed begin.
 
         Raises:
-            InputError: as `SocialNavBatch`.
+            InputError: as `EpisodeSource`.
             SceneError: a scene has no two starts as far apart as the rules say.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
             raise InputError(f"Expected at least 1 episode, a whole number, got {count!r}.")
-        batch = SocialNavBatch(scenes, worlds=count, spec=spec, robot=robot, human=human)
-        batch.begin(seed, np.arange(count))
-        used, place = np.unique(batch.place, return_inverse=True)
-        (robots,), (people,) = batch.state.robots, batch.state.people
-        tracks = [_way_points(episode) for episode in batch.episodes]
+        source = EpisodeSource(SocialNav(), scenes, spec=spec, robot=robot, human=human)
+        runs = [(seed, k) for k in range(count)]
+        source.prepare(runs)
+        episodes = [source.sample(*run) for run in runs]
+        homes = list(dict.fromkeys(episode.scene for episode in episodes))
+        order = {id(home.scene): k for k, home in enumerate(source.homes) if home.is_ready}
+        homes.sort(key=lambda scene: order[id(scene)])
+        starts = [Starts.of(episode.starts) for episode in episodes]
+        tracks = [_way_points(episode) for episode in episodes]
         longest = max(map(len, tracks))
+        floors = {id(episode.scene): episode.free for episode in episodes}
         return cls(
-            floors=tuple(batch.places[k].free for k in used),
-            scenes=tuple(batch.places[k].scene for k in used),
-            place=place.astype(np.int64),
-            robot_xz=robots.xz, robot_heading=robots.heading, human_xz=people.xz, human_heading=people.heading,
+            floors=tuple(floors[id(scene)] for scene in homes),
+            scenes=tuple(homes),
+            place=np.array([homes.index(episode.scene) for episode in episodes], np.int64),
+            robot_xz=np.array([s.robot_xz for s in starts]),
+            robot_heading=np.array([s.robot_heading for s in starts]),
+            human_xz=np.array([s.human_xz for s in starts]),
+            human_heading=np.array([s.human_heading for s in starts]),
             way_points=np.stack([np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tracks]),
-            seeds=np.array([episode.seed for episode in batch.episodes], np.int64),
-        )  # fmt: skip
+            seeds=np.array([episode.seed for episode in episodes], np.int64),
+        )
 
     def __len__(self) -> int:
         return len(self.place)
 
 
-def _way_points(episode: SocialNavWorld) -> NDArray[np.float64]:
+def _way_points(episode: Episode) -> NDArray[np.float64]:
     """Where she walks [P, 2], at least as far as she can get in an episode. She lands on each way point exactly."""
-    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, episode.goals)
+    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
     stride = episode.spec.human.speed_mps * STEP_S
-    points = [episode.starts.human_xz]
+    points = [Starts.of(episode.starts).human_xz]
     steps = 0
     while steps <= episode.spec.max_steps:
         points.append(walker.target(points[-1]))

@@ -223,9 +223,10 @@ class Generate:
         )  # fmt: skip
 
     def _rearrange_jobs(self) -> Sequence[AnyJob]:
+        from sim_kinematic.tasks.rearrange.log import SOLO
+
         from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
         from sim_kinematic.agents.roster import make_roster
-        from sim_kinematic.tasks.rearrange.log import SOLO
 
         if self.agents is not None:
             kinds = [member.kind for member in make_roster(self.agents)]

@@ -74,9 +74,10 @@ def recorded_cast(agents: str | None, policy: str) -> tuple[AgentSpec, ...]:
     Raises:
         InputError: there are no such agents, or nobody is left.
     """
+    from sim_kinematic.tasks.rearrange.log import SOLO
+
     from sim_kinematic.agents.roster import make_roster
     from sim_kinematic.tasks.rearrange.episode import PAIR
-    from sim_kinematic.tasks.rearrange.log import SOLO
 
     cast = make_roster(PAIR if agents is None else agents)
     people = tuple(member for member in cast if member.kind == "human")
@@ -108,9 +109,10 @@ def rearrange_jobs(
     Raises:
         InputError: no such scenes, agents, policy or partner; the message lists what there is.
     """
+    from sim_kinematic.tasks.rearrange.simulate import minds_of
+
     from sim_kinematic.agents.roster import kinds_of
     from sim_kinematic.policies.learned import stamped
-    from sim_kinematic.tasks.rearrange.simulate import minds_of
 
     policy, partner = (",".join(map(stamped, names.split(","))) for names in (policy, partner))
     minds_of(kinds_of(recorded_cast(agents, policy)), policy, partner, seed=seed, objects=spec.objects)

@@ -15,20 +15,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.bodies import Humanoid, Robot, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
-from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster, sample_places
+from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
 from sim_kinematic.agents.stands import nearest_stand, person_stands, robot_fits, robot_stands
 from sim_kinematic.agents.waypoint_walker import sharp_corners
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
-from sim_kinematic.tasks.social_nav import Starts, draw_starts
+from sim_kinematic.tasks.social_nav import Starts, sample_pair_starts
+from sim_kinematic.tasks.task import Episode
 
 PAIR = ("robot", "human")
 """The paper's agents."""
@@ -100,65 +101,38 @@ class Target(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RearrangeWorld:
-    """The unchanging half of an episode: home, map, bodies, objects and goals, rules, seed."""
+class RearrangeEpisode(Episode):
+    """An episode with objects to bring to their goals."""
 
-    scene: Scene
-    free: FreeSpace
-    seed: int
-    spec: RearrangeSpec
-    robot: Robot
-    human: Humanoid
-    starts: Starts
     targets: tuple[Target, ...]
-    human_name: str
-    robot_name: str
-    cast: tuple[AgentSpec, ...]
-    """Who plays it: robots, then people."""
-    places: Array
-    """Where each of them begins, ``(x, z, heading)``, shape [A, 3]."""
+    pair: tuple[str, str]
+    """Bodies of the robot and the person for whom it was sampled: both can do it, whoever plays it."""
+    pair_starts: Starts
+    """Starts of those two."""
 
-    @classmethod
-    def create(
-        cls, scene: Scene, *, seed: int, spec: RearrangeSpec | None = None, free: FreeSpace | None = None,
-        human: str = HUMAN_BODY, robot: str = ROBOT_BODY, agents: str | Sequence[str] = PAIR,
-    ) -> RearrangeWorld:  # fmt: skip
-        """The episode that ``seed`` draws in ``scene``; ``free`` saves building the map again.
+    def only(self, *numbers: int) -> RearrangeEpisode:
+        """The same episode with some of its agents."""
+        return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])
 
-        ``agents`` play it (`sim_kinematic.agents.roster.make_roster`), whatever their number and kinds. It is drawn for one robot and one
-        person, so objects, goals and the starts of the first of each kind are the same for all casts.
+    def played_by(self, agents: str | Sequence[str]) -> RearrangeEpisode:
+        """The same episode with other agents.
 
         Raises:
             InputError: there are no such agents.
-            SceneError: the scene has too few movable things, receptacles in reach, or places to start.
+            SceneError: there is no room for them.
         """
-        spec = spec or RearrangeSpec()
-        cast = make_roster(agents, robot=robot, human=human)
-        free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
-        bodies = load_robot(robot), load_humanoid(human)
-        starts, targets = draw_episode(scene, free, seed, spec, *bodies)
-        return cls(
-            scene=scene, free=free, seed=seed, spec=spec, robot=bodies[0], human=bodies[1], starts=starts,
-            targets=targets, human_name=human, robot_name=robot, cast=cast,
-            places=_places(scene, free, seed, spec, starts, cast),
-        )  # fmt: skip
-
-    def played_by(self, agents: str | Sequence[str]) -> RearrangeWorld:
-        """The same episode with other agents, as `create` takes them.
-
-        Raises:
-            InputError: there are no such agents. SceneError: there is no room for them.
-        """
-        cast = make_roster(agents, robot=self.robot_name, human=self.human_name)
-        places = _places(self.scene, self.free, self.seed, self.spec, self.starts, cast)
-        return replace(self, cast=cast, places=places)
-
-    def only(self, *numbers: int) -> RearrangeWorld:
-        """The same episode with some of its agents."""
-        return replace(self, cast=tuple(self.cast[k] for k in numbers), places=self.places[list(numbers)])
+        roster = make_roster(agents, robot=self.pair[0], human=self.pair[1])
+        starts = starts_of(self.scene, self.free, self.seed, self.spec, self.pair_starts, roster)
+        return replace(self, roster=roster, starts=starts)
 
 
-def _places(
+def body_indices(episode: RearrangeEpisode) -> list[int]:
+    """Index in the recording's bodies of each object of the task."""
+    names = [i.name for i in episode.scene.instances]
+    return [names.index(target.name) for target in episode.targets]
+
+
+def starts_of(
     scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, starts: Starts, cast: Sequence[AgentSpec]
 ) -> Array:
     """The drawn starts of the first robot and the first person, and places for the others."""
@@ -194,7 +168,7 @@ def draw_episode(
     for attempt in range(ATTEMPTS):
         rng = generator(seed, "rearrange", step=attempt)
         if starts is None or attempt % REDRAW == 0:
-            starts = draw_starts(free, int(rng.integers(2**63)), rules, fits=fits)
+            starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
         chosen = [movable[k] for k in rng.permutation(len(movable))[: spec.objects]]
         # in large homes most errands are too long: later attempts look nearby
         within = np.inf if attempt < REDRAW else leg

@@ -1,8 +1,4 @@
-"""An episode of rearrangement as it is played: who moves when, what each is asked, what a step is worth.
-
-`RearrangePlay.questions` is a coroutine: it gives whoever has to choose what to do next and takes the answer. `run` lets
-policies answer; a training environment lets its caller (`sim_kinematic.envs.rearrange_env`). Both play the same, bit for bit.
-"""
+"""An episode of rearrangement under way: who moves when, who is asked what, what a step is worth."""
 
 from __future__ import annotations
 
@@ -10,6 +6,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +14,9 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
-from h3data.recording import Event, SkillSpan
+from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
-from sim_kinematic.agents.person import Frame, Person
+from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
@@ -30,11 +27,30 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
+from sim_kinematic.policies.policy import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
-from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeWorld
-from sim_kinematic.tasks.rearrange.log import RearrangeLog, Row, body_indices
+from sim_kinematic.tasks.play import Columns
+from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
 
+Row = dict[str, Any]
+DTYPES: dict[str, type] = {
+    "base_pose": np.float32,
+    "joint_pos": np.float32,
+    "root_pose": np.float32,
+    "joint_quat": np.float32,
+    "grasp_body": np.int32,
+    "action": np.float32,
+    "skill": np.int32,
+    "skill_target": np.int32,
+    "object_pose": np.float32,
+    "metrics.at_goal": np.bool_,
+    "metrics.dist_agents": np.float32,
+    "metrics.collision": np.bool_,
+    "metrics.robot_contact": np.bool_,
+    "metrics.reward": np.float32,
+}
+"""dtypes of the columns of a step; those of agents without ``agent_<i>.``."""
 TRACK = 31
 """Past positions of the other agent that a policy sees, the present one included."""
 CHOICES = 9
@@ -42,14 +58,15 @@ CHOICES = 9
 
 
 @dataclass(eq=False)
-class Runner:
-    """One agent: what it is doing, and what comes next."""
+class AgentRun:
+    """One agent: its running skill, and what comes next."""
 
     number: int
     """Of the agent, as in the state and in the recording."""
     actor: AnyActor
     policy: HighLevelPolicy
-    log: RearrangeLog | None
+    spans: list[SkillSpan]
+    """Skills that have ended, for the recorder."""
     names: tuple[str, ...]
     action: Action = field(default_factory=lambda: Action("wait"))
     ending: Ending | None = None
@@ -61,15 +78,15 @@ class Runner:
         """Whether it will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
-    def act(self, step: int, view: Callable[[Runner], TaskView]) -> Generator[Runner, Action, None]:
+    def act(self, step: int, view: Callable[[int], TaskView]) -> Generator[int, Action, None]:
         """One step: go on, or choose until something takes time; every ``yield`` asks what to do next.
 
         Who is interrupted and chooses the same again goes on with it.
         """
         chosen: Action | None = None
-        if self.skill is not None and (reason := self.policy.interrupts(view(self))):
+        if self.skill is not None and (reason := self.interrupts(view)):
             self.ending = Ending("aborted", reason)
-            chosen = yield self
+            chosen = yield self.number
             if chosen == self.action:
                 self.ending = chosen = None
             else:
@@ -77,7 +94,7 @@ class Runner:
         for _ in range(CHOICES):
             if self.skill is None:
                 if chosen is None:
-                    chosen = yield self
+                    chosen = yield self.number
                 self.action, self.begun, chosen = chosen, step, None
                 why = self.actor.infeasible(self.action)
                 if why:  # a no-op that takes one step, as Habitat's
@@ -91,49 +108,58 @@ class Runner:
                 self._end(max(step - 1, self.begun), end.value)
         self.actor.idle()
 
+    def interrupts(self, view: Callable[[int], TaskView]) -> str:
+        """The policy's reason to abort the running skill, or nothing."""
+        interrupts = getattr(self.policy, "interrupts", None)
+        return interrupts(view(self.number)) if interrupts is not None else ""
+
     def _end(self, step: int, ending: Ending) -> None:
         self.skill, self.ending = None, ending
         self.actor.path, self.actor.yields = NO_PATH, True
         self.write(step, ending.outcome, ending.reason)
 
     def write(self, step: int, outcome: str, reason: str) -> None:
-        """Log what it has been doing up to ``step``."""
-        if self.log is not None:
-            target = self.names[self.action.target] if self.action.target >= 0 else ""
-            self.log.skill(
-                SkillSpan(
-                    agent=self.number, name=self.action.skill, target=target, start_step=self.begun, end_step=step,
-                    outcome=outcome, reason=reason,  # type: ignore[arg-type]
-                )
-            )  # fmt: skip
+        """Reports the action up to ``step``."""
+        self.spans.append(
+            SkillSpan(
+                agent=self.number,
+                name=self.action.skill,
+                target=self.names[self.action.target] if self.action.target >= 0 else "",
+                start_step=self.begun,
+                end_step=step,
+                outcome=outcome,  # type: ignore[arg-type]
+                reason=reason,
+            )
+        )
 
 
 @dataclass(eq=False)
 class RearrangePlay:
-    """The changing half of an episode."""
+    """The changing half of an episode: a `sim_kinematic.tasks.play.Play`."""
 
-    world: RearrangeWorld
-    policies: Sequence[HighLevelPolicy]
-    """One for each member of the world's cast."""
-    log: RearrangeLog | None = None
+    episode: RearrangeEpisode
+    policies: list[AssignedPolicy]
     step: int = 0
     """The step that is being played, from 0."""
     steps: int = 0
     """How many are over."""
     reward: float = 0.0
     """Of the last step."""
+    ended: str = "max_steps"
+    events: list[Event] = field(default_factory=list)
+    spans: list[SkillSpan] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        world = self.world
+        world = self.episode
         names = tuple(t.name for t in world.targets)
-        if len(self.policies) != len(world.cast):
-            raise InputError(f"Expected one policy for each of {len(world.cast)} agents, got {len(self.policies)}.")
-        robots = [member.body for member in world.cast if isinstance(member.body, Robot)]
+        if len(self.policies) != len(world.roster):
+            raise InputError(f"Expected one policy for each of {len(world.roster)} agents, got {len(self.policies)}.")
+        robots = [member.body for member in world.roster if isinstance(member.body, Robot)]
         state = WorldState.zeros(
-            1, robots=len(robots), people=len(world.cast) - len(robots), joints=[len(body.rest) for body in robots],
+            1, robots=len(robots), people=len(world.roster) - len(robots), joints=[len(body.rest) for body in robots],
             objects=len(names),
         )  # fmt: skip
-        for own, place in zip(state.agents, world.places, strict=True):
+        for own, place in zip(state.agents, world.starts, strict=True):
             own.xz[0], own.heading[0] = place[:2], place[2]
         for own, body in zip(state.robots, robots, strict=True):
             own.joints[0] = body.rest
@@ -141,49 +167,41 @@ class RearrangePlay:
         self.state = state
         self.objects = Objects(names, np.array([t.goal for t in world.targets], np.float64), state)
         self.starts = state.object_pose[0, :, :3].copy()
-        self.actors = [self._actor(number) for number in range(len(world.cast))]
+        self.actors = [self._actor(number) for number in range(len(world.roster))]
         self.people = [actor for actor in self.actors if isinstance(actor, PersonActor)]
         self.robots = [actor for actor in self.actors if isinstance(actor, RobotActor)]
         acts = sorted(self.actors, key=lambda actor: isinstance(actor, RobotActor))  # people first: robots see where to
-        self.runners = [Runner(actor.number, actor, self.policies[actor.number], self.log, names) for actor in acts]
-        self.encounters = AgentContactTracker(world.cast, self.actors)
+        self.runners = [
+            AgentRun(actor.number, actor, self.policies[actor.number].policy, self.spans, names) for actor in acts
+        ]
+        self.encounters = AgentContactTracker(world.roster, self.actors)
         # a robot gives way to a person by itself, and she to nobody, as Habitat's
-        alone = len(self.actors) == 1 or kinds_of(world.cast) == PAIR
+        alone = len(self.actors) == 1 or kinds_of(world.roster) == PAIR
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
         for actor in self.actors:
             actor.agreed = not alone
             actor.meets = partial(self.encounters.meets, actor)
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
-        self.places = self.before = world.places.copy()
+        self.places = self.before = world.starts.copy()
         self.paid = np.zeros((1, 2 * len(names)), np.bool_)
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
-        world, spec, body = self.world, self.world.spec, self.world.cast[number].body
+        world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
         if isinstance(body, Robot):
             base, clearance = base_of(body, spec.robot), arm_clearance(world.scene, body, world.free.floor_y)
             floor = floor_of(body, base, world.scene, world.free)
             return RobotActor(body, floor, base, self.objects, spec.grip_m, spec.arm_rad_s, number, clearance)
-        x, z, heading = world.places[number]
+        x, z, heading = world.starts[number]
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
         person = Person(body, base, objects, spec=spec.human, free=world.free)
         return PersonActor(person, world.free, spec.human, self.objects, number, room)
 
-    def run(self, progress: Callable[[int], object] | None = None) -> str:
-        """Play to the end under the policies; returns what ended it. ``progress`` is called with 1 after every step."""
-        asked = self.questions(progress)
-        try:
-            runner = next(asked)
-            while True:
-                runner = asked.send(runner.policy.choose(self.view(runner)))
-        except StopIteration as end:
-            return end.value
-
-    def questions(self, progress: Callable[[int], object] | None = None) -> Generator[Runner, Action, str]:
-        """Play to the end; ask who has to choose; returns what ended it."""
-        spec = self.world.spec
+    def turns(self) -> Generator[int | None, Action, None]:
+        """As `sim_kinematic.tasks.play.Play.turns`."""
+        spec = self.episode.spec
         for self.step in range(spec.max_steps):
             held = self.objects.held_by.copy()
             if self.right_of_way is not None:
@@ -199,21 +217,24 @@ class RearrangePlay:
             self.at_goal = self._at_goal()
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
-            if self.log is not None:
-                self.log.add(self._row({person.number: person.person.frame() for person in self.people}))
-                self._tell(held, success)
+            self._tell(held, success)
             self.steps += 1
-            if progress is not None:
-                progress(1)
             if success or (self.collision and spec.end_on_collision):
-                return self._stop("success" if success else "collision")
-        return self._stop("max_steps")
+                self.ended = "success" if success else "collision"
+                yield None
+                return
+            yield None
 
-    def _stop(self, ended: str) -> str:
+    def finish(self) -> None:
+        """Reports the skills that are still running."""
         for runner in self.runners:
             if runner.skill is not None:
                 runner.write(self.step, "running", "")
-        return ended
+                runner.skill = None
+
+    def runner(self, number: int) -> AgentRun:
+        """The run of an agent."""
+        return next(runner for runner in self.runners if runner.number == number)
 
     @property
     def collision(self) -> bool:
@@ -225,29 +246,32 @@ class RearrangePlay:
         for own, person in zip(self.state.people, self.people, strict=True):
             own.xz[0], own.heading[0] = person.xz, person.heading
 
-    def view(self, runner: Runner) -> TaskView:
+    def view(self, agent: int) -> TaskView:
         """What an agent knows now."""
+        runner = self.runner(agent)
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
         track = self.encounters.tracks[other] if other >= 0 else [np.full(2, np.nan)]
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         ahead, aside = _seen(me.xz, me.heading, other_xz)
-        a, b = self.world.spec.near_m
+        a, b = self.episode.spec.near_m
         return TaskView(
-            step=self.step, free=self.world.free, agent=runner.number, xz=me.xz.copy(), heading=me.heading,
+            step=self.step, free=self.episode.free, agent=runner.number, xz=me.xz.copy(), heading=me.heading,
             other_xz=other_xz, other_track=np.stack(track[-TRACK:]), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
-            start=self.world.places[runner.number], before=self.before[runner.number], collision=self.collision,
+            start=self.episode.starts[runner.number], before=self.before[runner.number], collision=self.collision,
             contact=isinstance(me, RobotActor) and bool(me.state.contact[0]),
         )  # fmt: skip
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""
         gap = np.linalg.norm(self.objects.poses[:, :3] - self.objects.goals, axis=1)
-        return (gap < self.world.spec.at_goal_m) & (self.objects.held_by == NOBODY)
+        return (gap < self.episode.spec.at_goal_m) & (self.objects.held_by == NOBODY)
 
-    def _row(self, frames: dict[int, Frame]) -> Row:
+    def snapshot(self) -> Row:
+        """The columns of the step that has just been played."""
+        frames = {person.number: person.person.frame() for person in self.people}
         row: Row = {"object_pose": self.objects.poses.copy()}
         for runner in self.runners:
             at, actor = f"agent_{runner.number}.", runner.actor
@@ -272,26 +296,34 @@ class RearrangePlay:
         row["metrics.reward"] = self.reward
         return row
 
+    def columns(self, snapshots: Sequence[Row], first: int) -> Columns:
+        """As `sim_kinematic.tasks.play.Play.columns`."""
+        count = len(snapshots)
+        block: Columns = {"time_ns": np.arange(first + 1, first + count + 1, dtype=np.int64) * STEP_NS}
+        for name in snapshots[0]:
+            dtype = DTYPES[name.partition(".")[2] if name.startswith("agent_") else name]
+            block[name] = np.array([row[name] for row in snapshots]).astype(dtype)
+        return block
+
     def _reward(self, success: bool) -> float:
         """Sub-goals are an object picked and an object at its goal."""
-        reward = REARRANGE_REWARDS[self.world.spec.reward]
+        reward = REARRANGE_REWARDS[self.episode.spec.reward]
         stages = np.concatenate([self.objects.held_by != NOBODY, self.at_goal])[None]
         return float(reward.step(stages, self.paid, collides=self.collision, success=success)[0])
 
     def _tell(self, held: NDArray, success: bool) -> None:
         """Events of this step."""
-        assert self.log is not None
         for k, (was, now) in enumerate(zip(held.tolist(), self.objects.held_by.tolist(), strict=True)):
             name = self.objects.names[k]
             if was != now and was != NOBODY and now == NOBODY:
                 where = "at its goal" if self.at_goal[k] else "elsewhere"
-                self.log.event(Event(step=self.step, agent=was, kind="place", target=name, detail=where))
+                self.events.append(Event(step=self.step, agent=was, kind="place", target=name, detail=where))
             elif was != now:
-                self.log.event(Event(step=self.step, agent=now, kind="pick", target=name))
+                self.events.append(Event(step=self.step, agent=now, kind="pick", target=name))
         for a, b in self.encounters.touching:
-            self.log.event(Event(step=self.step, agent=a, kind="collision", target=self.world.cast[b].name))
+            self.events.append(Event(step=self.step, agent=a, kind="collision", target=self.episode.roster[b].name))
         if success:
-            self.log.event(Event(step=self.step, agent=-1, kind="success"))
+            self.events.append(Event(step=self.step, agent=-1, kind="success"))
 
 
 def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:

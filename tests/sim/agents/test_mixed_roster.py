@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
@@ -25,7 +26,6 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
-from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
 from sim_kinematic.tasks.wander import simulate_wander
 from sim_kinematic.world import AgentWorlds
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.bodies import load_humanoid
 from h3data.bodies.people.reach import reacher
@@ -23,7 +24,6 @@ from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, co
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 DEEPEST_M = TOLERANCE_M + 0.01
 """In recorded episodes: a little more between the frames that are looked at."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
@@ -16,7 +17,6 @@ from sim_kinematic.agents.stands import ROBOT_DISTANCES_M, robot_stands
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 
 @pytest.fixture(scope="module")

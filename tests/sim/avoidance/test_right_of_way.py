@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
@@ -25,7 +26,6 @@ from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
-from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
 
 
 @pytest.fixture(scope="module")

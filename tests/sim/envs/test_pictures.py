@@ -10,23 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-import h3data
-from h3data.errors import InputError
-from h3data.render import look_at, pinhole
-from h3data.scene import HomeSpec, build_home
 from sim_kinematic.envs.rearrange_env import RearrangeEnv
 from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
 from sim_kinematic.envs.social_nav_env import SocialNavEnv
 from sim_kinematic.envs.social_nav_observations import STATES, Observer
 from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
 from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
+
+import h3data
+from h3data.errors import InputError
+from h3data.render import look_at, pinhole
+from h3data.scene import HomeSpec, build_home
 from sim_kinematic.policies.rearrange_observations import HABITAT_SENSES, PAPER_SENSES, SENSES
 from sim_kinematic.sensing import watching
 from sim_kinematic.sensing.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.sensing.sensor import depth_with_noise, with_noise
 from sim_kinematic.tasks import describe as environment_words
-from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
 
 HOME = "small:1"
 SIZES: dict[str, Any] = {"depth_size": (56, 43), "rgb_size": (40, 30)}

@@ -13,19 +13,19 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.test import parallel_api_test, parallel_seed_test
-
-import h3data
-from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.envs.social_nav_env import SocialNavEnv
 from sim_kinematic.envs.social_nav_observations import STATES, Observer
 from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
 from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
+
+import h3data
+from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.social_nav import Command, View, heuristic_expert
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.social_nav import simulate_social_nav
-from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
 
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)

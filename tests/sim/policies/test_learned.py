@@ -15,6 +15,8 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sim_kinematic.envs.social_nav_env import SocialNavEnv
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 from torch import nn
 
 import h3data
@@ -22,7 +24,6 @@ from h3data.errors import FormatError, InputError
 from h3data.scene import FreeSpace
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import Action, choices
-from sim_kinematic.envs.social_nav_env import SocialNavEnv
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.policies.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
 from sim_kinematic.policies.learned_chooser import chooser_input
@@ -30,7 +31,6 @@ from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, loa
 from sim_kinematic.policies.rearrange import Chooser, TaskView, robot_policy
 from sim_kinematic.policies.social_nav import Command, View, policy_by_name
 from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 

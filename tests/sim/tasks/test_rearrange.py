@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
 
 from h3data.bodies import load_humanoid, load_robot, solve_ik
 from h3data.bodies.people.reach import hand_points, reach
@@ -33,7 +34,6 @@ from sim_kinematic.policies.rearrange import (
     robot_policy,
 )
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
 from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
 
 

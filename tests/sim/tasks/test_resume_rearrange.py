@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
@@ -19,7 +20,6 @@ from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES, TaskView
 from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from sim_kinematic.tasks.wander import simulate_wander
 

@@ -12,16 +12,17 @@ from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
 
 torch = pytest.importorskip("torch")
 
+from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
+from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
+
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.motion.state import WorldState  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer  # noqa: E402
 from sim_kinematic.sensing.sensor import HUMAN_ID  # noqa: E402
-from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
 from sim_kinematic.torch import cameras as torch_cameras  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402

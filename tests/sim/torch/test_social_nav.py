@@ -13,16 +13,17 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
+from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
+from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
+
 import h3data  # noqa: E402
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
-from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.tasks.rewards import Encounter, SocialNavReward  # noqa: E402
-from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
 from sim_kinematic.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.geodesic import Lattices, shortest_way  # noqa: E402

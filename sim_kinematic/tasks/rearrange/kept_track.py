@@ -63,7 +63,7 @@ class KeptTrack:
 
 def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; nobody is asked for her."""
-    runner = next(r for r in play.runners if r.number == actor.number)
+    runner = play.runner(actor.number)
     actor.person.held.clear()
     actor.yields = False
     runner.action, runner.policy = Action("wait"), _Silent()
@@ -73,7 +73,7 @@ def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step
 class _Silent:
     """Never interrupts; asked only after the end."""
 
-    def choose(self, view: object) -> Action:
+    def act(self, view: object) -> Action:
         return Action("wait")
 
     def interrupts(self, view: object) -> str:

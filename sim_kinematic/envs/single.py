@@ -1,0 +1,105 @@
+"""Any task as a Gymnasium environment: one world, one agent. Needs the extra ``env``."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from sim_kinematic.envs.stepper import Stepper, gymnasium
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.sensing.watching import Watcher
+
+Observations = dict[str, NDArray[Any]]
+ALL = np.ones(1, np.bool_)
+
+
+class TaskEnv(gymnasium.Env[Any, Any]):
+    """One world in which one agent acts.
+
+    ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same
+    seed gives the same scenes, starts and way points on every machine. ``info`` has the task's facts; `reset` adds ``scene``
+    and ``episode_seed``.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # type: ignore[misc]
+
+    def __init__(self, stepper: Stepper, *, render_mode: str | None = None) -> None:
+        """``render_mode``: ``rgb_array`` for `render`, or None."""
+        self.render_mode = checked_render_mode(render_mode)
+        self.stepper = stepper
+        (self.agent,) = stepper.agents
+        self._watcher = Watcher()
+        self._seed, self._episode = 0, -1
+        self.observation_space = stepper.observation_space(self.agent)
+        self.action_space = stepper.action_space(self.agent)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begins the next episode, or with ``seed`` the first of another run. There are no ``options``.
+
+        Raises:
+            SceneError: a scene gives no episode.
+        """
+        super().reset(seed=seed)
+        if seed is not None or self._episode < 0:
+            self._seed, self._episode = run_seed(seed, self.np_random), -1
+        self._episode += 1
+        self.stepper.begin([self._seed], [self._episode], ALL)
+        return self._observed(), {**self._informed(), **first(self.stepper.episode_info())}
+
+    def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Acts.
+
+        Raises:
+            InputError: the action is malformed, or no episode is going on; then nothing has moved.
+        """
+        reward, terminated, truncated = self.stepper.step({self.agent: one_row(action)})
+        return self._observed(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._informed()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The agent and its surroundings from obliquely above, uint8 [480, 640, 3]; None without a render mode."""
+        return None if self.render_mode is None else self.stepper.picture(self.agent, self._watcher)
+
+    def _observed(self) -> Observations:
+        return first(self.stepper.observe(self.agent))
+
+    def _informed(self) -> dict[str, Any]:
+        return first(self.stepper.info(self.agent))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.stepper.describe()})"
+
+    __str__ = __repr__
+
+
+def run_seed(seed: int | None, rng: np.random.Generator) -> int:
+    """The given seed, else one from Gymnasium's generator."""
+    return int(rng.integers(2**63)) if seed is None else int(seed)
+
+
+def checked_render_mode(mode: str | None) -> str | None:
+    """``rgb_array`` or None.
+
+    Raises:
+        InputError: it is another.
+    """
+    if mode not in (None, "rgb_array"):
+        raise InputError(f"Unknown render mode {mode!r}. Expected rgb_array or None.")
+    return mode
+
+
+def first(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """The only world's row of each array."""
+    return {name: array[0] for name, array in arrays.items()}
+
+
+def one_row(action: ArrayLike) -> NDArray[Any]:
+    """An action of one world as a row, of whatever type it is: the stepper says what is wrong with it."""
+    try:
+        return np.asarray(action)[None]
+    except (TypeError, ValueError):
+        return np.array([None], object)

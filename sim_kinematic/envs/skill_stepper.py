@@ -1,0 +1,293 @@
+"""One world of rearrangement, as an environment steps it: an action is a skill and lasts until the agent must choose again,
+or, on the lower layer, one step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import load_robot
+from h3data.errors import InputError
+from h3data.geometry import Array
+from sim_kinematic.agents.robot_skills import RobotActor, checked_command
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
+from sim_kinematic.agents.skills import CONTROL, Action, choices
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, gymnasium
+from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.rearrange import HighLevelPolicy
+from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
+from sim_kinematic.sensing.agent_pictures import Limits, picture_names
+from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
+from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.rearrange.play import AgentRun, RearrangePlay
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.runner import Turns
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict, Space
+
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+Level = Literal["high", "low"]
+KINDS = ("robot", "human")
+
+
+class SkillStepper:
+    """As `sim_kinematic.envs.stepper.Stepper`, with W = 1."""
+
+    worlds = 1
+
+    def __init__(
+        self,
+        task: Rearrange,
+        scenes: Scenes,
+        *,
+        agents: Sequence[str] = ("robot",),
+        partner: str | Callable[[int], HighLevelPolicy] | None = None,
+        level: Level = "high",
+        observations: Sequence[str] | None = None,
+        spec: Any = None,
+        interrupts_when_close: bool = True,
+        robot: str = ROBOT_BODY,
+        human: str = HUMAN_BODY,
+        options: Options = DEFAULTS,
+    ) -> None:
+        """
+        Args:
+            task: Rearrangement.
+            scenes: As `EpisodeSource`.
+            agents: Who acts: ``robot``, ``human`` or both.
+            partner: What moves the other one: a partner or a robot policy by name, ``weights:FILE``, or a function of an
+                episode's seed that makes one. By default ``plan_pop_4`` beside a robot and ``complement`` beside a person.
+            level: ``high``: skills; ``low``: the robot's base velocity, arm joints and grip.
+            observations: Names in `sim_kinematic.policies.rearrange_observations.SENSES` and of pictures.
+            spec: The rules.
+            interrupts_when_close: Whether agents that act may choose anew at every step while the other is close.
+            robot: Body of the robot.
+            human: Body of the person.
+            options: Pictures and noise.
+
+        Raises:
+            InputError: there is no such thing.
+        """
+        if not agents or not set(agents) <= set(KINDS) or len(set(agents)) < len(agents):
+            raise InputError(f"Expected agents 'robot', 'human' or both, got {agents!r}.")
+        if level not in get_args(Level):
+            raise InputError(f"Unknown level {level!r}. Expected one of: {', '.join(get_args(Level))}.")
+        if level == "low" and "robot" not in agents:
+            raise InputError("Only a robot has a lower layer. Hint: level='high' for the person.")
+        if len(agents) == len(KINDS) and partner is not None:
+            raise InputError("Both agents are told from outside, so there is no partner. Hint: leave out partner.")
+        self.task, self.agents = task, tuple(agents)
+        self.source = EpisodeSource(task, scenes, spec=spec, robot=robot, human=human)
+        self.spec = self.source.spec
+        self._bodies: dict[str, Body] = {member.kind: member.body for member in self.source.roster}
+        self._robot = load_robot(self.source.roster[0].model)
+        self._partner = partner if partner is not None else "plan_pop_4" if "robot" in agents else "complement"
+        self._interrupts, self._level = interrupts_when_close, level
+        if len(agents) < len(KINDS) and isinstance(self._partner, str):
+            task.check_policy("human" if "robot" in agents else "robot", self._partner, self.spec.objects)
+        self._choices = {agent: choices(self.spec.objects, robot=agent == "robot") for agent in self.agents}
+        self._sets = self._observation_sets(observations or STATE_SENSES, options)
+        self._stage = Stage()
+        self.play: RearrangePlay | None = None
+        self._turns: Turns | None = None
+        self._steps, self._reward = 0, 0.0
+
+    # --- spaces -------------------------------------------------------------------------------------------------------
+    def observation_space(self, agent: str) -> Dict:
+        return self._sets[agent].space()
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """The number of a choice; on the lower layer base [2], arm joints [n] and grip [1] in -1..1."""
+        if self._level == "high" or agent != "robot":
+            return gymnasium.spaces.Discrete(len(self._choices[agent]))
+        return gymnasium.spaces.Box(-1.0, 1.0, (len(self._robot.require_arm()) + 3,), np.float32)
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        del where
+        episode = self.source.sample(int(seeds[0]), int(indices[0]))
+        chosen: dict[str, Any] = {agent: External(interrupts_when_close=self._interrupts) for agent in self.agents}
+        for kind in KINDS:
+            if kind not in chosen:
+                chosen[kind] = self._partner if isinstance(self._partner, str) else self._partner(episode.seed)
+        self.play = self.task.play(episode, self.task.assign(episode, chosen))
+        self._turns = Turns(self.play)
+        self._steps, self._reward = 0, 0.0
+        self._go_on({})
+        self._steps, self._reward = 0, 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the episode has ended."""
+        return self._turns is not None and self._turns.over
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Gives agents that are `choosing` their actions and goes on until one of those outside must choose again, or to
+        the end. Actions of agents that are busy have no effect."""
+        play = self._playing()
+        choosing = self.choosing
+        chosen = {}
+        for agent, action in actions.items():
+            choice = self._chosen(agent, action)
+            if agent in choosing:
+                chosen[KINDS.index(agent)] = self.task.checked_choice(play, KINDS.index(agent), choice)
+        self._steps, self._reward = 0, 0.0
+        self._go_on(chosen)
+        ended = play.ended if self.is_over else ""
+        return (
+            np.array([self._reward]),
+            np.array([ended in ("success", "collision")]),
+            np.array([ended == "max_steps"]),
+        )
+
+    @property
+    def choosing(self) -> tuple[str, ...]:
+        """Agents outside whose next action counts: the one that must choose, and those that will in this very step."""
+        if self.play is None or self._turns is None or self._turns.asked is None:
+            return ()
+        runners = self.play.runners
+        turn = runners.index(self.play.runner(self._turns.asked))
+        now = {r.number for k, r in enumerate(runners) if k == turn or (k > turn and r.is_free)}
+        return tuple(agent for agent in self.agents if KINDS.index(agent) in now)
+
+    # --- what is shown ------------------------------------------------------------------------------------------------
+    def observe(self, agent: str) -> Arrays:
+        play, own = self._begun(), self._sets[agent]
+        shown = exact(play.view(KINDS.index(agent)), own.states)
+        seen: Arrays = {name: values[None] for name, values in shown.items()}
+        if own.pictures.names:
+            seen |= own.take(self._stage.posed(play))
+        return own.shown(seen, [play.episode.seed], [play.steps])
+
+    def info(self, agent: str) -> Info:
+        play = self._begun()
+        runner: AgentRun = play.runner(KINDS.index(agent))
+        ending, ended = runner.ending, play.ended if self.is_over else ""
+        mask = [not play.objects.why_not(runner.number, action) for action in self._choices[agent]]
+        info = {
+            "steps": self._steps,
+            "step": play.steps,
+            "outcome": ending.outcome if ending else "running",
+            "reason": ending.reason if ending else "",
+            "success": ended == "success",
+            "collision": play.collision,
+            "at_goal": play.at_goal.copy(),
+            "held_by": play.objects.held_by.copy(),
+            "action_mask": np.array(mask, np.int8),
+        }
+        if len(self.agents) > 1:
+            info["choosing"] = agent in self.choosing
+        return {
+            name: np.array([value], object) if isinstance(value, str) else np.asarray(value)[None]
+            for name, value in info.items()
+        }
+
+    def episode_info(self) -> Info:
+        episode = self._begun().episode
+        return {"scene": np.array([episode.scene.name], object), "episode_seed": np.array([episode.seed])}
+
+    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+        return watcher.picture(self._stage.posed(self._begun()), KINDS.index(agent))
+
+    def describe(self) -> str:
+        models = {member.kind: member.model for member in self.source.roster}
+        partner = self._partner if isinstance(self._partner, str) else "partner of its own"
+        others = {kind: f"{model} ({partner})" for kind, model in models.items() if kind not in self.agents}
+        acting = {kind: models[kind] for kind in self.agents}
+        return in_words("rearrange", self.source.scenes, len(self.source.homes), acting, beside=others)
+
+    # --- inside -------------------------------------------------------------------------------------------------------
+    def _begun(self) -> RearrangePlay:
+        if self.play is None:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        return self.play
+
+    def _playing(self) -> RearrangePlay:
+        if self.play is None or self.is_over:
+            raise InputError("No episode is going on. Hint: call reset() first.")
+        return self.play
+
+    def _chosen(self, agent: str, action: ArrayLike) -> Action:
+        """The choice that a row of actions [1, ...] means."""
+        if self._level == "low" and agent == "robot":
+            row = np.asarray(action, object)
+            command = checked_command(row[0] if row.ndim else action, self._robot)
+            return Action(CONTROL, command=tuple(command.tolist()))
+        number = np.asarray(action)
+        there = self._choices[agent]
+        if number.shape != (1,) or number.dtype.kind not in "iu" or not 0 <= number[0] < len(there):
+            shown = number[0] if number.shape == (1,) else action
+            raise InputError(f"Expected the number of an action, 0 to {len(there) - 1}, got {shown!r}.")
+        return there[int(number[0])]
+
+    def _go_on(self, chosen: dict[int, Action]) -> None:
+        turns, play = self._turns, self.play
+        assert turns is not None
+        assert play is not None
+        while not turns.over:
+            number = turns.asked
+            if number is None:
+                self._steps += 1
+                self._reward += play.reward
+                turns.go_on()
+            elif not play.policies[number].is_external:
+                turns.answer(play.policies[number].policy.act(play.view(number)))
+            elif number in chosen:
+                turns.answer(chosen.pop(number))
+            else:
+                return
+
+    def _observation_sets(self, names: Sequence[str], options: Options) -> dict[str, ObservationSet]:
+        states = {agent: self._limits(agent) for agent in self.agents}
+        known = [(*states[agent], *picture_names(self._bodies[agent])) for agent in self.agents]
+        chosen = checked_names(names, *known, noise=options.noise or ())
+        return {
+            agent: ObservationSet(
+                own,
+                states[agent],
+                self._bodies[agent],
+                agent=KINDS.index(agent),
+                depth_size=options.depth_size,
+                rgb_size=options.rgb_size,
+                noise=options.noise,
+            )
+            for agent, own in zip(self.agents, chosen, strict=True)
+        }
+
+    def _limits(self, agent: str) -> dict[str, Limits]:
+        arm = len(self._robot.require_arm()) if agent == "robot" else 0
+        return limits(objects=self.spec.objects, arm=arm)
+
+
+class Stage:
+    """Renders a play of rearrangement as it is now: arms and hands where they are, objects where they lie or are held."""
+
+    def __init__(self) -> None:
+        self._episode: Any = None
+        self._renderer: StateRenderer | None = None
+
+    def posed(self, play: RearrangePlay) -> StateRenderer:
+        """The renderer, with everything where it is now."""
+        from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+        episode = play.episode
+        if self._renderer is None or self._episode is not episode:
+            bodies, names = [member.body for member in episode.roster], [target.name for target in episode.targets]
+            self._episode, self._renderer = episode, StateRenderer(episode.scene, bodies, objects=names)
+        self._renderer.pose(play.state, frames=[_frames(play, k) for k in range(len(episode.roster))])
+        return self._renderer
+
+
+def _frames(play: RearrangePlay, number: int) -> Array:
+    """Frames of an agent's links [1, L, 4, 4] or joints [1, 55, 4, 4]."""
+    actor = play.actors[number]
+    if isinstance(actor, RobotActor):
+        return actor.robot.link_matrices(actor.pose[None], actor.joints[None])
+    return actor.person.joint_matrices[None]

@@ -1,0 +1,163 @@
+"""What environments need of a task: something that begins episodes, takes actions and shows observations, worlds first.
+
+`sim_kinematic.envs.world_stepper` steps W worlds at once; `sim_kinematic.envs.skill_stepper` steps one world in which an
+action may last many steps; `ManySteppers` puts several of the latter side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array
+from sim_kinematic.sensing.observation_set import Arrays, gymnasium
+from sim_kinematic.sensing.sensor import NoiseModel
+from sim_kinematic.tasks.describe import bar
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict, Space
+
+__all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
+
+Info = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Settings that environments of all tasks share."""
+
+    depth_size: tuple[int, int] | None = None
+    """Width and height of depth, masks and boxes [pixels]; None is each camera's own."""
+    rgb_size: tuple[int, int] | None = None
+    """Width and height of colour pictures."""
+    noise: Mapping[str, NoiseModel] | None = None
+    """Model by name of an observation, as `sim_kinematic.sensing.sensor.with_noise`; by default all are exact."""
+    end_on_success: bool = False
+    """Whether success terminates an episode even where the task's rules let it go on."""
+    threads: int = 1
+    """Threads that render pictures."""
+
+
+DEFAULTS = Options()
+
+
+class Stepper(Protocol):
+    """W worlds, each in an episode of its own."""
+
+    worlds: int
+    agents: tuple[str, ...]
+    """Names of the agents that act."""
+
+    def observation_space(self, agent: str) -> Dict:
+        """The space of one world's observations."""
+        ...
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """The space of one world's actions."""
+        ...
+
+    def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        """Begins episode ``indices`` [W] of the runs ``seeds`` [W] in the worlds ``where`` [W]; in all, the first time.
+
+        Raises:
+            SceneError: a scene gives no episode.
+        """
+        ...
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Acts; returns reward, terminated and truncated, [W] each.
+
+        Raises:
+            InputError: an action is malformed, or no episode has begun; then nothing has moved.
+        """
+        ...
+
+    def observe(self, agent: str) -> Arrays:
+        """What an agent is shown now, [W, ...] each and within its space."""
+        ...
+
+    def info(self, agent: str) -> Info:
+        """Facts beyond the observations, [W] each."""
+        ...
+
+    def episode_info(self) -> Info:
+        """Which episode each world plays, [W] each."""
+        ...
+
+    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+        """The first world for people who watch."""
+        ...
+
+    def describe(self) -> str:
+        """The environment in a few words."""
+        ...
+
+
+class ManySteppers:
+    """Steppers of one world each, side by side."""
+
+    def __init__(self, make: Callable[[], Any], worlds: int) -> None:
+        if isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1:
+            raise InputError(f"Expected at least 1 world (num_envs), a whole number, got {worlds!r}.")
+        self.each = [make() for _ in range(worlds)]
+        self.worlds, self.agents = worlds, self.each[0].agents
+        self.observation_space = self.each[0].observation_space
+        self.action_space = self.each[0].action_space
+
+    def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        one = np.ones(1, np.bool_)
+        with bar("episodes", int(where.sum()), "episode") as begun:
+            for w in np.flatnonzero(where).tolist():
+                self.each[w].begin([seeds[w]], [indices[w]], one)
+                begun.update()
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        parts = [
+            stepper.step({agent: np.asarray(action)[w : w + 1] for agent, action in actions.items()})
+            if not stepper.is_over
+            else (np.zeros(1), np.zeros(1, np.bool_), np.zeros(1, np.bool_))
+            for w, stepper in enumerate(self.each)
+        ]
+        reward, terminated, truncated = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return reward, terminated, truncated
+
+    def observe(self, agent: str) -> Arrays:
+        return _joined([stepper.observe(agent) for stepper in self.each])
+
+    def info(self, agent: str) -> Info:
+        return _joined([stepper.info(agent) for stepper in self.each])
+
+    def episode_info(self) -> Info:
+        return _joined([stepper.episode_info() for stepper in self.each])
+
+    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+        return self.each[0].picture(agent, watcher)
+
+    def describe(self) -> str:
+        return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"
+
+
+def _joined(parts: Sequence[Arrays]) -> Arrays:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def checked_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Actions as float64 of this shape.
+
+    Raises:
+        InputError: they are no numbers, have another shape, or one is not finite.
+    """
+    try:
+        checked = np.asarray(actions, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"Expected actions of shape {list(shape)}, got {actions!r}.") from None
+    if checked.shape != shape:
+        raise InputError(f"Expected actions of shape {list(shape)}, got {list(checked.shape)}.")
+    if not np.isfinite(checked).all():
+        raise InputError(f"Actions must be finite, got {checked[~np.isfinite(checked)][0]} in {checked.tolist()}.")
+    return checked

@@ -1,0 +1,277 @@
+"""W worlds of a task whose agents drive and walk, as an environment steps them: actions in, observations and rewards out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Robot
+from h3data.errors import InputError
+from h3data.geometry import Array
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
+from sim_kinematic.contact.frames import Body
+from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, checked_actions, gymnasium
+from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.waypoints import WaypointPolicy
+from sim_kinematic.sensing.agent_pictures import picture_names
+from sim_kinematic.sensing.observation_set import Arrays, ObservationSet, checked_names
+from sim_kinematic.sensing.table import PAIR_SENSORS, Moment
+from sim_kinematic.tasks.describe import in_words
+from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+from sim_kinematic.tasks.task import Task
+from sim_kinematic.world import Command, Drive, WalkTo
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Dict, Space
+
+    from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
+"""Default observations: they cost no picture."""
+
+
+class WorldStepper:
+    """As `sim_kinematic.envs.stepper.Stepper`."""
+
+    def __init__(
+        self,
+        task: Task,
+        scenes: Scenes,
+        *,
+        agents: Sequence[str] = ("robot",),
+        worlds: int = 1,
+        spec: Any = None,
+        roster: str | Sequence[str] | None = None,
+        partner: Any = None,
+        observations: Sequence[str] | None = None,
+        robot: str = ROBOT_BODY,
+        human: str = HUMAN_BODY,
+        options: Options = DEFAULTS,
+        **task_options: Any,
+    ) -> None:
+        """
+        Args:
+            task: What is to be done.
+            scenes: As `EpisodeSource`.
+            agents: Names of the agents that act; the others follow ``partner``.
+            worlds: W.
+            spec: The rules (default: the task's).
+            roster: Who is there (default: the task's roster).
+            partner: Policy of the others, as `Task.assign` takes it (default: the task's).
+            observations: Names of sensors and pictures; each agent is shown its own of them.
+            robot: Body of robots named by their kind.
+            human: Body of people named by their kind.
+            options: Pictures and noise.
+            **task_options: For the task (`WorldPlay.options`).
+
+        Raises:
+            InputError: there is no such thing.
+        """
+        self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
+        self.task, self.spec = task, self.source.spec
+        self.play = WorldPlay(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
+        self.worlds = self.play.world.worlds
+        names = [member.name for member in self.source.roster]
+        strangers = [agent for agent in agents if agent not in names]
+        if strangers or not agents or len(set(agents)) < len(agents):
+            raise InputError(f"Expected agents that act, some of {', '.join(names)}; got {tuple(agents)!r}.")
+        self.agents = tuple(agents)
+        self.numbers = {agent: names.index(agent) for agent in agents}
+        self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
+        self._partner, self._options = partner, options
+        self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
+        self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
+        self._home = np.full(self.worlds, -1)
+        self._drawn: dict[int, StateRenderer] = {}
+        self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
+
+    # --- spaces -------------------------------------------------------------------------------------------------------
+    def observation_space(self, agent: str) -> Dict:
+        return self._sets[self.numbers[agent]].space()
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """Base velocity in -1..1 of the limits, [2], or [3] where a robot can move sideways."""
+        return gymnasium.spaces.Box(-1.0, 1.0, (self._width(self.numbers[agent]),), np.float32)
+
+    def _width(self, number: int) -> int:
+        is_robot = self.source.roster[number].kind == "robot"
+        return 3 if is_robot and self.play.world.bases[number].max_lateral_mps else 2
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
+        rows = np.flatnonzero(where) if self.play.episodes else np.arange(self.worlds)
+        runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
+        self.source.prepare(runs)
+        episodes = [self.source.sample(*run) for run in runs]  # all of them first: if one fails, no world has changed
+        self.play.begin(episodes, rows)
+        homes = {id(home.scene): k for k, home in enumerate(self.source.homes) if home.is_ready}
+        for w, episode in zip(rows.tolist(), episodes, strict=True):
+            self._home[w] = homes[id(episode.scene)]
+            chosen = {agent: External() for agent in self.agents}
+            if self._partner is not None:
+                chosen |= {self.source.roster[k].name: self._partner for k in self._others}
+            self._walkers[w] = [assigned.policy for assigned in self.task.assign(episode, chosen)]
+        for k in self._others:
+            for w in rows.tolist():
+                policy = self._walkers[w][k]
+                if isinstance(policy, WaypointPolicy):
+                    self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
+
+    def step(self, actions: Mapping[str, ArrayLike]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        given = {
+            self.numbers[agent]: checked_actions(action, (self.worlds, self._width(self.numbers[agent])))
+            for agent, action in actions.items()
+        }
+        if not self.play.episodes:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        commands = [Drive(given[k]) if k in given else self._other_command(k) for k in range(len(self.source.roster))]
+        outcome = self.play.advance(commands)
+        ends = outcome.terminated
+        if self._options.end_on_success:
+            ends = ends | outcome.success
+        return outcome.reward, ends, self.play.out_of_time
+
+    def _other_command(self, k: int) -> Command:
+        """What an agent does that is not controlled by actions."""
+        own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
+        if scripted:  # only those who have arrived need a new way point
+            gap = self._targets[k] - own.xz
+            for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
+                self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
+            return WalkTo(self._targets[k])
+        choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
+        if hasattr(choices[0], "xz"):
+            return WalkTo(np.array([choice.xz for choice in choices]))
+        return Drive(np.array([[choice.forward, choice.turn] for choice in choices]))
+
+    # --- what is shown ------------------------------------------------------------------------------------------------
+    def observe(self, agent: str) -> Arrays:
+        own = self._sets[self.numbers[agent]]
+        moment = self._moment(self.numbers[agent])
+        sensors = self.task.sensors(self.source.roster[self.numbers[agent]].kind)
+        exact: Arrays = {name: sensors[name].of(moment) for name in own.states}
+        if own.pictures.names:
+            exact |= self._pictures(own)
+        return own.shown(exact, [episode.seed for episode in self.play.episodes], self.play.steps.tolist())
+
+    def info(self, agent: str) -> Info:
+        del agent
+        return self.task.info_of(self.play)
+
+    def episode_info(self) -> Info:
+        return {
+            "scene": np.array([e.scene.name for e in self.play.episodes], object),
+            "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
+        }
+
+    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+        if not self.play.episodes:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        return watcher.picture(self._posed(np.array([0])), self.numbers[agent])
+
+    def describe(self) -> str:
+        models = {member.name: member.model for member in self.source.roster}
+        acting = {name: models[name] for name in self.agents}
+        beside = {name: model for name, model in models.items() if name not in acting}
+        return in_words(
+            self.task.name, self.source.scenes, len(self.source.homes), acting, beside=beside, worlds=self.worlds
+        )
+
+    # --- inside -------------------------------------------------------------------------------------------------------
+    def _observation_sets(self, names: Sequence[str]) -> dict[int, ObservationSet]:
+        roster, lone = self.source.roster, len(self.source.roster) == 1
+        numbers = list(self.numbers.values())
+        states = []
+        for k in numbers:
+            arm = _arm(roster[k].body)
+            states.append(
+                {
+                    name: sensor.limits(len(arm) if name == "arm_joints" else 1)
+                    for name, sensor in self.task.sensors(roster[k].kind).items()
+                    if not (lone and name in PAIR_SENSORS) and (name != "arm_joints" or len(arm))
+                }
+            )
+        known = [(*own, *picture_names(roster[k].body)) for own, k in zip(states, numbers, strict=True)]
+        names = [name for name in names if any(name in own for own in known)] if lone else names
+        chosen = checked_names(names, *known, noise=self._options.noise or ())
+        return {
+            k: ObservationSet(
+                own,
+                limits,
+                roster[k].body,
+                agent=k,
+                depth_size=self._options.depth_size,
+                rgb_size=self._options.rgb_size,
+                noise=self._options.noise,
+            )
+            for k, own, limits in zip(numbers, chosen, states, strict=True)
+        }
+
+    def _moment(self, k: int) -> Moment:
+        world = self.play.world
+        kinds = [member.kind for member in world.roster]
+        other = next((n for n, kind in enumerate(kinds) if kind != kinds[k]), (k + 1) % len(kinds))
+        now, before = world.state.agents, world.before.agents
+        mine = [p for p, pair in enumerate(world.pairs) if k in pair]
+
+        def distance() -> Array:
+            length = np.zeros(self.worlds)
+            for free, rows in world.groups:
+                length[rows] = free.geodesic(now[k].xz[rows], now[other].xz[rows])
+            return length
+
+        return Moment(
+            self.play,
+            world,
+            k,
+            now[k],
+            before[k],
+            world.start.agents[k],
+            now[other],
+            before[other],
+            world.blocked[:, k],
+            np.asarray(world.touching[:, mine].any(1)),
+            _arm(world.roster[k].body),
+            distance,
+        )
+
+    def _pictures(self, own: ObservationSet) -> Arrays:
+        result: Arrays = {}
+        for home in np.unique(self._home):
+            rows = np.flatnonzero(self._home == home)
+            for part in rows.reshape(-1, self._renderer(int(home)).worlds):
+                for name, picture in own.take(self._posed(part)).items():
+                    if name not in result:
+                        result[name] = np.zeros((self.worlds, *picture.shape[1:]), picture.dtype)
+                    result[name][part] = picture
+        return result
+
+    def _posed(self, worlds: NDArray[np.intp]) -> StateRenderer:
+        """The renderer of some worlds that are in one home, with everything where it is now."""
+        renderer = self._renderer(int(self._home[worlds[0]]))
+        world = self.play.world
+        renderer.pose(world.state.take(worlds), floor_y=world.floors[worlds[0]].floor_y)
+        return renderer
+
+    def _renderer(self, home: int) -> StateRenderer:
+        """The renderer of a home: of all worlds at once where there is only one home, else of one world at a time."""
+        from sim_kinematic.sensing.camera_sensor import StateRenderer
+
+        if home not in self._drawn:
+            self._drawn[home] = StateRenderer(
+                self.source.homes[home].scene,
+                [member.body for member in self.source.roster],
+                threads=self._options.threads,
+                worlds=self.worlds if len(self.source.homes) == 1 else 1,
+                speed_mps=self.spec.human.speed_mps,
+            )
+        return self._drawn[home]
+
+
+def _arm(body: Body) -> Array:
+    """Resting positions of a robot's arm joints, [n]; [0] of a person or of a robot without a hand."""
+    return body.rest[list(body.arm_columns)].astype(np.float64) if isinstance(body, Robot) else np.zeros(0)

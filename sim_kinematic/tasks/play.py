@@ -1,0 +1,263 @@
+"""Episodes under way: the protocol that the runner drives, and the play of tasks whose agents drive and walk."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.errors import InputError
+from h3data.geometry import Array, ground_pose
+from h3data.recording import STEP_NS, Event, SkillSpan
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.policies.policy import AgentView, AssignedPolicy, KeptMoment, Towards
+from sim_kinematic.policies.waypoints import WaypointPolicy
+from sim_kinematic.tasks.task import Episode, Outcome, Task, agent_floor, checked_outcome
+from sim_kinematic.world import Command, Drive, Keep, Posture, WalkTo, World
+
+Columns = dict[str, NDArray[Any]]
+
+
+class Play(Protocol):
+    """One episode under way. It moves everybody; who decides is asked through `turns`."""
+
+    policies: list[AssignedPolicy]
+    """One for each agent."""
+    ended: str
+    """What ended the episode; ``max_steps`` until something else does."""
+    events: list[Event]
+    """Since the recorder last took them."""
+    spans: list[SkillSpan]
+    """Skills that have ended, likewise."""
+
+    @property
+    def episode(self) -> Episode: ...
+
+    @property
+    def step(self) -> int:
+        """The step that is being played, from 0."""
+        ...
+
+    def turns(self) -> Generator[int | None, Any, None]:
+        """Plays to the end: yields the number of an agent that must decide and takes its choice, and yields None when a
+        step is over."""
+        ...
+
+    def view(self, agent: int) -> Any:
+        """What the policy of an agent is shown now."""
+        ...
+
+    def snapshot(self) -> Any:
+        """The step just played, as `columns` takes it."""
+        ...
+
+    def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
+        """Columns of consecutive steps, of which the first is number ``first``."""
+        ...
+
+    def finish(self) -> None:
+        """Closes what is still going on, such as running skills."""
+        ...
+
+
+class WorldPlay:
+    """W worlds of one task, each in an episode of its own; with W = 1 a `Play`."""
+
+    def __init__(
+        self,
+        task: Task,
+        spec: Any,
+        roster: Sequence[AgentSpec],
+        *,
+        worlds: int = 1,
+        measure: bool = True,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
+        self.world = World(
+            roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m
+        )
+        self.episodes: list[Episode] = []
+        """What each world plays; empty before the first `begin`."""
+        self.steps = np.zeros(self.world.worlds, np.int64)
+        """Steps of the episode so far, [W]."""
+        self.memory: Any = None
+        """The task's own state."""
+        self.outcome = Outcome(
+            reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
+        )
+        self.policies: list[AssignedPolicy] = []
+        self.ended = "max_steps"
+        self.events: list[Event] = []
+        self.spans: list[SkillSpan] = []
+        self._commands: list[Command] = []
+        self._words: list[str] = []
+        self._checked = False
+
+    # --- W worlds -----------------------------------------------------------------------------------------------------
+    def begin(self, episodes: Sequence[Episode], rows: NDArray[np.intp] | None = None) -> None:
+        """Begins episodes in the worlds ``rows`` [n] (default: all)."""
+        rows = np.arange(self.world.worlds) if rows is None else rows
+        if not self.episodes:
+            self.episodes = list(episodes)
+        for w, episode in zip(rows.tolist(), episodes, strict=True):
+            self.episodes[w] = episode
+        self.world.place(np.stack([e.starts for e in episodes]), [e.free for e in episodes], rows)
+        self.steps[rows] = 0
+        self.task.begin(self, rows)
+
+    def advance(self, commands: Sequence[Command]) -> Outcome:
+        """Moves all worlds one step and judges it.
+
+        Raises:
+            InputError: no episode has begun, or the commands do not fit; then nothing has moved.
+        """
+        if not self.episodes:
+            raise InputError("No episode has begun. Hint: call reset() first.")
+        self.world.step(commands)
+        self._commands = list(commands)
+        self.steps += 1
+        outcome = self.task.judge(self)
+        if not self._checked or self.measure:
+            outcome, self._checked = checked_outcome(self.task, outcome, self.world.worlds), True
+        self.outcome = outcome
+        return outcome
+
+    @property
+    def out_of_time(self) -> NDArray[np.bool_]:
+        """Worlds whose episode has had all its steps, [W]."""
+        return self.steps >= self.spec.max_steps
+
+    def agent_view(self, agent: int, world: int = 0) -> AgentView:
+        """What any policy may know about a world."""
+        w, now, before = world, self.world.state.agents, self.world.before.agents
+        episode = self.episodes[w]
+        places = np.array([[*own.xz[w], own.heading[w]] for own in now])
+        was = np.array([[*own.xz[w], own.heading[w]] for own in before])
+        return AgentView(
+            int(self.steps[w]),
+            episode.seed,
+            agent,
+            tuple(member.kind for member in self.world.roster),
+            agent_floor(episode, agent),
+            places,
+            was,
+            self.world.bases,
+            self.spec.human,
+            episode.extra,
+        )
+
+    # --- one world: Play ----------------------------------------------------------------------------------------------
+    @property
+    def episode(self) -> Episode:
+        return self.episodes[0]
+
+    @property
+    def step(self) -> int:
+        return int(self.steps[0])
+
+    def view(self, agent: int) -> Any:
+        return self.task.view(self, agent, 0)
+
+    def turns(self) -> Generator[int | None, Any, None]:
+        agents = range(len(self.world.roster))
+        for _ in range(self.spec.max_steps):
+            choices = []
+            for number in agents:
+                policy = self.policies[number].policy
+                # the script needs no view: it is asked a hundred times more often than anything else
+                scripted = type(policy) is WaypointPolicy
+                choices.append(
+                    Towards(policy.target(self.world.state.agents[number].xz[0])) if scripted else (yield number)
+                )
+            self._words = [getattr(choice, "skill", "") for choice in choices]
+            outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
+            self.events += [event for _, event in outcome.events]
+            if outcome.terminated[0]:
+                self.ended = self.task.end_reason(self, 0)
+                yield None
+                return
+            yield None
+
+    def _command(self, number: int, choice: Any) -> Command:
+        """A choice for one agent of the only world; velocities are rounded to float32, as they are recorded."""
+        if isinstance(choice, Towards):
+            return WalkTo(choice.xz[None])
+        if isinstance(choice, KeptMoment):
+            posture = Posture(
+                np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])
+            )
+            return Keep(choice.xz[None], np.array([choice.heading]), posture)
+        if not hasattr(choice, "forward"):
+            who = self.world.roster[number].name
+            raise InputError(f"Expected {who} to choose a Velocity or Towards, got {choice!r}.")
+        return Drive(np.array([[choice.forward, choice.turn]], np.float32).astype(np.float64))
+
+    def finish(self) -> None:
+        """Nothing goes on: the recorder reads skills off their columns."""
+
+    # --- recording ----------------------------------------------------------------------------------------------------
+    def snapshot(self) -> tuple[Any, ...]:
+        numbers: list[float] = []
+        state, before, skills = self.world.state, self.world.before, self.task.skills
+        for k, (member, own) in enumerate(zip(self.world.roster, state.agents, strict=True)):
+            words = skills.get(member.kind, ())
+            (x, z), heading = own.xz[0], own.heading[0]
+            if isinstance(own, RobotState):
+                command = self._commands[k]
+                forward, turn = command[0][0][:2] if isinstance(command, Drive) else (0.0, 0.0)
+                code = words.index(self._words[k]) if self._words[k] in words else -1
+                numbers += (x, z, heading, own.contact[0], forward, turn, code)
+            else:
+                was = before.agents[k]
+                assert isinstance(was, HumanState)
+                walks = own.distance[0] > was.distance[0]
+                code = words.index("walk" if walks else "turn") if words else -1
+                numbers += (x, z, heading, own.distance[0] - own.set_off[0], own.blend[0], *own.arms[0], code)
+        return (*numbers, {name: np.asarray(v)[0] for name, v in self.outcome.columns.items()}, self.world.touching[0])
+
+    def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
+        numbers = np.array([row[:-2] for row in snapshots], np.float64)
+        steps, floor = len(snapshots), self.episode.free.floor_y
+        result: Columns = {"time_ns": np.arange(first + 1, first + steps + 1, dtype=np.int64) * STEP_NS}
+        places, contact, at = [], [], 0
+        for k, member in enumerate(self.world.roster):
+            agent, body = f"agent_{k}.", member.body
+            own = numbers[:, at : at + (7 if isinstance(body, Robot) else 8)].T
+            at += len(own)
+            xz = np.stack([own[0], own[1]], -1)
+            places.append(xz)
+            result[agent + "base_pose"] = ground_pose(xz, own[2], floor).astype(np.float32)
+            if isinstance(body, Robot):
+                contact.append(own[3].astype(np.bool_))
+                result[agent + "joint_pos"] = np.tile(body.rest.astype(np.float32), (steps, 1))
+                result[agent + "action"] = np.stack([own[4], own[5]], -1).astype(np.float32)
+            else:
+                result |= {agent + name: values for name, values in self._motion_columns(k, body, own).items()}
+            result[agent + "grasp_body"] = np.full(steps, -1, np.int32)
+            if self.task.skills.get(member.kind):
+                result[agent + "skill"] = own[-1].astype(np.int32)
+        if self.world.pairs:
+            gaps = [np.hypot(*(places[b] - places[a]).T) for a, b in self.world.pairs]
+            result["metrics.dist_agents"] = np.min(gaps, axis=0).astype(np.float32)
+            result["metrics.collision"] = np.array([row[-1].any() for row in snapshots])
+        if contact:
+            result["metrics.robot_contact"] = np.any(contact, axis=0)
+        for name, dtype in self.task.columns.items():
+            result[name] = np.array([row[-2][name] for row in snapshots]).astype(dtype)
+        return result
+
+    def _motion_columns(self, k: int, body: Humanoid, own: Array) -> Columns:
+        clip, walk = self.world.clips[k], body.clips[self.world.clips[k]]
+        columns: Columns = {
+            "motion_id": np.full(own.shape[1], clip, np.int32),
+            "motion_phase": ((walk.start_phase + own[3] / walk.stride_m) % 1.0).astype(np.float32),
+            "motion_blend": own[4].astype(np.float32),
+        }
+        if self.spec.human.arms is not None:
+            columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
+        return columns

@@ -1,0 +1,407 @@
+"""Social rearrangement: a robot helps a person to bring objects to their goals (paper section 4.2 and appendix;
+spec/habitat.md 2), or any other agents do.
+
+Two layers: high-level policies (`sim_kinematic.policies.rearrange`) choose skills (`sim_kinematic.agents.skills`), skills
+move bodies.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from h3data.bodies import load_humanoid, load_robot
+from h3data.errors import InputError
+from h3data.recording import Body, Recording, SkillSpan
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.robot_skills import checked_command
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster
+from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.policies.policy import Assigned, AssignedPolicy
+from sim_kinematic.policies.rearrange import (
+    PARTNERS,
+    POPULATIONS,
+    ROBOT_POLICIES,
+    ZSC,
+    partner_plan,
+    partner_policy,
+    planner,
+    robot_policy,
+)
+from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices
+from sim_kinematic.tasks.play import Play
+from sim_kinematic.tasks.rearrange.episode import (
+    PAIR,
+    RearrangeEpisode,
+    RearrangeSpec,
+    Target,
+    body_indices,
+    draw_episode,
+    starts_of,
+)
+from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
+from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.recorder import scene_attachment
+from sim_kinematic.tasks.resimulation import is_counterfactual
+from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.social_nav import Starts
+from sim_kinematic.tasks.task import MAX_STEPS, Episode, Task
+
+SOLO = "solo"
+"""Policy of recordings in which no robot is beside the person."""
+SHORT_WAIT = Action("wait", steps=1)
+
+
+class _Goal(msgspec.Struct):
+    """One entry of ``info["goals"]``."""
+
+    object: str
+    start: list[float]
+    position: list[float]
+    source: str = msgspec.field(name="from")
+    destination: str = msgspec.field(name="to")
+
+
+class Rearrange(Task):
+    """Bring objects to their goals (paper section 4.2). One world at a time."""
+
+    name: ClassVar[str] = "rearrange"
+    Spec: ClassVar[type[Any]] = RearrangeSpec
+    batched: ClassVar[bool] = False
+    clip_coded: ClassVar[bool] = False
+    uses_common_policies: ClassVar[bool] = False
+    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": SKILLS, "human": SKILLS[:5]}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "robot": ROBOT_POLICIES,
+        "human": dict.fromkeys(PARTNERS, partner_policy),
+    }
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "complement", "human": "both"}
+    cut_span: ClassVar[Mapping[str, Any]] = {"outcome": "running", "reason": ""}
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def sample(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, roster: tuple[AgentSpec, ...]
+    ) -> RearrangeEpisode:
+        """Samples an episode for the first robot and the first person of the roster (the default bodies stand in for a
+        missing one), so that objects, goals and the starts of those two are the same whoever else plays it."""
+        robot, human = pair_of(roster)
+        starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
+        return RearrangeEpisode(
+            scene=scene,
+            free=free,
+            seed=seed,
+            spec=spec,
+            roster=roster,
+            starts=starts_of(scene, free, seed, spec, starts, roster),
+            targets=targets,
+            pair=(robot, human),
+            pair_starts=starts,
+        )
+
+    def restore(
+        self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]
+    ) -> RearrangeEpisode:
+        info, agents = recording.episode.info, recording.agents
+        lacks = [name for name in ("spec", "goals") if name not in info]
+        if lacks:
+            raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+        kinds = tuple(agent.kind for agent in agents)
+        own = {"robot": "robot_start", "human": "human_start"}
+        try:
+            rules = dict(msgspec.convert(info["spec"], dict[str, Any]))
+            rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
+            rules.setdefault("human", {})  # as in the paper
+            spec = msgspec.convert(rules, RearrangeSpec)
+            goals = msgspec.convert(info["goals"], list[_Goal])
+            listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
+            starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
+        except (msgspec.ValidationError, KeyError) as fault:
+            raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+        roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
+        if kinds_of(roster) != kinds:
+            raise InputError(f"Expected robots, then people, got: {list(kinds)}.")
+        if spec.max_steps > MAX_STEPS or len(goals) != spec.objects:
+            raise InputError(
+                f"Expected at most {MAX_STEPS} steps and a goal for each of {spec.objects} objects, got "
+                f"{spec.max_steps} steps and {len(goals)} goals."
+            )
+        home, free = scene(spec.agent_radius_m, spec.agent_height_m)
+        things = {instance.name for instance in home.instances}
+        numbers = [[*goal.start, *goal.position] for goal in goals]
+        if not all(len(n) == 10 and np.isfinite(n).all() for n in numbers) or not {g.object for g in goals} <= things:
+            raise InputError(
+                "Expected goals of things in the scene, with a pose7 start and a position [3] of finite numbers."
+            )
+        fits = starts.shape == (len(roster), 3) and np.isfinite(starts).all()
+        if not fits or not free.is_navigable(starts[:, :2]).all():
+            raise InputError(f"Expected starts on the free floor for {len(roster)} agents, got: {starts.tolist()}.")
+        first = [starts[kinds.index(kind)] if kind in kinds else np.full(3, np.nan) for kind in PAIR]
+        return RearrangeEpisode(
+            scene=home,
+            free=free,
+            seed=recording.episode.seed,
+            spec=spec,
+            roster=roster,
+            starts=starts,
+            targets=tuple(
+                Target(g.object, np.array(g.start), np.array(g.position), g.source, g.destination) for g in goals
+            ),
+            pair=pair_of(roster),
+            pair_starts=Starts.of(np.array(first)),
+        )
+
+    def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
+        return super().assign(episode, {k: v for k, v in (chosen or {}).items() if (k, v) != ("robot", SOLO)})
+
+    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
+        from sim_kinematic.policies.learned import is_learned, stamped
+
+        assert isinstance(episode, RearrangeEpisode)
+        kinds, objects = kinds_of(episode.roster), len(episode.targets)
+        kind = kinds[number]
+        if not (is_learned(name) or name in ROBOT_POLICIES or name in PARTNERS):
+            return None
+        nth = number - (0 if kind == "robot" else kinds.count("robot"))
+        seed = episode.seed if not nth else episode_seed(episode.seed, nth)
+        plans = name in PARTNERS if kind == "robot" else name not in ROBOT_POLICIES or name in PARTNERS
+        if plans and not (kind == "robot" and name in ROBOT_POLICIES):
+            policy, plan = partner_policy(name, seed, objects), partner_plan(name, seed)
+        else:
+            policy, plan = robot_policy(name, objects), ""
+        return AssignedPolicy(policy, stamped(name), kind, plan)
+
+    def check_policy(self, kind: str, name: str, objects: int) -> None:
+        """Refuses the name of a policy that does not exist.
+
+        Raises:
+            InputError: it does not; the message lists what does.
+        """
+        if kind == "robot" and name not in PARTNERS:
+            robot_policy(name, objects)
+        elif name not in ROBOT_POLICIES:
+            partner_policy(name, 0, objects)
+
+    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> RearrangePlay:
+        assert isinstance(episode, RearrangeEpisode)
+        return RearrangePlay(episode, list(policies))
+
+    # --- commands from outside ----------------------------------------------------------------------------------------
+    def checked_choice(self, play: Play, number: int, choice: Any) -> Action:
+        assert isinstance(play, RearrangePlay)
+        if not isinstance(choice, Action):
+            raise InputError(f"Expected an Action (sim_kinematic.agents.skills), got {choice!r}.")
+        play.objects.why_not(number, choice)
+        body = play.episode.roster[number].body
+        if choice.skill == CONTROL and play.episode.roster[number].kind == "robot":
+            checked_command(choice.command, body)  # type: ignore[arg-type]
+        return choice
+
+    def idle_choice(self, play: Play, number: int, last: Any) -> Action:
+        """To go on with what is running, else to stand for a step."""
+        assert isinstance(play, RearrangePlay)
+        runner = play.runner(number)
+        return runner.action if runner.skill is not None else SHORT_WAIT
+
+    def choice_to_json(self, choice: Any) -> Any:
+        return {
+            "skill": choice.skill,
+            "target": choice.target,
+            "steps": choice.steps,
+            "command": msgspec.to_builtins(choice.command),
+        }
+
+    def choice_from_json(self, data: Any) -> Any:
+        return Action(str(data["skill"]), int(data["target"]), int(data["steps"]), tuple(data["command"]))
+
+    def last_reward(self, play: Play) -> float:
+        assert isinstance(play, RearrangePlay)
+        return play.reward
+
+    # --- recording ----------------------------------------------------------------------------------------------------
+    def bodies(self, episode: Episode, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        assert isinstance(episode, RearrangeEpisode)
+        moving = {target.name: k for k, target in enumerate(episode.targets)}
+        return tuple(
+            replace(b, pose=episode.targets[moving[b.name]].start.astype(np.float32), moving=moving[b.name])
+            if b.name in moving
+            else b
+            for b in bodies
+        )
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        assert isinstance(episode, RearrangeEpisode)
+        rules = asdict(episode.spec)
+        if not np.isfinite(episode.spec.arm_rad_s):
+            rules["arm_rad_s"] = None
+        return {
+            **self.run_info(episode, policies),
+            "max_steps": episode.spec.max_steps,
+            "spec": rules,
+            **_starts(episode),
+            "goal_objects": body_indices(episode),
+            "goals": [
+                {
+                    "object": t.name,
+                    "start": t.start.tolist(),
+                    "position": t.goal.tolist(),
+                    "from": t.source,
+                    "to": t.destination,
+                }
+                for t in episode.targets
+            ],
+        }
+
+    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        partner = ",".join(p.name for p in policies if p.kind == "human")
+        return {
+            "policy": ",".join(p.name for p in policies if p.kind == "robot") or SOLO,
+            "partner": partner,
+            "partner_plan": ",".join(p.plan for p in policies if p.plan),
+            "population": "zsc-pop" if partner in ZSC else "train-pop" if partner in POPULATIONS else "",
+        }
+
+    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        robots, people = (",".join(p.name for p in policies if p.kind == kind) for kind in PAIR)
+        return [robots or SOLO, people]
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        assert isinstance(episode, RearrangeEpisode)
+        digest, kinds = scene_attachment(episode.scene)[1], kinds_of(episode.roster)
+        (policy, partner), (robot, human) = self.run_names(policies), episode.pair
+        what = f"h3data:rearrange:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
+        if kinds not in (PAIR, ("human",)):
+            what += ":" + ",".join(member.model for member in episode.roster)
+        return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
+
+    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """``solo_steps`` is ``L_human``, by which relative efficiency is measured."""
+        assert isinstance(play, RearrangePlay)
+        assert isinstance(episode, RearrangeEpisode)
+        alone = [policy.plan for policy in policies] == ["both"]
+        return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
+
+    # --- simulating again ---------------------------------------------------------------------------------------------
+    def needed_columns(self, recording: Recording) -> list[str]:
+        return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
+
+    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        named = {"robot": recording.episode.info.get("policy"), "human": recording.episode.info.get("partner")}
+        return {key: choice for key, choice in chosen.items() if choice != named.get(key)}
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        from sim_kinematic.tasks.resume import recorded_commands
+
+        assert isinstance(episode, RearrangeEpisode)
+        objects = tuple(target.name for target in episode.targets)
+        commands, verifies, policies = recorded_commands(recording, self), not changed, []
+        for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):
+            policy: Any
+            if k in commands:
+                policy = RecordedCommands(commands[k], until=until, own=None if verifies else assigned.policy)
+            else:
+                policy = RecordedPolicy(*_checked(recording, k, objects), until=until, since=since)
+                if not verifies and assigned.policy is not None:
+                    policy.own, policy.since = assigned.policy, until if changed[k] else min(since, until)
+            policies.append(assigned._replace(policy=policy))
+        return policies
+
+    def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        return {"deciding_since": [getattr(assigned.policy, "since", 0) for assigned in policies]}
+
+    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+        assert isinstance(episode, RearrangeEpisode)
+        solo = recording.episode.info.get("solo_steps")
+        return {"solo_steps": solo_steps_of(episode) if solo is None else solo}
+
+    def keep_people(
+        self, play: Play, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """What people take and put down they do as recorded, unless it is not there."""
+        assert isinstance(play, RearrangePlay)
+        first = min(since, _track_from(recording))
+        tracks = [KeptTrack.of(recording, person.number, play.bodies) for person in play.people]
+
+        def keep(_: int) -> None:
+            if play.steps == first:
+                for actor, track in zip(play.people, tracks, strict=True):
+                    follow_track(play, actor, track, play.steps)
+
+        keep(0)
+        return {"track_from": first}, keep
+
+    def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
+        return any(name.startswith(f"agent_{k}.") for k in people) and not name.endswith("grasp_body")
+
+    def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
+        return tuple(sorted((*robots, *people), key=lambda span: span.end_step))
+
+
+@lru_cache(maxsize=16)
+def solo_steps_of(episode: RearrangeEpisode) -> int:
+    """``L_human``: the steps in which the first person alone brings all objects to their goals, at most ``max_steps``; the
+    first robot, where there are no people."""
+    kinds = kinds_of(episode.roster)
+    first = kinds.index("human") if "human" in kinds else 0
+    alone = episode.only(first)
+    plan = AssignedPolicy(planner("both", episode.seed, len(episode.targets)), "both", kinds[first], "both")
+    play = RearrangePlay(alone, [plan])
+    run(play)
+    return play.step + 1
+
+
+def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
+    """Bodies of the first robot and the first person; the default ones where there is none."""
+    models = {member.kind: member.model for member in reversed(roster)}
+    return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
+
+
+def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
+    """Starts ``(x, z, heading)``: of robot and person as sampled, else of each agent."""
+    if kinds_of(episode.roster) in (PAIR, ("human",)):
+        robot, human = episode.pair_starts.places.tolist()
+        return {"robot_start": robot, "human_start": human}
+    return {"starts": episode.starts.tolist()}
+
+
+def _since(recording: Recording) -> list[int]:
+    """The step from which each agent's present policy has decided."""
+    count = len(recording.agents)
+    try:
+        since = msgspec.convert(recording.episode.info.get("deciding_since", [0] * count), list[int])
+    except msgspec.ValidationError:
+        since = []
+    if len(since) != count or min(since) < 0:
+        raise InputError(f"Expected deciding_since in the info, a step for each of {count} agents.")
+    return since
+
+
+def _track_from(recording: Recording) -> int:
+    """The step from which people keep their tracks; the end where they react throughout."""
+    if not is_counterfactual(recording):
+        return len(recording)
+    step = recording.episode.info.get("counterfactual", {}).get("track_from")
+    if not isinstance(step, int) or not 0 <= step <= len(recording):
+        raise InputError(
+            f"Expected counterfactual.track_from in the info, a step up to {len(recording)}, got {step!r}."
+        )
+    return step
+
+
+def _checked(recording: Recording, k: int, objects: tuple[str, ...]) -> tuple[Any, tuple[str, ...], Any]:
+    spans, now = recorded_choices(recording, k, objects)
+    return spans, objects, now

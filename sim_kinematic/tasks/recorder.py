@@ -1,0 +1,262 @@
+"""From steps to a recording: one recorder for all tasks. Rows become blocks of columns that go to a sink while the episode
+runs; events, skills and raw input go beside them."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot
+from h3data.recording import (
+    Agent,
+    AssetRef,
+    Body,
+    Event,
+    InputEvent,
+    Recording,
+    RecordingHeader,
+    SkillSpan,
+    state_hash,
+)
+from h3data.recording import Episode as EpisodeRecord
+from h3data.scene import CATEGORIES, Scene, save_scene, scene_digest
+from sim_kinematic.policies.policy import AssignedPolicy
+from sim_kinematic.tasks.play import Columns, Play
+from sim_kinematic.tasks.task import Episode, Task
+
+BLOCK = 30
+"""Rows that are handed to the sink at once: one second, which is what a crash may lose."""
+
+
+class Sink(Protocol):
+    """Receives an episode while it runs; `h3data.recording.RecordingWriter` is one."""
+
+    def append(self, rows: dict[str, NDArray[Any]]) -> None: ...
+
+    def event(self, event: Event) -> None: ...
+
+    def skill(self, span: SkillSpan) -> int: ...
+
+    def input(self, event: InputEvent) -> Any: ...
+
+    def close(self, *, info: dict[str, Any]) -> object: ...
+
+    def abort(self) -> None: ...
+
+
+@dataclass
+class Recorder:
+    """The episode as it grows."""
+
+    header: RecordingHeader
+    play: Play
+    sink: Sink | None = None
+    blocks: list[Columns] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    skills: list[SkillSpan] = field(default_factory=list)
+    inputs: list[InputEvent] = field(default_factory=list)
+    _rows: list[Any] = field(default_factory=list)
+    _count: int = 0
+
+    def __len__(self) -> int:
+        return self._count + len(self._rows)
+
+    def add(self) -> None:
+        """Takes down the step that has just been played."""
+        self._rows.append(self.play.snapshot())
+        if len(self._rows) == BLOCK:
+            self._close_block()
+        self._take()
+
+    def input(self, event: InputEvent) -> None:
+        """Takes down raw input."""
+        self.inputs.append(event)
+        if self.sink is not None:
+            self.sink.input(event)
+
+    def columns(self) -> Columns:
+        """All rows so far."""
+        self._close_block()
+        if not self.blocks:
+            return {"time_ns": np.zeros(0, np.int64)}
+        return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
+
+    def finish(self, info: Mapping[str, Any]) -> Recording:
+        """The whole recording, with what is known only at the end; closes the sink."""
+        self.play.finish()
+        columns = self.columns()
+        self._take()
+        for span in () if self.skills else skill_spans(columns, self.header.agents):
+            self._skill(span)
+        recording = finished(self.header, columns, info, self.skills, self.events, self.inputs)
+        if self.sink is not None:
+            self.sink.close(info=dict(info))
+        return recording
+
+    def abort(self) -> None:
+        """Leaves what the sink has as it is."""
+        if self.sink is not None:
+            self.sink.abort()
+
+    def _take(self) -> None:
+        """Events and skills since the last step."""
+        for event in self.play.events:
+            self.events.append(event)
+            if self.sink is not None:
+                self.sink.event(event)
+        for span in self.play.spans:
+            self._skill(span)
+        self.play.events.clear()
+        self.play.spans.clear()
+
+    def _skill(self, span: SkillSpan) -> None:
+        self.skills.append(span)
+        if self.sink is not None:
+            self.sink.skill(span)
+
+    def _close_block(self) -> None:
+        if not self._rows:
+            return
+        block = self.play.columns(self._rows, self._count)
+        last_hash = int(self.blocks[-1]["state_hash"][-1]) if self.blocks else 0
+        block["state_hash"] = state_hash(block, previous=last_hash)
+        if self.sink is not None:
+            self.sink.append(block)
+        self.blocks.append(block)
+        self._count += len(self._rows)
+        self._rows = []
+
+
+def finished(
+    header: RecordingHeader,
+    columns: Columns,
+    info: Mapping[str, Any],
+    skills: Sequence[SkillSpan],
+    events: Sequence[Event],
+    inputs: Sequence[InputEvent] = (),
+) -> Recording:
+    """A recording from its parts."""
+    episode = replace(header.episode, info={**header.episode.info, **info})
+    return Recording(
+        episode=episode,
+        assets=header.assets,
+        bodies=header.bodies,
+        agents=header.agents,
+        columns=columns,
+        skills=tuple(skills),
+        events=tuple(events),
+        inputs=tuple(inputs),
+        attachments=header.attachments,
+    )
+
+
+# --- the header -------------------------------------------------------------------------------------------------------
+def describe(
+    task: Task, episode: Episode, policies: Sequence[AssignedPolicy], *, episode_id: str = "0", reference: str = ""
+) -> RecordingHeader:
+    """What is known before the first step: who and what is there, under which rules.
+
+    ``reference`` (``module:Class``) is recorded for tasks that the package does not know by name.
+    """
+    scene = episode.scene
+    file, digest = scene_attachment(scene)
+    info = {
+        **task.info(episode, policies),
+        "scene_source": dict(scene.source),
+        "scene_sha256": digest,
+        "categories": list(CATEGORIES),
+    }
+    if reference:
+        info["task"] = reference
+    if task.profile:
+        info["profile"] = task.profile
+    external = [k for k, policy in enumerate(policies) if policy.is_external]
+    if external:
+        info["external"] = external
+    record = EpisodeRecord(
+        uid=task.uid(episode, policies),
+        episode_id=episode_id,
+        task=task.name,
+        scene=scene.name,
+        seed=episode.seed,
+        created_by=f"h3data {importlib.metadata.version('h3data')}",
+        info=info,
+    )
+    return RecordingHeader(
+        episode=record,
+        assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
+        bodies=task.bodies(episode, scene_bodies(scene)),
+        agents=tuple(_agent(task, member) for member in episode.roster),
+        attachments={"scene.glb": file},
+    )
+
+
+def _agent(task: Task, member: Any) -> Agent:
+    body, skills = member.body, task.skills.get(member.kind, ())
+    if isinstance(body, Robot):
+        return Agent(
+            name=member.name,
+            kind="robot",
+            model=f"robot/{member.model}",
+            semantic_id=200,
+            joint_names=tuple(body.joint_names),
+            action_names=("forward", "turn_left"),
+            skill_names=skills,
+        )
+    assert isinstance(body, Humanoid)
+    return Agent(
+        name=member.name,
+        kind="human",
+        model=f"humanoid/{member.model}",
+        semantic_id=100,
+        motion_names=tuple(clip.name for clip in body.clips) if task.clip_coded else (),
+        skill_names=skills,
+    )
+
+
+@lru_cache(maxsize=4)
+def scene_attachment(scene: Scene) -> tuple[bytes, str]:
+    """The scene file and its digest: the same for all episodes in this home."""
+    buffer = io.BytesIO()
+    save_scene(scene, buffer)
+    return buffer.getvalue(), scene_digest(scene)
+
+
+@lru_cache(maxsize=4)
+def scene_bodies(scene: Scene) -> tuple[Body, ...]:
+    """Everything in a home as bodies that never move."""
+    return tuple(
+        Body(
+            name=i.name,
+            asset=i.asset,
+            pose=i.pose.astype(np.float32),
+            scale=i.scale.astype(np.float32),
+            semantic_id=i.semantic_id,
+            layer=i.layer,
+        )
+        for i in scene.instances
+    )
+
+
+def skill_spans(columns: Mapping[str, NDArray[Any]], agents: Sequence[Agent]) -> tuple[SkillSpan, ...]:
+    """The runs of equal codes in each agent's ``skill`` column, as spans."""
+    spans = []
+    for index, agent in enumerate(agents):
+        codes = columns.get(f"agent_{index}.skill")
+        if codes is None or not len(codes):
+            continue
+        starts = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))
+        ends = np.append(starts[1:], len(codes)) - 1
+        spans += [
+            SkillSpan(agent=index, name=agent.skill_names[codes[a]], start_step=int(a), end_step=int(b))
+            for a, b in zip(starts, ends, strict=True)
+            if codes[a] >= 0
+        ]
+    return tuple(spans)

@@ -1,0 +1,53 @@
+"""Tasks by name: those of the package, entry points of the group ``h3data.tasks``, and ``module:Class``."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from h3data.errors import InputError
+from h3data.plugins import Registry
+from sim_kinematic.tasks.task import Task
+
+BUILT_IN = {
+    "social_nav": "sim_kinematic.tasks.social_nav:SocialNav",
+    "rearrange": "sim_kinematic.tasks.rearrange.task:Rearrange",
+    "wander": "sim_kinematic.tasks.wander:Wander",
+}
+
+
+@cache
+def task_registry() -> Registry[Any]:
+    """All tasks by name."""
+    return Registry("h3data.tasks", BUILT_IN, what="task")
+
+
+def find_task(name: str) -> Task:
+    """The task with this name or ``module:Class``.
+
+    Raises:
+        InputError: there is none, or what it names is no task.
+    """
+    return _find(name)
+
+
+@cache
+def _find(name: str) -> Task:
+    made = task_registry().get(name)
+    if isinstance(made, type) and issubclass(made, Task):
+        made = made()
+    if not isinstance(made, Task):
+        raise InputError(f"Expected {name!r} to name a subclass of sim_kinematic.tasks.task.Task, got {made!r}.")
+    if not made.name:
+        raise InputError(f"The task {name!r} has no name. Hint: set the class attribute name.")
+    return made
+
+
+def reference_of(task: Task) -> str:
+    """``module:Class`` of a task that cannot be found by its name; empty for one that can."""
+    kind = type(task)
+    try:
+        known = type(find_task(task.name)) is kind
+    except Exception:
+        known = False
+    return "" if known else f"{kind.__module__}:{kind.__qualname__}"

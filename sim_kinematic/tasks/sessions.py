@@ -1,0 +1,100 @@
+"""`h3data.session` and `h3data.simulate`: one episode by a few names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from h3data.recording import Recording, RecordingHeader, RecordingWriter
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
+from sim_kinematic.policies.policy import Assigned
+from sim_kinematic.tasks.recorder import Sink
+from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.runner import Session
+from sim_kinematic.tasks.runner import simulate as simulate_episode
+from sim_kinematic.tasks.sources import EpisodeSource, Scenes
+from sim_kinematic.tasks.task import Episode, Task, with_options
+
+
+def session(
+    task: str | Task,
+    scenes: Scenes = "small:0",
+    *,
+    agents: Assigned | None = None,
+    roster: str | Sequence[str] | None = None,
+    seed: int = 0,
+    index: int = 0,
+    spec: Any = None,
+    record: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    robot: str = ROBOT_BODY,
+    human: str = HUMAN_BODY,
+    **rules: Any,
+) -> Session:
+    """An episode to be played one step at a time, by whoever brings a clock.
+
+    Args:
+        task: By name, ``module:Class``, or a `Task`.
+        scenes: Where to play, as `h3data.make`.
+        agents: Policy of each agent: a name, a `Policy`, a function, or `External` for one that `Session.act` controls.
+        roster: Who is there (default: the task's).
+        seed: Of the run; with ``index`` it decides scene and episode.
+        index: Number of the episode in the run.
+        spec: The rules (default: the task's).
+        record: MCAP file that grows while the episode runs; None keeps the recording in memory.
+        overwrite: Whether an existing file is replaced.
+        robot: Body of robots named by their kind.
+        human: Body of people named by their kind.
+        **rules: Fields of the rules to change, such as ``max_steps=900`` or ``human_speed=1.2``.
+
+    Raises:
+        InputError: there is no such task, scene, agent, policy or rule.
+        SceneError: no scene has room for the episode.
+    """
+    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
+    return Session(found, episode, agents, sink=_sink(record, overwrite))
+
+
+def simulate(
+    task: str | Task,
+    scenes: Scenes = "small:0",
+    *,
+    agents: Assigned | None = None,
+    roster: str | Sequence[str] | None = None,
+    seed: int = 0,
+    index: int = 0,
+    spec: Any = None,
+    record: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    robot: str = ROBOT_BODY,
+    human: str = HUMAN_BODY,
+    **rules: Any,
+) -> Recording:
+    """Plays one episode under policies and returns its recording; arguments as `session`."""
+    found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
+    return simulate_episode(found, episode, agents, sink=_sink(record, overwrite))
+
+
+def _episode(
+    task: str | Task,
+    scenes: Scenes,
+    roster: str | Sequence[str] | None,
+    seed: int,
+    index: int,
+    spec: Any,
+    robot: str,
+    human: str,
+    rules: Mapping[str, Any],
+) -> tuple[Task, Episode]:
+    found = find_task(task) if isinstance(task, str) else task
+    spec = with_options(found.Spec() if spec is None else spec, **rules)
+    source = EpisodeSource(found, scenes, spec=spec, agents=roster, robot=robot, human=human)
+    return found, source.sample(seed, index)
+
+
+def _sink(record: str | os.PathLike[str] | None, overwrite: bool) -> Callable[[RecordingHeader], Sink] | None:
+    if record is None:
+        return None
+    return lambda header: RecordingWriter(Path(record), header, overwrite=overwrite)

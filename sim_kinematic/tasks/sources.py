@@ -1,0 +1,135 @@
+"""Where episodes come from: homes by name, made at first use and kept, and the episodes that seeds sample in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import Any
+
+from h3data.errors import InputError, SceneError
+from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
+from h3data.scene import FreeSpace, Scene
+from h3data.scene.scene_sets import SceneSource
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
+from sim_kinematic.motion.randomness import episode_seed, generator
+from sim_kinematic.tasks.describe import bar
+from sim_kinematic.tasks.task import Episode, Task
+
+Scenes = str | Scene | Sequence[str | Scene]
+ATTEMPTS = 20
+"""Homes and seeds that are tried before a source gives up: some homes have no room for some episodes."""
+
+
+class Home:
+    """A scene to play in, with its free floor."""
+
+    def __init__(self, source: Scene | SceneSource, radius_m: float, height_m: float) -> None:
+        self.source, self._size = source, (radius_m, height_m)
+
+    @cached_property
+    def scene(self) -> Scene:
+        return self.source if isinstance(self.source, Scene) else open_scene(self.source)
+
+    @cached_property
+    def free(self) -> FreeSpace:
+        radius, height = self._size
+        if isinstance(self.source, Scene):
+            return FreeSpace.from_scene(self.source, radius_m=radius, height_m=height)
+        return open_free_space(self.source, radius, height)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether scene and floor have been made."""
+        return "free" in vars(self) and "scene" in vars(self)
+
+
+class EpisodeSource:
+    """Episodes of one task in some homes: scene and episode follow from a run's seed and the episode's index alone."""
+
+    def __init__(
+        self,
+        task: Task,
+        scenes: Scenes,
+        *,
+        spec: Any = None,
+        agents: str | Sequence[str] | None = None,
+        robot: str = ROBOT_BODY,
+        human: str = HUMAN_BODY,
+    ) -> None:
+        """
+        Args:
+            task: What is to be done.
+            scenes: Names as the command line takes them (``h3-homes/train``, ``small:3``), a `Scene`, or several.
+            spec: The rules (default: the task's).
+            agents: Who is there (default: the task's roster).
+            robot: Body of robots named by their kind.
+            human: Body of people named by their kind.
+
+        Raises:
+            InputError: there are no such scenes or agents.
+        """
+        self.task, self.scenes = task, scenes
+        self.spec = task.Spec() if spec is None else spec
+        self.roster: tuple[AgentSpec, ...] = make_roster(
+            task.agents if agents is None else agents, robot=robot, human=human
+        )
+        size = self.spec.agent_radius_m, self.spec.agent_height_m
+        self.homes = tuple(Home(source, *size) for source in scene_sources(scenes))
+
+    def home_of(self, seed: int, index: int) -> int:
+        """Number of the home of episode ``index`` in the run ``seed``."""
+        return int(generator(seed, "scene", step=index).integers(len(self.homes)))
+
+    def sample(self, seed: int, index: int) -> Episode:
+        """Episode ``index`` of the run ``seed``.
+
+        Raises:
+            SceneError: after `ATTEMPTS` homes and seeds none gave an episode.
+        """
+        fault: SceneError | None = None
+        for attempt in range(ATTEMPTS):
+            run = seed if attempt == 0 else episode_seed(seed, attempt)
+            home = self.homes[self.home_of(run, index)]
+            try:
+                return _sampled(self.task, home.scene, home.free, episode_seed(run, index), self.spec, self.roster)
+            except SceneError as error:
+                fault = error
+        assert fault is not None
+        raise fault
+
+    def prepare(self, runs: Sequence[tuple[int, int]]) -> None:
+        """Makes the homes of some episodes; a progress bar shows how far it is."""
+        numbers = dict.fromkeys(self.home_of(seed, index) for seed, index in runs)
+        missing = [self.homes[k] for k in numbers if not self.homes[k].is_ready]
+        if not missing:
+            return
+        with bar("homes", len(missing), "home") as made:
+            for home in missing:
+                _ = home.scene, home.free
+                made.update()
+
+
+@lru_cache(maxsize=64)
+def _sampled(task: Task, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
+    """An episode, sampled once while it is played again and again."""
+    return task.sample(scene, free, seed, spec, roster)
+
+
+def scene_sources(scenes: Scenes) -> list[Scene | SceneSource]:
+    """Scenes by name, as the command line takes them, and given ones, one after the other.
+
+    Raises:
+        InputError: there are no such scenes.
+    """
+    listed = list(scenes) if isinstance(scenes, list | tuple) else [scenes]
+    sources: list[Scene | SceneSource] = []
+    for one in listed:
+        if isinstance(one, Scene):
+            sources.append(one)
+        elif isinstance(one, str):
+            sources += [named.source for named in named_scenes(one)]
+        else:
+            raise InputError(f"Expected scenes as names or Scene, got {type(one).__name__}.")
+    if not sources:
+        raise InputError("Expected at least one scene, got none.")
+    return sources

@@ -1,0 +1,482 @@
+"""A task: how episodes are sampled, what a step is judged to be worth, which policies play it.
+
+A task of one's own is a subclass of `Task` with a frozen `TaskSpec`, found by entry point (group ``h3data.tasks``) or as
+``module:Class``. `sample` and `judge` are enough; recording, resuming, environments, datasets, metrics and reports follow
+(docs/extending.md).
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.errors import H3DataError, InputError
+from h3data.geometry import Array
+from h3data.recording import Body, Event, Recording, SkillSpan
+from h3data.scene import FreeSpace, Scene, scene_digest
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, sample_places
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import HOME_WALKER, BaseSpec, WalkerSpec
+from sim_kinematic.policies.policy import Assigned, AssignedPolicy, assign, make_policy
+
+if TYPE_CHECKING:
+    from sim_kinematic.sensing.table import Sensor
+    from sim_kinematic.tasks.play import Play, WorldPlay
+
+MAX_STEPS = 1_000_000
+"""Longest episode that is simulated again: nine hours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSpec:
+    """Rules that every task has; a task's own spec adds to them."""
+
+    max_steps: int = 1500
+    spawn_distance_m: float = 5.0
+    """Least distance between any two agents at the start, where there is room."""
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
+    robot: BaseSpec = field(default_factory=BaseSpec)
+    human: WalkerSpec = HOME_WALKER
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """The unchanging half of an episode: home, map, rules, agents, starts, seed."""
+
+    scene: Scene
+    free: FreeSpace
+    seed: int
+    spec: Any
+    """The task's frozen dataclass."""
+    roster: tuple[AgentSpec, ...]
+    """Robots, then people."""
+    starts: Array
+    """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
+
+
+@lru_cache(maxsize=256)
+def agent_base(episode: Episode, number: int) -> BaseSpec:
+    """Discs and limits of an agent that drives: a robot's own, else the rules'."""
+    body = episode.roster[number].body
+    return base_of(body, episode.spec.robot) if isinstance(body, Robot) else episode.spec.robot
+
+
+@lru_cache(maxsize=256)
+def agent_floor(episode: Episode, number: int) -> FreeSpace:
+    """The floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+    body = episode.roster[number].body
+    if not isinstance(body, Robot):
+        return episode.free
+    return floor_of(body, agent_base(episode, number), episode.scene, episode.free)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """The judgement of one step in W worlds, each array [W]."""
+
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    """The rules end the episode."""
+    success: NDArray[np.bool_]
+    """Once true in an episode it should stay true."""
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Values to record, by column name (`Task.columns`), [W, ...] each."""
+    events: Sequence[tuple[int, Event]] = ()
+    """Events of this step with the world that each belongs to."""
+
+
+class Task:
+    """Base class of tasks. Class attributes declare; methods have defaults that suit robots and people who move about.
+
+    Hooks take W worlds at once; ``batched = False`` promises W = 1 only.
+    """
+
+    name: ClassVar[str] = ""
+    """Name in recordings and on the command line; by default the class's name in snake case."""
+    Spec: ClassVar[type[Any]] = TaskSpec
+    agents: ClassVar[tuple[str, ...]] = ("robot", "human")
+    """Default roster (`sim_kinematic.agents.roster.make_roster`)."""
+    batched: ClassVar[bool] = True
+    profile: ClassVar[str] = ""
+    """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
+    columns: ClassVar[Mapping[str, Any]] = {}
+    """dtype of each column in `Outcome.columns`."""
+    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
+    """Name of the policy of each kind where none is chosen."""
+    uses_common_policies: ClassVar[bool] = True
+    """Whether `sim_kinematic.policies.policy.COMMON` fit its agents."""
+
+    env_defaults: ClassVar[Mapping[str, Any]] = {}
+    """Options of its environments that differ from the usual ones."""
+    env_options: ClassVar[tuple[str, ...]] = ()
+    """Names of further options of its environments, which it finds in ``WorldPlay.options``."""
+
+    def __init_subclass__(cls) -> None:
+        if "name" not in vars(cls):
+            cls.name = "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
+
+    # --- episodes -----------------------------------------------------------------------------------------------------
+    def sample(self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: tuple[AgentSpec, ...]) -> Episode:
+        """Samples an episode; everything follows from the arguments.
+
+        Raises:
+            SceneError: the scene has no room for it.
+        """
+        return Episode(
+            scene=scene,
+            free=free,
+            seed=seed,
+            spec=spec,
+            roster=roster,
+            starts=self.sample_starts(scene, free, seed, spec, roster),
+        )
+
+    def episode(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        spec: Any = None,
+        agents: str | Sequence[str] | None = None,
+        free: FreeSpace | None = None,
+        robot: str = ROBOT_BODY,
+        human: str = HUMAN_BODY,
+    ) -> Episode:
+        """`sample` with defaults: the default rules and roster, and the map of the scene.
+
+        ``robot`` and ``human`` are the bodies of agents named by their kind.
+        """
+        spec = self.Spec() if spec is None else spec
+        free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
+        roster = make_roster(self.agents if agents is None else agents, robot=robot, human=human)
+        return self.sample(scene, free, seed, spec, roster)
+
+    def sample_starts(
+        self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
+    ) -> Array:
+        """Random free starts [A, 3], at least ``spec.spawn_distance_m`` apart where there is room."""
+        rng = generator(seed, stream)
+        return sample_places(scene, free, roster, rng, apart_m=spec.spawn_distance_m, rules=spec.robot)
+
+    # --- rules --------------------------------------------------------------------------------------------------------
+    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        """Prepares the worlds ``rows`` [n], whose episodes have just begun; keeps what it needs in ``play.memory``."""
+
+    def judge(self, play: WorldPlay) -> Outcome:
+        """Judges the step that all worlds have just made.
+
+        By default nothing is rewarded and an episode lasts ``max_steps``.
+        """
+        worlds = play.world.worlds
+        return Outcome(
+            reward=np.zeros(worlds), terminated=np.zeros(worlds, np.bool_), success=np.zeros(worlds, np.bool_)
+        )
+
+    def view(self, play: WorldPlay, agent: int, world: int) -> Any:
+        """What a policy of one agent is shown, by default an `AgentView`."""
+        return play.agent_view(agent, world)
+
+    def end_reason(self, play: WorldPlay, world: int) -> str:
+        """The word in ``info["ended"]`` for an episode that the rules end."""
+        return "success" if bool(play.outcome.success[world]) else "terminated"
+
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        """Observations of agents of a kind, beyond pictures, by name; by default `sim_kinematic.sensing.table.SENSORS`."""
+        from sim_kinematic.sensing.table import sensors_of
+
+        return sensors_of(kind)
+
+    def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
+        """Entries of an environment's ``info`` beyond its reward, [W] each."""
+        return {"success": play.outcome.success.copy()}
+
+    # --- playing ------------------------------------------------------------------------------------------------------
+    def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Play:
+        """One episode, ready for `sim_kinematic.tasks.runner.run`.
+
+        ``measure=False`` leaves out what only rewards need.
+        """
+        from sim_kinematic.tasks.play import WorldPlay
+
+        play = WorldPlay(self, episode.spec, episode.roster, measure=measure)
+        play.begin([episode])
+        play.policies = list(policies)
+        return play
+
+    def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
+        """The policy that a name means in this task beyond its tables; None: look in the tables."""
+        del episode, number, name
+        return None
+
+    def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
+        """A policy for each agent of an episode.
+
+        ``chosen`` names or gives them by agent (``robot``, ``human_2``, ``person``) or by kind; the others get `defaults`.
+
+        Raises:
+            InputError: no such policy, or no such agent.
+        """
+        return assign(self, episode, chosen or {})
+
+    # --- commands from outside ----------------------------------------------------------------------------------------
+    def checked_choice(self, play: Play, number: int, choice: Any) -> Any:
+        """A command from outside in the form that the play takes.
+
+        Raises:
+            InputError: it is malformed.
+        """
+        from sim_kinematic.policies.policy import Velocity
+
+        if not hasattr(choice, "forward") and np.shape(choice) == (2,):
+            choice = Velocity(float(choice[0]), float(choice[1]))
+        if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
+            raise InputError(f"Expected a command (forward, turn) in -1..1, got {choice!r}.")
+        if not np.isfinite([choice.forward, choice.turn]).all():
+            raise InputError(f"Actions must be finite, got {(choice.forward, choice.turn)}.")
+        return choice
+
+    def idle_choice(self, play: Play, number: int, last: Any) -> Any:
+        """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
+        from sim_kinematic.policies.policy import Velocity
+
+        return Velocity(0.0, 0.0) if last is None else last
+
+    def choice_to_json(self, choice: Any) -> Any:
+        """A choice as JSON types, for the recorded raw input."""
+        return {"forward": float(choice.forward), "turn": float(choice.turn), "skill": choice.skill}
+
+    def choice_from_json(self, data: Any) -> Any:
+        """The choice that `choice_to_json` wrote."""
+        from sim_kinematic.policies.policy import Velocity
+
+        return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
+
+    def last_reward(self, play: Play) -> float:
+        """Reward of the last step of a play of one world."""
+        return float(play.outcome.reward[0])  # type: ignore[attr-defined]
+
+    # --- recording ----------------------------------------------------------------------------------------------------
+    clip_coded: ClassVar[bool] = True
+    """Whether people are recorded as motion clips, else joint by joint."""
+
+    def bodies(self, episode: Episode, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        """The recording's bodies: those of the scene, of which a task may say which ones move."""
+        del episode
+        return bodies
+
+    def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """What ``episode.info`` says from the start, beyond scene and bodies: enough for `restore`."""
+        names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}
+        info: dict[str, Any] = {
+            "policy": names["robot"],
+            "partner": names["human"],
+            "max_steps": episode.spec.max_steps,
+            "spec": asdict(episode.spec),
+            "starts": episode.starts.tolist(),
+        }
+        if episode.extra:
+            info["extra"] = dict(episode.extra)
+        return info
+
+    def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
+        """Identity of an episode's recording: the same inputs give the same one."""
+        who = ",".join(f"{member.model}:{policy.name}" for member, policy in zip(episode.roster, policies, strict=True))
+        starts = episode.starts.tolist()
+        what = f"{self.name}:{scene_digest(episode.scene)}:{who}:{episode.seed}:{episode.spec}:{starts}:{episode.extra}"
+        return str(uuid.uuid5(uuid.NAMESPACE_URL, f"h3data:{what}"))
+
+    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """What ``episode.info`` says only after the last step."""
+        del episode, policies
+        return {"ended": play.ended}
+
+    # --- simulating again (sim_kinematic.tasks.resume) -----------------------------------------------------------------
+    cut_span: ClassVar[Mapping[str, Any]] = {}
+    """Changes to a kept person's skill that the end of the recording cuts short."""
+
+    def needed_columns(self, recording: Recording) -> list[str]:
+        """Columns without which a recording cannot be simulated again."""
+        robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
+        names = ("action", "skill") if self.skills.get("robot") else ("action",)
+        return [f"agent_{k}.{name}" for k in robots for name in names]
+
+    def recorded_names(self, recording: Recording) -> list[str]:
+        """Name of each agent's policy, as recorded."""
+        info, names = recording.episode.info, []
+        for kind, entry in (("robot", "policy"), ("human", "partner")):
+            count = sum(agent.kind == kind for agent in recording.agents)
+            listed = str(info.get(entry) or self.defaults[kind]).split(",")
+            names += listed * count if len(listed) == 1 else listed
+        return names
+
+    def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
+        """The policy with a recorded name, or one that is chosen instead."""
+        if name == "external":
+            from sim_kinematic.policies.policy import Still
+
+            return AssignedPolicy(Still(), "external", episode.roster[number].kind)
+        return make_policy(self, episode, number, name)
+
+    def changed_policies(self, recording: Recording, chosen: dict[str, Any]) -> dict[str, Any]:
+        """The choices that differ from what the recording did by itself.
+
+        Raises:
+            InputError: agents of this task follow no such thing.
+        """
+        del recording
+        return chosen
+
+    def recorded_policies(
+        self,
+        recording: Recording,
+        episode: Episode,
+        own: Sequence[AssignedPolicy],
+        *,
+        until: int,
+        changed: Sequence[bool] = (),
+    ) -> list[AssignedPolicy]:
+        """For each agent a policy that repeats its first ``until`` recorded decisions, then hands over to ``own``.
+
+        A scripted person has no recorded decisions: its own policy decides again.
+        """
+        from sim_kinematic.policies.recorded import RecordedVelocities
+        from sim_kinematic.tasks.resume import recorded_commands
+
+        commands, policies = recorded_commands(recording, self), []
+        for k, (member, assigned) in enumerate(zip(episode.roster, own, strict=True)):
+            policy = assigned.policy
+            if member.kind == "robot" or k in commands:
+                policy = RecordedVelocities.of(recording, k, commands.get(k), until=until, own=policy)
+            elif policy is None:
+                raise InputError(
+                    f"The person's own policy {assigned.name!r} is not at hand, and {member.name} was not controlled "
+                    "from outside: nothing says how they decided."
+                )
+            policies.append(assigned._replace(policy=policy))
+        return policies
+
+    def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Names of the policies, as `info` gives them."""
+        info = self.info(episode, policies)
+        return {name: info[name] for name in ("policy", "partner") if name in info}
+
+    def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
+        """Names that tell apart two recordings continued from one step."""
+        return [",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")]
+
+    def continued_info(self, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
+        """Further entries of a continued recording's info."""
+        del policies
+        return {}
+
+    def kept_info(self, recording: Recording, episode: Episode, play: Play) -> dict[str, Any]:
+        """Entries that a continued recording takes over."""
+        del recording, episode, play
+        return {}
+
+    def keep_people(
+        self, play: Play, recording: Recording, since: int
+    ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
+        """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
+        from sim_kinematic.policies.recorded import RecordedTrack
+
+        del since
+        for k, member in enumerate(play.episode.roster):
+            if member.kind == "human":
+                play.policies[k] = play.policies[k]._replace(policy=RecordedTrack(recording, k, member.body))
+        return {}, None
+
+    def is_kept_column(self, name: str, people: Sequence[int]) -> bool:
+        """Whether a column is taken from the recording where people keep their tracks."""
+        return name.startswith((*(f"agent_{k}." for k in people), "sim."))
+
+    def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
+        """Skills of robots and of people who keep their tracks, in the order in which they are recorded."""
+        return (*robots, *people)
+
+    def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
+        """The episode that a recording was made of; ``scene(radius_m, height_m)`` gives its scene and map.
+
+        Raises:
+            InputError: the recording lacks something or its info is malformed; the message names it.
+        """
+        return restored(self, recording, scene)
+
+
+def restored(task: Task, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
+    """`Task.restore` for episodes whose info is that of `Task.info`."""
+    info, agents = recording.episode.info, recording.agents
+    lacks = [name for name in ("spec", "starts") if name not in info]
+    if lacks:
+        raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
+    try:
+        spec = msgspec.convert({"human": {}, **info["spec"]}, task.Spec)
+        starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
+    except (msgspec.ValidationError, TypeError) as fault:
+        raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None
+    if not 0 < spec.max_steps <= MAX_STEPS:
+        raise InputError(f"Expected 1 to {MAX_STEPS} steps, the recording's rules say {spec.max_steps}.")
+    roster = make_roster([f"{agent.kind}:{agent.model.partition('/')[2]}" for agent in agents])
+    if [member.kind for member in roster] != [agent.kind for agent in agents]:
+        raise InputError(f"Expected robots, then people, got: {[agent.kind for agent in agents]}.")
+    home, free = scene(spec.agent_radius_m, spec.agent_height_m)
+    if starts.shape != (len(agents), 3) or not np.isfinite(starts).all() or not free.is_navigable(starts[:, :2]).all():
+        raise InputError(f"Expected starts on the free floor for {len(agents)} agents, got: {starts.tolist()}.")
+    return Episode(
+        scene=home,
+        free=free,
+        seed=recording.episode.seed,
+        spec=spec,
+        roster=roster,
+        starts=starts,
+        extra=dict(info.get("extra", {})),
+    )
+
+
+def checked_outcome(task: Task, outcome: Any, worlds: int) -> Outcome:
+    """The outcome, if its arrays are [W], finite, and of the declared columns.
+
+    Raises:
+        H3DataError: they are not: a fault of the task, which the message names with the field.
+    """
+    who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
+    if not isinstance(outcome, Outcome):
+        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
+    for name in ("reward", "terminated", "success"):
+        values = np.asarray(getattr(outcome, name))
+        if values.shape != (worlds,):
+            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
+    strange = sorted(set(outcome.columns) ^ set(task.columns))
+    if strange:
+        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
+    for name, values in outcome.columns.items():
+        if np.shape(values)[:1] != (worlds,):
+            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
+    return outcome
+
+
+def with_options(spec: Any, **options: Any) -> Any:
+    """A spec with those options that are not None; ``human_speed`` means the people's walking speed [m/s]."""
+    speed = options.pop("human_speed", None)
+    if speed is not None:
+        spec = replace(spec, human=replace(spec.human, speed_mps=speed))
+    return replace(spec, **{name: value for name, value in options.items() if value is not None})
