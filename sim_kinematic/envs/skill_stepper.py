@@ -91,7 +91,7 @@ class SkillStepper:
         self._partner = partner if partner is not None else "plan_pop_4" if "robot" in agents else "complement"
         self._interrupts, self._level = interrupts_when_close, level
         if len(agents) < len(KINDS) and isinstance(self._partner, str):
-            task.check_policy("human" if "robot" in agents else "robot", self._partner, self.spec.objects)
+            task.check_policy("human" if "robot" in agents else "robot", self._partner, self.spec)
         self._choices = {agent: choices(self.spec.objects, robot=agent == "robot") for agent in self.agents}
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._stage = Stage()

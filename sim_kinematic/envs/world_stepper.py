@@ -225,7 +225,9 @@ class WorldStepper:
             return length
 
         return Moment(
-            self.play,
+            self.spec,
+            self.play.memory,
+            self.play.episodes,
             world,
             k,
             now[k],

@@ -276,8 +276,29 @@ def task_policy(task: Task, episode: Episode, number: int, name: str) -> Assigne
     plugins = plugin_policies()
     if ":" in name or name in plugins.names():
         return AssignedPolicy(as_policy(plugins.get(name), task, episode, number), name, kind)
-    there = [*own, *plugins.names()]
-    raise InputError(
+    raise _unknown(task, kind, name)
+
+
+def check_policy(task: Task, kind: str, name: str) -> None:
+    """As `Task.check_policy`."""
+    own, plugins = policy_names(task, kind), plugin_policies()
+    if name in own:
+        return
+    if ":" in name or name in plugins.names():
+        plugins.get(name)
+        return
+    raise _unknown(task, kind, name)
+
+
+def policy_names(task: Task, kind: str) -> list[str]:
+    """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
+    common = COMMON[kind] if task.uses_common_policies else {}
+    return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
+
+
+def _unknown(task: Task, kind: str, name: str) -> InputError:
+    there = [*policy_names(task, kind), *plugin_policies().names()]
+    return InputError(
         f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}.{did_you_mean(name, there)} Expected one of: "
         f"{', '.join(there)}, weights:FILE or module:name."
     )

@@ -5,8 +5,8 @@ A sensor of one's own is one more row: ``{**SENSORS, "goal": Sensor(...)}`` retu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,9 +31,6 @@ from sim_kinematic.sensing.sensor import (
 )
 from sim_kinematic.world import World
 
-if TYPE_CHECKING:
-    from sim_kinematic.tasks.play import WorldPlay
-
 JOINT_MOST = 10.0
 """Bound of joint positions [rad or m]."""
 PAIR_SENSORS = ("humanoid_gps", "humanoid_velocity", "way", "humanoid_in_start_frame")
@@ -43,7 +40,12 @@ PAIR_SENSORS = ("humanoid_gps", "humanoid_velocity", "way", "humanoid_in_start_f
 class Moment(NamedTuple):
     """One agent of each world, now."""
 
-    play: WorldPlay
+    spec: Any
+    """The task's rules."""
+    memory: Any
+    """What the task remembers (`WorldPlay.memory`), for sensors of its own."""
+    episodes: Sequence[Any]
+    """The episode of each world."""
     world: World
     agent: int
     now: AgentState
@@ -83,7 +85,7 @@ def _other_from_start(moment: Moment) -> NDArray[np.floating]:
 
 
 def _path_to_other(moment: Moment) -> NDArray[np.floating]:
-    begun = moment.play.spec.robot.disc_radius_m / 2
+    begun = moment.spec.robot.disc_radius_m / 2
     xz, heading, other = moment.now.xz, moment.now.heading.tolist(), moment.other.xz
     length = moment.distance().tolist()
     values = np.zeros((len(xz), 2))

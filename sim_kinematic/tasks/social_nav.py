@@ -200,6 +200,22 @@ class SocialNav(Task):
             return AssignedPolicy(walker, name, kind)
         return None
 
+    def check_policy(self, kind: str, name: str, spec: Any) -> None:
+        if kind == "robot":
+            from sim_kinematic.policies.learned import is_learned
+            from sim_kinematic.policies.social_nav import policy_by_name
+
+            if is_learned(name):
+                policy_by_name(name)
+                return
+        super().check_policy(kind, name, spec)
+
+    def recorded_default(self, kind: str) -> str | None:
+        return self.defaults[kind] if kind == "robot" else None
+
+    def set_rules(self, scenes: Any) -> SocialNavSpec:
+        return SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m)
+
     def view(self, play: WorldPlay, agent: int, world: int) -> Any:
         if agent != ROBOT:
             return play.agent_view(agent, world)

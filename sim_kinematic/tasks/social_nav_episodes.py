@@ -70,11 +70,11 @@ def drawn_episode(source: SceneSource, *, seed: int, spec: SocialNavSpec) -> Soc
 
 def episode_from(
     episode: SocialNavEpisode, scene: Scene, *, spec: SocialNavSpec | None = None, free: FreeSpace | None = None,
-    human: str | None = None,
+    human: str | None = None, robot: str | None = None,
 ) -> Episode:  # fmt: skip
     """The episode that a record stores, in its scene.
 
-    ``spec`` and ``human`` (name of a built-in body) stand in for the record's own; ``free`` saves building the map again.
+    ``spec`` and the bodies ``human`` and ``robot`` stand in for the record's own; ``free`` saves building the map again.
 
     Raises:
         SceneError: a start or a goal is not on the free floor, or they are not on one island: it is another scene.
@@ -83,7 +83,7 @@ def episode_from(
     spec = spec or rules_of(episode)
     free = free or FreeSpace.from_scene(scene, radius_m=spec.agent_radius_m, height_m=spec.agent_height_m)
     points = _on_free_floor(free, episode)
-    robot_name = episode.robot.removeprefix("robot/") or ROBOT_BODY
+    robot_name = robot or episode.robot.removeprefix("robot/") or ROBOT_BODY
     human_name = human or episode.human.removeprefix("humanoid/") or HUMAN_BODY
     headings = np.array([[episode.robot_start[2]], [episode.human_start[2]]])
     goals = [[float(x), float(z)] for x, z in points[2:]]

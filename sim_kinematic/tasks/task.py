@@ -26,9 +26,10 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_WALKER, BaseSpec, WalkerSpec
-from sim_kinematic.policies.policy import Assigned, AssignedPolicy, assign, make_policy
+from sim_kinematic.policies.policy import Assigned, AssignedPolicy, assign, check_policy, make_policy
 
 if TYPE_CHECKING:
+    from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
     from sim_kinematic.tasks.play import Play, WorldPlay
 
@@ -206,6 +207,39 @@ class Task:
     def info_of(self, play: WorldPlay) -> dict[str, NDArray[Any]]:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
+
+    # --- datasets and evaluations -------------------------------------------------------------------------------------
+    bodies_in_agents: ClassVar[bool] = False
+    """Whether the body that ``--human`` names is written into the roster, for each person of it."""
+    crosses_partners: ClassVar[bool] = False
+    """Whether an evaluation plays every policy with every partner by default."""
+    can_be_solo: ClassVar[bool] = False
+    """Whether an episode can be played without its robots (policy ``solo``)."""
+
+    def default_spec(self) -> Any:
+        """The rules of generated datasets."""
+        return self.Spec()
+
+    def set_rules(self, scenes: SceneSet) -> Any:
+        """The rules by which a scene set samples starts, whatever the user changes of them; None: the task's own."""
+        del scenes
+
+    def recorded_default(self, kind: str) -> str | None:
+        """The default policy of a kind as a job names it; None where jobs name none."""
+        return self.defaults[kind] if kind in {"robot", "human"} & {*self.defaults} else None
+
+    def without_robots(self, episode: Episode, policy: str | None) -> Episode:
+        """The episode without its robots, if the policy says so."""
+        del policy
+        return episode
+
+    def check_policy(self, kind: str, name: str, spec: Any) -> None:
+        """Refuses the name of a policy that does not exist.
+
+        Raises:
+            InputError: it does not; the message lists what does.
+        """
+        check_policy(self, kind, name)
 
     # --- playing ------------------------------------------------------------------------------------------------------
     def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> Play:

@@ -31,6 +31,14 @@ class Wander(Task):
     """Default length of an episode."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
 
+    bodies_in_agents: ClassVar[bool] = True
+
+    def default_spec(self) -> SocialNavSpec:
+        return SocialNavSpec(max_steps=self.steps)
+
+    def recorded_default(self, kind: str) -> str | None:
+        return None
+
     def sample_starts(
         self,
         scene: Scene,

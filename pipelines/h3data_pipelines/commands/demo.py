@@ -102,16 +102,19 @@ class Demo:
         from h3data.recording import RecordingWriter
         from h3data.scene import HomeSpec, build_home
         from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
-        from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+        from sim_kinematic.tasks.runner import simulate
+        from sim_kinematic.tasks.social_nav import SocialNav
 
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
         spec = SocialNavSpec(
             max_steps=self.steps, spawn_distance_m=4.0, human=replace(HOME_WALKER, speed_mps=self.human_speed)
         )
-        world = SocialNavWorld.create(scene, seed=self.seed, spec=spec)
+        task = SocialNav()
+        episode = task.episode(scene, seed=self.seed, spec=spec)
         with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
-            simulate_social_nav(
-                world,
+            simulate(
+                task,
+                episode,
                 episode_id="demo",
                 progress=bar.update,
                 sink=lambda header: RecordingWriter(path, header, overwrite=self.force),

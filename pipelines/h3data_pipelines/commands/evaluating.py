@@ -4,9 +4,8 @@ beside."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,22 +13,13 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from h3data.errors import FormatError, InputError, did_you_mean
+from h3data.errors import FormatError, InputError
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
-from h3data_pipelines.jobs.episode_jobs import run_jobs
-from h3data_pipelines.jobs.failed_episodes import reason_of
-from h3data_pipelines.jobs.rearrange_jobs import RearrangeJob, rearrange_jobs, rules
-from h3data_pipelines.jobs.social_nav_evaluating import (
-    PoliciesJob,
-    PolicyTable,
-    play_policies,
-    policy_table,
-    social_nav_jobs,
-)
-
-ALL = "all"
-TASKS = ("social_nav", "rearrange")
+from h3data_pipelines.jobs.episodes import Choices, make_jobs
+from h3data_pipelines.jobs.evaluations import ALL, Evaluation, chosen_names, play_evaluation
+from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
+from h3data_pipelines.jobs.running import run_jobs
 
 
 @dataclass(frozen=True)
@@ -78,7 +68,7 @@ class Evaluate:
         for name, value in (("--episodes", self.episodes), ("--homes", self.homes), ("--workers", self.workers)):
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1, got {value}.")
-        jobs, play, tabulate = self._task()
+        jobs = self.jobs()
         folder = self.out / "episodes"
         claim_folder(self.out, force=self.force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
         folder.mkdir(exist_ok=True)
@@ -89,7 +79,7 @@ class Evaluate:
         wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
         made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
         bar = tqdm(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode", disable=None)
-        with bar, closing(run_jobs(play, wanted, workers=self.workers)) as results:
+        with bar, closing(run_jobs(play_evaluation, wanted, workers=self.workers)) as results:
             for result in results:
                 index = result["job"]["episode"]["index"]
                 write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
@@ -101,7 +91,7 @@ class Evaluate:
             for r in results
             for f in r["failed"]
         ]
-        table = tabulate(rows)
+        table = self._table(jobs[0], rows)
         text = table.to_text() + "".join(f"\nfailed {line}" for line in failed)
         data = {
             "episodes": len(jobs), "new": len(wanted), "failed": failed, **table.to_dict(), "job": self._asked(jobs[0]),
@@ -111,104 +101,63 @@ class Evaluate:
         write_text(self.out / "table.json", json.dumps(data, indent=2) + "\n")
         return Outcome(text=text, data=data, exit_code=1 if failed else 0)
 
-    def _asked(self, job: PoliciesJob | CrossPlayJob) -> dict[str, Any]:
+    def _asked(self, job: Evaluation) -> dict[str, Any]:
         """What the table is of: the task, the rules, who plays, and the digest of the set of scenes."""
         asked = job.to_json()
         own = {"index", "seed", "scene", "source", "human", "drawn_with"}
         rules = {name: value for name, value in asked.pop("episode").items() if name not in own}
         of_set = {name: (job.base.origin or {}).get(name) for name in ("set", "split", "sha256")}
         return {
-            "task": self.task, **asked, **rules, "scenes": self.scenes, "set": of_set if of_set["set"] else None,
-            "seed": self.seed, "human": self.human,
-        }  # fmt: skip
+            "task": self.task,
+            **asked,
+            **rules,
+            "scenes": self.scenes,
+            "set": of_set if of_set["set"] else None,
+            "seed": self.seed,
+            "human": self.human,
+        }
 
-    def _task(
-        self,
-    ) -> tuple[Sequence[Any], Callable[[Any], dict[str, Any]], Callable[[list[Any]], PolicyTable | CrossPlayTable]]:
-        """Its episodes, what plays one, and what makes a table of the rows of all."""
-        if self.task == "social_nav":
-            return self.social_nav_jobs(), play_policies, policy_table
-        if self.task == "rearrange":
-            return self.jobs(), play_pairs, lambda rows: cross_play_table(Row(**row) for row in rows)
-        raise InputError(
-            f"Unknown task {self.task!r}.{did_you_mean(self.task, TASKS)} Expected social_nav or rearrange."
+    def jobs(self) -> list[Evaluation]:
+        """All episodes, or an `InputError` that names the bad option."""
+        from sim_kinematic.policies.policy import policy_names
+        from sim_kinematic.tasks.registry import find_task
+
+        task = find_task(self.task)
+        policies = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        crosses = "human" in task.defaults and task.crosses_partners
+        partners: tuple[str, ...] = ()
+        if crosses or self.partners != ALL:
+            partners = chosen_names("--partners", self.partners, policy_names(task, "human"))
+        choices = Choices(
+            task=self.task,
+            policy=policies[0],
+            partner=partners[0] if partners else None,
+            human=self.human,
+            human_speed=self.human_speed,
+            max_steps=self.max_steps,
         )
+        for kind, names in (("robot", policies), ("human", partners)):
+            for name in names:
+                task.check_policy(kind, name, choices.spec())
+        base = make_jobs(choices, self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed)
+        return [Evaluation(job, policies, partners) for job in base]
 
-    def social_nav_jobs(self) -> list[PoliciesJob]:
-        """All episodes of social navigation, or an `InputError` that names the bad option."""
-        from sim_kinematic.policies.social_nav import POLICIES
+    def _table(self, job: Evaluation, rows: list[dict[str, Any]]) -> PolicyTable | CrossPlayTable:
+        from h3data.metrics import metrics_of
 
-        if self.partners != ALL:
-            raise InputError("--partners is for rearrange: the person of social_nav walks to her way points.")
-        names = tuple(POLICIES) if self.policies == ALL else _listed(self.policies)
-        return social_nav_jobs(
-            self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed, policies=names, human=self.human,
-            human_speed=self.human_speed, max_steps=self.max_steps,
-        )  # fmt: skip
-
-    def jobs(self) -> list[CrossPlayJob]:
-        """All episodes of rearrangement, or an `InputError` that names the bad option."""
-        from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES
-
-        policies = _names("--policies", self.policies, tuple(ROBOT_POLICIES))
-        partners = _names("--partners", self.partners, PARTNERS)
-        spec = rules(human_speed=self.human_speed, max_steps=self.max_steps)
-        base = rearrange_jobs(
-            self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed, policy=policies[0],
-            partner=partners[0], human=self.human, spec=spec,
-        )  # fmt: skip
-        return [CrossPlayJob(job, policies, partners) for job in base]
+        task = job.base.found_task
+        if task.crosses_partners:
+            return cross_play_table(Row(**row) for row in rows)
+        if task.name in ("social_nav",):
+            metrics = [metric.name for metric in metrics_of("paper", task.name)]
+        else:
+            metrics = list(dict.fromkeys(name for row in rows for name in row["values"]))
+        if job.partners:
+            rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
+        return policy_table(task.name, rows, metrics)
 
 
-@dataclass(frozen=True)
-class CrossPlayJob:
-    """One episode for all pairs."""
-
-    base: RearrangeJob
-    policies: tuple[str, ...]
-    partners: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """What decides the results."""
-        fields = self.base.to_json()
-        del fields["policy"], fields["partner"]
-        return {"episode": fields, "policies": list(self.policies), "partners": list(self.partners)}
-
-
-def play_pairs(job: CrossPlayJob) -> dict[str, Any]:
-    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed."""
-    from h3data.metrics import measure
-    from sim_kinematic.policies.rearrange import partner_plan
-    from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
-
-    rows: list[Row] = []
-    failed: list[str] = []
-    try:
-        world = job.base.world()
-        solo = solo_steps_of(world)
-    except Exception as fault:
-        return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
-    plans = {partner: partner_plan(partner, world.seed) for partner in job.partners}
-    for policy in job.policies:
-        played: dict[str, Row] = {}  # partners with one plan do the same
-        for partner, plan in plans.items():
-            try:
-                if plan not in played:
-                    recording = simulate_rearrange(world, policy=policy, partner=plan, solo_steps=solo)
-                    measured = measure(recording)
-                    values = {name: None if value != value else value for name, value in measured.values.items()}
-                    played[plan] = Row(
-                        index=job.base.index, policy=policy, partner=plan, plan=plan,
-                        ended=recording.episode.info["ended"], solo_steps=solo, values=values,
-                        state_hash=str(recording.columns["state_hash"][-1]), set_up=measured.set_up,
-                    )  # fmt: skip
-                rows.append(Row(**{**asdict(played[plan]), "partner": partner}))
-            except Exception as fault:
-                failed.append(f"{policy} with {partner}: {reason_of(fault)}")
-    return {"job": job.to_json(), "rows": [asdict(row) for row in rows], "failed": failed}
-
-
-def _is_done(file: Path, job: CrossPlayJob | PoliciesJob) -> bool:
+def _is_done(file: Path, job: Evaluation) -> bool:
     """Whether the results of this very job are there, none of them failed; others' are refused."""
     if not file.is_file():
         return False
@@ -222,20 +171,3 @@ def _is_done(file: Path, job: CrossPlayJob | PoliciesJob) -> bool:
             f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
         )
     return not failed
-
-
-def _names(option: str, text: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    from sim_kinematic.policies.learned import is_learned, stamped
-
-    names = known if text == ALL else _listed(text)
-    strangers = [name for name in names if name not in known and not is_learned(name)]
-    if strangers or not names:
-        near = did_you_mean(strangers[0], known) if strangers else ""
-        raise InputError(
-            f"{option}: expected some of {', '.join(known)}, weights:FILE, or all; got {', '.join(strangers) or 'none'}.{near}"
-        )
-    return tuple(map(stamped, names))
-
-
-def _listed(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))

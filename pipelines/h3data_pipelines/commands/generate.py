@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import json as json_module
 import math
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from tqdm import tqdm
 
-from h3data.bodies import load_humanoid
-from h3data.errors import H3DataError, InputError, did_you_mean
+from h3data.errors import H3DataError, InputError
 from h3data.recording import Recording
 from h3data.recording.storage import place
+from h3data.scene.scene_sets import find_scene_set
 from h3data_pipelines.command import (
     AssetsOption,
     ForceFlag,
@@ -28,17 +29,10 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.jobs.episode_jobs import (
-    ANY_BODY,
-    AnyJob,
-    Changes,
-    file_jobs,
-    seeded_jobs,
-    set_jobs,
-    simulate_jobs,
-)
+from h3data_pipelines.jobs.episodes import Choices, Job, file_jobs, make_jobs
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import ReadBack, first_played, measured, require_same_options, whose
+from h3data_pipelines.jobs.running import simulate_jobs
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter
@@ -69,8 +63,9 @@ class Generate:
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow her at 1-2 m. rearrange: help her to bring two objects to their goals.
-    wander: any robots and people walk about from one random point to another."""
+    """social_nav: find a walking person and follow them at 1-2 m. rearrange: help them to bring two objects to their goals.
+    wander: any robots and people walk about from one random point to another. Or the name of an installed task, or
+    module:Class (docs/extending.md)."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the dataset, or its URI: s3://bucket/ds."""
     episodes: int | None = None
@@ -97,6 +92,8 @@ class Generate:
     """Agents of rearrange and wander, robots and people separated by commas (default: robot,human): kinds, bodies, files, or
     a kind and one of these, as robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner
     may have a name for each robot and person."""
+    robot: str | None = None
+    """Robot that is called robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
     human: str | None = None
     """Body of those who are called human: a built-in one, an .npz file, or any: each episode draws one, in wander for each
     person (default: the episode's, else female_0)."""
@@ -108,6 +105,8 @@ class Generate:
     spawn_distance: float | None = None
     """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files
     decide it."""
+    rule: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
     workers: int = 1
     """Processes."""
     mcap: bool = False
@@ -143,7 +142,7 @@ class Generate:
         }  # fmt: skip
         return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
 
-    def _simulate(self, jobs: Sequence[AnyJob], writer: DatasetWriter) -> None:
+    def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
         waiting: list[Recording] = []
@@ -174,87 +173,40 @@ class Generate:
                 f"{first.scene} (seed {first.seed}): {first.info['failed']}"
             )
 
-    def jobs(self) -> Sequence[AnyJob]:
+    def jobs(self) -> Sequence[Job]:
         """All episodes, or an `InputError` that names the bad option."""
-        tasks = {"social_nav": self._social_nav_jobs, "rearrange": self._rearrange_jobs, "wander": self._wander_jobs}
-        if self.task not in tasks:
-            raise InputError(
-                f"Unknown task {self.task!r}.{did_you_mean(self.task, tasks)} Expected {', '.join(tasks)}."
-            )
         self._check_numbers()
-        if self.human not in (None, ANY_BODY):
-            load_humanoid(self.human)
-        if self.episodes_file is not None and self.task != "social_nav":
-            raise InputError(
-                f"--episodes-file is for social_nav: episodes of {self.task} are drawn from --scenes and --seed."
-            )
-        return tasks[self.task]()
-
-    def _social_nav_jobs(self) -> Sequence[AnyJob]:
-        from h3data.habitat.scene_names import named_scenes
-        from h3data.scene.scene_sets import find_scene_set
-        from sim_kinematic.motion.spec import SocialNavSpec
-        from sim_kinematic.policies.learned import stamped
-        from sim_kinematic.policies.social_nav import policy_by_name
-
-        policy = stamped(self.policy or "heuristic_expert")
-        policy_by_name(policy)
-        if self.partner is not None:
-            raise InputError("--partner is for rearrange: the person of social_nav walks to her way points.")
-        if self.agents is not None:
-            raise InputError("--agents is for rearrange and wander: in social_nav a robot follows a person.")
-        changes = Changes(
-            policy=policy, human=self.human, human_speed=self.human_speed, max_steps=self.max_steps
-        )  # fmt: skip
+        choices = Choices(
+            task=self.task,
+            policy=self.policy,
+            partner=self.partner,
+            agents=None if self.agents is None else tuple(name.strip() for name in self.agents.split(",")),
+            human=self.human,
+            robot=self.robot,
+            human_speed=self.human_speed,
+            max_steps=self.max_steps,
+            spawn_distance=self.spawn_distance,
+            rules=tuple(map(_rule, self.rule)),
+        )
+        task = choices.found_task
         if self.episodes_file is not None:
+            if task.name != "social_nav":
+                raise InputError(
+                    f"--episodes-file is for social_nav: episodes of {task.name} are drawn from --scenes and --seed."
+                )
             self._refuse_beside("--episodes-file", scenes=self.scenes != "small", seed=self.seed != 0)
-            return file_jobs(self.episodes_file, episodes=self.episodes, changes=changes)
-        label, _, which = self.scenes.partition("#")
-        scenes = find_scene_set(label)
-        if scenes is not None:
-            if "#" in self.scenes:
-                scenes = replace(scenes, scenes=(scenes.entry(which),))
+            return file_jobs(choices, self.episodes_file, episodes=self.episodes)
+        if task.name == "social_nav" and find_scene_set(self.scenes.partition("#")[0]) is not None:
             self._refuse_beside(f"--scenes {self.scenes}")
-            return set_jobs(scenes, episodes=self.episodes, seed=self.seed, changes=changes)
-        spec = SocialNavSpec() if self.spawn_distance is None else SocialNavSpec(spawn_distance_m=self.spawn_distance)
-        return seeded_jobs(
-            named_scenes(self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing),
-            episodes=10 if self.episodes is None else self.episodes, seed=self.seed, spec=spec, changes=changes,
-        )  # fmt: skip
-
-    def _rearrange_jobs(self) -> Sequence[AnyJob]:
-        from sim_kinematic.tasks.rearrange.log import SOLO
-
-        from h3data_pipelines.jobs.rearrange_jobs import rearrange_jobs, rules
-        from sim_kinematic.agents.roster import make_roster
-
-        if self.agents is not None:
-            kinds = [member.kind for member in make_roster(self.agents)]
-            for option, given, kind in (("--policy", self.policy, "robot"), ("--partner", self.partner, "human")):
-                if given not in (None, SOLO) and kind not in kinds:
-                    raise InputError(f"{option} {given} is for a {kind}, but there is none in --agents {self.agents}.")
-        return rearrange_jobs(
-            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
-            seed=self.seed, policy=self.policy or "complement", partner=self.partner or "both", human=self.human,
-            agents=self.agents,
-            spec=rules(human_speed=self.human_speed, max_steps=self.max_steps, spawn_distance=self.spawn_distance),
-        )  # fmt: skip
-
-    def _wander_jobs(self) -> Sequence[AnyJob]:
-        from h3data_pipelines.jobs.wander_jobs import AGENTS, STEPS, wander_jobs
-        from sim_kinematic.motion.spec import SocialNavSpec
-
-        for option, given in (("--policy", self.policy), ("--partner", self.partner)):
-            if given is not None:
-                raise InputError(f"{option} is for social_nav or rearrange: who wanders follows no policy.")
-        spec = SocialNavSpec(max_steps=STEPS)
-        if self.spawn_distance is not None:
-            spec = replace(spec, spawn_distance_m=self.spawn_distance)
-        return wander_jobs(
-            self.scenes, homes=self.homes, assets=self.assets, allow_missing=self.allow_missing, episodes=self.episodes,
-            seed=self.seed, agents=AGENTS if self.agents is None else self.agents, human=self.human,
-            spec=Changes(policy="", human_speed=self.human_speed, max_steps=self.max_steps).applied(spec),
-        )  # fmt: skip
+        return make_jobs(
+            choices,
+            self.scenes,
+            homes=self.homes,
+            assets=self.assets,
+            allow_missing=self.allow_missing,
+            episodes=self.episodes,
+            seed=self.seed,
+        )
 
     def _check_numbers(self) -> None:
         for name, value, least in (
@@ -274,3 +226,14 @@ class Generate:
         for name, is_given in given.items():
             if is_given:
                 raise InputError(f"{option} says where the episodes start: leave out --{name}.")
+
+
+def _rule(text: str) -> tuple[str, Any]:
+    """A field of the rules and its value, from ``NAME=VALUE`` with a value as in JSON or a bare word."""
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise InputError(f"Expected --rule NAME=VALUE, got {text!r}.")
+    try:
+        return name, json_module.loads(value)
+    except ValueError:
+        return name, value

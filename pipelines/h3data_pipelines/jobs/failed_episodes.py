@@ -15,7 +15,7 @@ from h3data.errors import H3DataError
 from h3data.recording import AssetRef, Body, Episode, Recording
 
 if TYPE_CHECKING:
-    from h3data_pipelines.jobs.episode_jobs import AnyJob
+    from h3data_pipelines.jobs.episodes import Job
 
 
 def reason_of(fault: Exception) -> str:
@@ -26,12 +26,12 @@ def reason_of(fault: Exception) -> str:
     return f"{type(fault).__name__}: {fault} ({Path(frame.filename).name}, line {frame.lineno})"
 
 
-def failed_recording(job: AnyJob, fault: Exception) -> Recording:
+def failed_recording(job: Job, fault: Exception) -> Recording:
     """The episode of a job that raised: no agents, no rows, the error in ``info["failed"]``."""
     name = f"h3data:failed:{json.dumps(job.to_json())}"
     return Recording(
         episode=Episode(
-            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, name)), episode_id=f"{job.index:06d}", task=job.task,
+            uid=str(uuid.uuid5(uuid.NAMESPACE_URL, name)), episode_id=f"{job.index:06d}", task=job.found_task.name,
             scene=job.scene, seed=job.seed, info={"failed": reason_of(fault)},
         ),
         columns={"time_ns": np.zeros(0, np.int64)},

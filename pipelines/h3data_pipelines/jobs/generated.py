@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.storage import AnyPath
-from h3data_pipelines.jobs.episode_jobs import AnyJob
+from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import is_failed
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def first_played(writer: DatasetWriter) -> Recording | None:
     return next((r for r in map(dataset.recording, range(len(dataset))) if not is_failed(r)), None)
 
 
-def whose(job: AnyJob) -> str:
+def whose(job: Job) -> str:
     """Which set or file the episodes are from."""
     origin = job.origin
     if origin is None:
@@ -82,7 +82,7 @@ def whose(job: AnyJob) -> str:
     return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
 
 
-def require_same_options(folder: AnyPath, jobs: Sequence[AnyJob]) -> None:
+def require_same_options(folder: AnyPath, jobs: Sequence[Job]) -> None:
     """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
     from h3data.recording import Dataset
 
@@ -102,8 +102,8 @@ def require_same_options(folder: AnyPath, jobs: Sequence[AnyJob]) -> None:
 def _differences(was: Mapping[str, Any], wanted: Mapping[str, Any], group: str = "") -> list[str]:
     """What of the options has changed, each as ``spec.max_steps was 30, is 60``."""
     found = []
-    for name, value in wanted.items():
-        before = was.get(name)
+    for name in dict.fromkeys((*wanted, *was)):
+        before, value = was.get(name), wanted.get(name)
         if isinstance(value, Mapping) and isinstance(before, Mapping):
             found += _differences(before, value, f"{group}{name}.")
         elif before != value:

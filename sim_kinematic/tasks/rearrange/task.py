@@ -75,6 +75,8 @@ class Rearrange(Task):
     name: ClassVar[str] = "rearrange"
     Spec: ClassVar[type[Any]] = RearrangeSpec
     batched: ClassVar[bool] = False
+    can_be_solo: ClassVar[bool] = True
+    crosses_partners: ClassVar[bool] = True
     clip_coded: ClassVar[bool] = False
     uses_common_policies: ClassVar[bool] = False
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": SKILLS, "human": SKILLS[:5]}
@@ -177,16 +179,19 @@ class Rearrange(Task):
             policy, plan = robot_policy(name, objects), ""
         return AssignedPolicy(policy, stamped(name), kind, plan)
 
-    def check_policy(self, kind: str, name: str, objects: int) -> None:
-        """Refuses the name of a policy that does not exist.
+    def check_policy(self, kind: str, name: str, spec: Any) -> None:
+        from sim_kinematic.policies.learned import is_learned
+        from sim_kinematic.policies.learned_chooser import learned_chooser
 
-        Raises:
-            InputError: it does not; the message lists what does.
-        """
-        if kind == "robot" and name not in PARTNERS:
-            robot_policy(name, objects)
-        elif name not in ROBOT_POLICIES:
-            partner_policy(name, 0, objects)
+        if is_learned(name):
+            learned_chooser(name, spec.objects, robot=kind == "robot")
+        elif name not in ROBOT_POLICIES and name not in PARTNERS:
+            super().check_policy(kind, name, spec)
+
+    def without_robots(self, episode: Episode, policy: str | None) -> Episode:
+        assert isinstance(episode, RearrangeEpisode)
+        people = [k for k, kind in enumerate(kinds_of(episode.roster)) if kind == "human"]
+        return episode.only(*people) if policy == SOLO else episode
 
     def play(self, episode: Episode, policies: Sequence[AssignedPolicy] = (), *, measure: bool = True) -> RearrangePlay:
         assert isinstance(episode, RearrangeEpisode)

@@ -1,0 +1,322 @@
+"""Episodes to simulate, one job each, of any task: from presets and scenes with a seed, from scene sets, from episode files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from h3data.errors import InputError
+from h3data.recording import Recording
+from h3data.scene.scene_sets import SceneSet, SceneSource
+
+if TYPE_CHECKING:
+    from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+    from sim_kinematic.tasks.task import Episode, Task
+
+ANY_BODY = "any"
+"""As the name of a body: each episode samples one of the built-in ones."""
+SOLO = "solo"
+"""As a policy: robots take no part."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to simulate: all that a worker needs to know."""
+
+    index: int
+    seed: int
+    scene: str
+    """Name on the command line."""
+    source: SceneSource
+    task: str
+    """Name or ``module:Class``."""
+    spec: Any
+    """The task's rules."""
+    policy: str | None = None
+    """Policies of robots; None: the task's default."""
+    partner: str | None = None
+    """Policies of people."""
+    agents: tuple[str, ...] | None = None
+    """Who is there (`sim_kinematic.agents.roster.make_roster`); None: the task's roster."""
+    human: str | None = None
+    """Body of people named by their kind; None: the episode's, else the default."""
+    robot: str | None = None
+    """Body of robots named by their kind."""
+    drawn_with: Any = None
+    """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes of them."""
+    stored: SocialNavEpisode | None = None
+    """Starts and goals from a file."""
+    origin: dict[str, Any] | None = None
+    """Which episode of which set or file it is; ends up in the recording."""
+
+    def to_json(self) -> dict[str, Any]:
+        """What decides the episode, as JSON gives it back; a stored one is known by its ``origin``. What is not set is left
+        out."""
+        apart = ("stored", "origin", "task")
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in apart}
+        return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
+
+    @cached_property
+    def found_task(self) -> Task:
+        """The task."""
+        from sim_kinematic.tasks.registry import find_task
+
+        return find_task(self.task)
+
+    def episode(self) -> Episode:
+        """Scene, starts and rules, ready to run."""
+        from h3data.habitat.scene_names import open_free_space, open_scene
+        from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+
+        task, spec = self.found_task, self.spec
+        scene = open_scene(self.source)
+        free = open_free_space(self.source, spec.agent_radius_m, spec.agent_height_m)
+        roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
+        stored = self.stored
+        if self.drawn_with is not None:
+            from sim_kinematic.tasks.social_nav_episodes import drawn_episode
+
+            stored = drawn_episode(self.source, seed=self.seed, spec=self.drawn_with)
+        if stored is not None:
+            from sim_kinematic.tasks.social_nav_episodes import episode_from
+
+            return episode_from(stored, scene, spec=spec, free=free, human=self.human, robot=self.robot)
+        return task.without_robots(task.sample(scene, free, self.seed, spec, roster), self.policy)
+
+    def record(self) -> Recording:
+        """Plays it."""
+        from sim_kinematic.tasks.runner import simulate
+
+        chosen = {"robot": None if self.policy == SOLO else self.policy, "human": self.partner}
+        return simulate(
+            self.found_task,
+            self.episode(),
+            {kind: name for kind, name in chosen.items() if name is not None},
+            episode_id=f"{self.index:06d}",
+        )
+
+
+# --- where they come from ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What the user asks for; None leaves it to the episode, or to the task."""
+
+    task: str
+    policy: str | None = None
+    partner: str | None = None
+    agents: tuple[str, ...] | None = None
+    human: str | None = None
+    robot: str | None = None
+    human_speed: float | None = None
+    max_steps: int | None = None
+    spawn_distance: float | None = None
+    rules: tuple[tuple[str, Any], ...] = ()
+    """Further fields of the task's rules, by name."""
+
+    @cached_property
+    def found_task(self) -> Task:
+        """The task."""
+        from sim_kinematic.tasks.registry import find_task
+
+        return find_task(self.task)
+
+    def spec(self, base: Any = None) -> Any:
+        """The rules: ``base`` (default: the task's) with what the user asks for."""
+        from sim_kinematic.tasks.task import with_options
+
+        base = self.found_task.default_spec() if base is None else base
+        return with_options(
+            base,
+            human_speed=self.human_speed,
+            max_steps=self.max_steps,
+            spawn_distance_m=self.spawn_distance,
+            **dict(self.rules),
+        )
+
+    def job(self, drawn: Draw, **more: Any) -> Job:
+        """The job of one sampled episode."""
+        given = {"spec": self.spec(), "human": self._human(drawn.seed), "agents": self._agents(drawn.seed), **more}
+        return Job(
+            drawn.index,
+            drawn.seed,
+            drawn.scene,
+            drawn.source,
+            self.task,
+            policy=self.policy,
+            partner=self.partner,
+            robot=self.robot,
+            origin=drawn.origin,
+            **given,
+        )
+
+    def _human(self, seed: int) -> str | None:
+        if self.found_task.bodies_in_agents:
+            return None
+        return sampled_body(seed) if self.human == ANY_BODY else self.human
+
+    def _agents(self, seed: int) -> tuple[str, ...] | None:
+        """The roster; of tasks that may have many people, with a body for each of them."""
+        from sim_kinematic.agents.roster import HUMAN_BODY
+
+        if not self.found_task.bodies_in_agents:
+            return self.agents
+        agents = self.agents or self.found_task.agents
+        if self.human == ANY_BODY:
+            return tuple(sampled_body(seed, k) if name == "human" else name for k, name in enumerate(agents))
+        return tuple((self.human or HUMAN_BODY) if name == "human" else name for name in agents)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One episode that is sampled from its seed, whatever the task."""
+
+    index: int
+    seed: int
+    scene: str
+    """Name on the command line."""
+    source: SceneSource
+    origin: dict[str, Any] | None = None
+    """Which episode of which set it is."""
+
+
+def make_jobs(
+    choices: Choices,
+    scenes: str,
+    *,
+    episodes: int | None,
+    seed: int,
+    homes: int = 4,
+    assets: Sequence[str | Path] = (),
+    allow_missing: bool = False,
+) -> list[Job]:
+    """Episodes in the scenes that ``scenes`` means: all of a set by default, else 10.
+
+    Raises:
+        InputError: no such task, scenes, agents or policy, or a set has fewer episodes; the message lists what there is.
+    """
+    from h3data.habitat.scene_names import named_scenes
+    from h3data.scene.scene_sets import find_scene_set
+    from sim_kinematic.motion.randomness import episode_seed
+
+    choices = checked(choices)
+    label, _, which = scenes.partition("#")
+    found = find_scene_set(label)
+    if found is not None:
+        chosen = replace(found, scenes=(found.entry(which),)) if "#" in scenes else found
+        drawn_with = choices.found_task.set_rules(chosen)
+        more = {} if drawn_with is None else {"drawn_with": drawn_with, "spec": choices.spec(drawn_with)}
+        return [choices.job(drawn, **more) for drawn in set_episodes(chosen, episodes=episodes, seed=seed)]
+    named = named_scenes(scenes, homes=homes, assets=assets, allow_missing=allow_missing)
+    places = [named[i % len(named)] for i in range(10 if episodes is None else episodes)]
+    return [choices.job(Draw(i, episode_seed(seed, i), place.name, place.source)) for i, place in enumerate(places)]
+
+
+def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterator[Draw]:
+    """The first ``episodes`` episodes of a set; with another ``seed`` than 0, others."""
+    for i in range(chosen_count(episodes, scenes.episodes, scenes.label)):
+        entry, index = scenes.place(i)
+        origin = {
+            "set": scenes.name,
+            "split": scenes.split,
+            "scene": entry.id,
+            "episode": index,
+            "seed": seed,
+            "sha256": scenes.sha256,
+        }
+        drawn = scenes.episode_seed(entry.id, index, seed=seed)
+        yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
+
+
+def file_jobs(choices: Choices, path: Path, *, episodes: int | None) -> list[Job]:
+    """The first ``episodes`` episodes of a Habitat episode file that carries starts and goals of ours.
+
+    Raises:
+        FormatError: damaged. InputError: it has no starts and goals. SceneError: a scene is not found.
+    """
+    from h3data.habitat.episodes.episode_files import read_episodes
+    from h3data.habitat.episodes.episode_scenes import scene_of_episode
+    from h3data.habitat.episodes.social_nav_episodes import read_social_nav
+    from sim_kinematic.tasks.social_nav_episodes import rules_of
+
+    choices = checked(choices)
+    there = read_episodes(path).episodes
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    jobs = []
+    for i, episode in enumerate(there[: chosen_count(episodes, len(there), path.name)]):
+        stored = read_social_nav(episode)
+        if stored is None:
+            raise InputError(
+                f"Episode {episode.episode_id!r} says neither where robot and person start nor where she walks, as "
+                f"Habitat's own files do not. Expected one that h3data wrote (h3data scenes export): {path}"
+            )
+        origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(episode.episode_id)}
+        drawn = Draw(i, stored.seed, episode.scene_id, scene_of_episode(episode, stored, path.parent), origin)
+        jobs.append(choices.job(drawn, spec=choices.spec(rules_of(stored)), stored=stored))
+    return jobs
+
+
+def checked(choices: Choices) -> Choices:
+    """The choices with learned policies by the digest of their weights, after a look at all names.
+
+    Raises:
+        InputError: no such task, agents, policy or body.
+    """
+    from h3data.bodies import load_humanoid
+    from sim_kinematic.agents.roster import kinds_of, make_roster
+    from sim_kinematic.policies.learned import stamped
+    from sim_kinematic.policies.policy import each_of
+
+    task, spec = choices.found_task, choices.spec()
+    if choices.human not in (None, ANY_BODY):
+        load_humanoid(choices.human)
+    human = None if choices.human == ANY_BODY else choices.human
+    bodies = {name: body for name, body in (("robot", choices.robot), ("human", human)) if body is not None}
+    roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
+    kinds = kinds_of(roster)
+    named = {"robot": choices.policy, "human": choices.partner}
+    for kind, option in (("robot", "--policy"), ("human", "--partner")):
+        names = named[kind]
+        if names is None or (kind, names) == ("robot", SOLO):
+            continue
+        if kind not in kinds:
+            who = ",".join(choices.agents or task.agents)
+            raise InputError(f"{option} {names} is for a {kind}, but there is none in --agents {who}.")
+        named[kind] = ",".join(map(stamped, names.split(",")))
+        for name in each_of(names, kinds.count(kind), kind):
+            task.check_policy(kind, name.strip(), spec)
+    if choices.policy == SOLO and ("human" not in kinds or not task.can_be_solo):
+        raise InputError(
+            f"The policy {SOLO} leaves robots away, so somebody else must be there. Expected a person in --agents."
+            if task.can_be_solo
+            else f"{task.name} needs a robot: the policy {SOLO} is for rearrange."
+        )
+    return replace(
+        choices,
+        policy=named["robot"] or task.recorded_default("robot"),
+        partner=named["human"] or task.recorded_default("human"),
+    )
+
+
+def sampled_body(seed: int, person: int = 0) -> str:
+    """The built-in body that an episode samples for one of its people."""
+    from h3data.bodies import humanoid_names
+    from sim_kinematic.motion.randomness import generator
+
+    names = humanoid_names()
+    return names[int(generator(seed, "body", world=person).integers(len(names)))]
+
+
+def chosen_count(wanted: int | None, there: int, label: str) -> int:
+    """How many of the episodes that exist: all of them, or as many as are wanted."""
+    if there < 1:
+        raise InputError(f"There are no episodes in {label}.")
+    if wanted is not None and wanted > there:
+        raise InputError(f"--episodes must be at most {there}, which is all of {label}; got {wanted}.")
+    return there if wanted is None else wanted

@@ -1,0 +1,103 @@
+"""Policies, each with every partner, in the same episodes: one job for an episode, of any task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from h3data.errors import InputError, did_you_mean
+from h3data_pipelines.jobs.episodes import Job
+from h3data_pipelines.jobs.failed_episodes import reason_of
+
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One episode for all pairs of a policy and a partner."""
+
+    base: Job
+    policies: tuple[str, ...]
+    partners: tuple[str, ...] = ()
+    """Empty: people follow the task's default."""
+
+    def to_json(self) -> dict[str, Any]:
+        """What decides the results."""
+        fields = self.base.to_json()
+        fields.pop("policy", None)
+        fields.pop("partner", None)
+        asked: dict[str, Any] = {"episode": fields, "policies": list(self.policies)}
+        return {**asked, "partners": list(self.partners)} if self.partners else asked
+
+
+def play_evaluation(job: Evaluation) -> dict[str, Any]:
+    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed."""
+    from h3data.metrics import measure
+    from sim_kinematic.tasks.runner import simulate
+
+    rows: list[dict[str, Any]] = []
+    failed: list[str] = []
+    try:
+        task, episode = job.base.found_task, job.base.episode()
+    except Exception as fault:
+        return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
+    for policy in job.policies:
+        played: dict[str, dict[str, Any]] = {}  # partners with one plan do the same
+        for partner in job.partners or (None,):
+            chosen = {"robot": policy, **({} if partner is None else {"human": partner})}
+            try:
+                plan = _plan(task, episode, partner)
+                if plan not in played:
+                    recording = simulate(task, episode, {**chosen, **({"human": plan} if plan else {})})
+                    measured = measure(recording)
+                    info = recording.episode.info
+                    played[plan] = {
+                        "policy": policy,
+                        "values": {name: None if v != v else v for name, v in measured.values.items()},
+                        "set_up": measured.set_up,
+                        "ended": info.get("ended"),
+                        "state_hash": str(recording.columns["state_hash"][-1]) if len(recording) else "",
+                    }
+                    if "solo_steps" in info:
+                        played[plan] |= {"plan": plan, "solo_steps": info["solo_steps"]}
+                row = {"index": job.base.index, **played[plan]}
+                rows.append(row if partner is None else {**row, "partner": partner})
+            except Exception as fault:
+                pair = policy if partner is None else f"{policy} with {partner}"
+                failed.append(f"{pair}: {reason_of(fault)}")
+    return {"job": job.to_json(), "rows": rows, "failed": failed}
+
+
+def _plan(task: Any, episode: Any, partner: str | None) -> str:
+    """The name by which a partner plays this episode: the plan of one that follows a plan."""
+    if partner is None:
+        return ""
+    people = [k for k, member in enumerate(episode.roster) if member.kind == "human"]
+    assigned = task.named_policy(episode, people[0], partner) if len(people) == 1 else None
+    return assigned.plan if assigned is not None and assigned.plan else partner
+
+
+def chosen_names(option: str, text: str, there: Sequence[str]) -> tuple[str, ...]:
+    """Names from a list with commas between, ``all`` meaning all of them; learned ones by the digest of their weights.
+
+    Raises:
+        InputError: one is unknown, or there is none.
+    """
+    from sim_kinematic.policies.learned import stamped
+
+    names = tuple(there) if text == ALL else tuple(dict.fromkeys(filter(None, (n.strip() for n in text.split(",")))))
+    strangers = [name for name in names if name not in there and ":" not in name]
+    if strangers or not names:
+        near = did_you_mean(strangers[0], there) if strangers else ""
+        raise InputError(
+            f"{option}: expected some of {', '.join(there)}, weights:FILE, module:name, or all; got "
+            f"{', '.join(strangers) or 'none'}.{near}"
+        )
+    return tuple(map(stamped, names))
+
+
+def mean_solo_steps(rows: Sequence[Mapping[str, Any]]) -> float:
+    """Mean steps of the person alone over the episodes; NaN where nobody was alone."""
+    steps = {row["index"]: row["solo_steps"] for row in rows if "solo_steps" in row}
+    return sum(steps.values()) / len(steps) if steps else float("nan")
