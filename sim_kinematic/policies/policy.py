@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,9 @@ from h3data.geometry import Array
 from h3data.plugins import Registry
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
-
-if TYPE_CHECKING:
-    from sim_kinematic.tasks.task import Episode, Task
 
 
 # --- choices ----------------------------------------------------------------------------------------------------------
@@ -92,6 +90,25 @@ class AgentView(NamedTuple):
         return float(self.places[self.agent, 2])
 
 
+class Episode(Protocol):
+    """What making a policy needs to know of `sim_kinematic.tasks.task.Episode`."""
+
+    free: FreeSpace
+    seed: int
+    spec: Any
+    roster: tuple[AgentSpec, ...]
+
+
+class Task(Protocol):
+    """What making a policy needs to know of `sim_kinematic.tasks.task.Task`."""
+
+    policies: Mapping[str, Mapping[str, Any]]
+    defaults: Mapping[str, str]
+    uses_common_policies: bool
+
+    def named_policy(self, episode: Any, number: int, name: str) -> AssignedPolicy | None: ...
+
+
 # --- the protocol -----------------------------------------------------------------------------------------------------
 @runtime_checkable
 class Policy(Protocol):
@@ -158,7 +175,7 @@ def _wander(task: Task, episode: Episode, number: int) -> Policy:
     return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human, number)
 
 
-Factory = Callable[["Task", "Episode", int], Policy]
+Factory = Callable[[Task, Episode, int], Policy]
 COMMON: Mapping[str, Mapping[str, Factory]] = {
     "robot": {"wander": _wander, "still": lambda *_: Still()},
     "human": {"waypoints": _waypoints, "wander": _wander, "still": lambda *_: Still()},

@@ -33,7 +33,7 @@ from h3data.replay import Replay
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 STEPS = np.array([0, 20, 59])
 
@@ -41,7 +41,7 @@ STEPS = np.array([0, 20, 59])
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     spec = SocialNavSpec(max_steps=60, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
-    return simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
+    return simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
 
 
 @pytest.fixture(scope="module")

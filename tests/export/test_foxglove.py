@@ -18,6 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from tests.simulated import simulate_social_nav, social_nav_episode
+
 pytest.importorskip("mcap_protobuf", reason='needs the extra: pip install "h3data[foxglove]"')
 pytest.importorskip("foxglove_schemas_protobuf", reason='needs the extra: pip install "h3data[foxglove]"')
 
@@ -33,7 +35,6 @@ from h3data.render import pinhole
 from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 from tests.export.foxglove_file import TURN, File, matrix, nanoseconds
 
 STEPS = 45
@@ -73,7 +74,7 @@ def boxes() -> Recording:
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     scene = build_home(HomeSpec(preset="small", seed=2))
-    return simulate_social_nav(SocialNavWorld.create(scene, seed=2, spec=SocialNavSpec(max_steps=STEPS)))
+    return simulate_social_nav(social_nav_episode(scene, seed=2, spec=SocialNavSpec(max_steps=STEPS)))
 
 
 @pytest.fixture(scope="module")

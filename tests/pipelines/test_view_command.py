@@ -19,7 +19,7 @@ from h3data_viewers import write_rrd
 from h3data_viewers.rerun.mesh_detail import thin_mesh
 from h3data_viewers.rerun.rerun_bodies import SKIN_VERTICES
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 from tests.viewers.rerun_file import File
 
 pytest.importorskip("rerun")
@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _episode(seed: int, steps: int) -> Recording:
     scene = build_home(HomeSpec(preset="small", seed=seed))
-    return simulate_social_nav(SocialNavWorld.create(scene, seed=seed, spec=SocialNavSpec(max_steps=steps)))
+    return simulate_social_nav(social_nav_episode(scene, seed=seed, spec=SocialNavSpec(max_steps=steps)))
 
 
 @pytest.fixture(scope="module")

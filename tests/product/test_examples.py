@@ -8,15 +8,15 @@ import pytest
 
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 from tests.paths import EXAMPLES
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 
 def test_draw_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from h3data.recording import write_mcap
 
     spec = SocialNavSpec(max_steps=20, spawn_distance_m=3.0)
-    recording = simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=1, spec=spec))
+    recording = simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=1)), seed=1, spec=spec))
     write_mcap(recording, tmp_path / "e.mcap")
     monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "e.mcap"), str(tmp_path / "p.png")])
     runpy.run_path(str(EXAMPLES / "draw_a_recording.py"))
@@ -70,7 +70,7 @@ def test_behaviour_cloning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     spec = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
     with DatasetWriter(tmp_path / "ds") as writer:
         for seed in range(2):
-            world = SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=seed, spec=spec)
+            world = social_nav_episode(build_home(HomeSpec(seed=1)), seed=seed, spec=spec)
             writer.add(simulate_social_nav(world))
     monkeypatch.setattr(sys, "argv", ["x", str(tmp_path / "ds"), "3"])
     runpy.run_path(str(EXAMPLES / "behaviour_cloning.py"))

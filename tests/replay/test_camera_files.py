@@ -16,7 +16,7 @@ from h3data.render import OPENGL_TO_OPENCV, look_at
 from h3data.replay import Replay, camera_names, camera_track
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 STEPS = 60
 
@@ -24,7 +24,7 @@ STEPS = 60
 @pytest.fixture(scope="module")
 def replay() -> Replay:
     spec = SocialNavSpec(max_steps=STEPS, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
-    recording: Recording = simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
+    recording: Recording = simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
     return Replay(recording)
 
 

@@ -12,13 +12,13 @@ from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import Replay, camera_names, camera_track, links
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     spec = SocialNavSpec(max_steps=200, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
-    return simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
+    return simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=2)), seed=2, spec=spec))
 
 
 @pytest.fixture(scope="module")

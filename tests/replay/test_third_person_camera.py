@@ -17,7 +17,7 @@ from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import CameraTrack, Replay, camera_at, camera_track
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 FASTER_MPS = 5.5
 """The camera moves at most so much faster than the agent."""
@@ -48,7 +48,7 @@ def speed_past_agent(replay: Replay) -> float:
 @pytest.mark.parametrize("seed", range(10))
 def test_the_agent_is_seen_in_generated_homes(seed: int) -> None:
     spec = SocialNavSpec(max_steps=150, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=1.0))
-    replay = Replay(simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
+    replay = Replay(simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=seed)), seed=seed, spec=spec)))
     assert (seen_px(replay, 3) > SEEN_PX).mean() > 0.99
     assert speed_past_agent(replay) < FASTER_MPS
 
@@ -86,7 +86,7 @@ def box(name: str, center: tuple[float, float, float], size: tuple[float, float,
 def robot_among(bodies: tuple[Body, ...], way: np.ndarray) -> Replay:
     """A robot, drawn by its model, at rest on the floor points ``way`` [T, 2] among boxes."""
     still = simulate_social_nav(
-        SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=len(way)))
+        social_nav_episode(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=len(way)))
     )
     columns = {name: still.columns[name] for name in ("time_ns", "agent_0.joint_pos")}
     base = np.zeros((len(way), 7), np.float32)

@@ -21,14 +21,14 @@ from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 from tests.recording.strategies import random_bits, recordings
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 
 @pytest.fixture(scope="module")
 def episode() -> Recording:
     spec = SocialNavSpec(max_steps=120, human=WalkerSpec(speed_mps=1.2))
-    return simulate_social_nav(SocialNavWorld.create(build_home(HomeSpec(seed=1)), seed=5, spec=spec))
+    return simulate_social_nav(social_nav_episode(build_home(HomeSpec(seed=1)), seed=5, spec=spec))
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int = 0) -> Any:

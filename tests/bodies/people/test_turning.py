@@ -18,7 +18,7 @@ from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.motion.step import walk_humans
-from sim_kinematic.tasks.wander import simulate_wander
+from tests.simulated import simulate_wander
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from h3data.bodies import Robot, load_robot
 from h3data.bodies.robots.trot import leg_angles, legs_are_posed, trot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, heading_direction
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 LIFTED_M = 1e-4
 
@@ -131,12 +132,9 @@ def test_replay_lets_the_legs_step_and_nothing_else() -> None:
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
-    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
     spec = SocialNavSpec(max_steps=40, end_on_collision=False)
-    recording = simulate_social_nav(
-        SocialNavWorld.create(build_home(HomeSpec(preset="small", seed=1)), seed=3, spec=spec)
-    )
+    recording = simulate_social_nav(social_nav_episode(build_home(HomeSpec(preset="small", seed=1)), seed=3, spec=spec))
     robot = load_robot("quad_arm")
     posed = robot.link_matrices(recording.agent_column(0, "base_pose"), recording.agent_column(0, "joint_pos"))
     np.testing.assert_allclose(Replay(recording, stepping=False).link_matrices(0), posed, atol=1e-5)

@@ -21,9 +21,8 @@ from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.tasks.social_nav_episodes import episode_of, rules_of
-from sim_kinematic.tasks.wander import simulate_wander
+from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 RULES = ArmRoomSpec()
 SHOULDERS = [JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]]
@@ -132,7 +131,7 @@ def test_aside_has_the_room_asked_for_or_the_most_there_is(free: FreeSpace) -> N
 # --- whole episodes -----------------------------------------------------------------------------------------------------
 def walked(home: Scene, free: FreeSpace, walker: WalkerSpec, steps: int = 500):
     spec = SocialNavSpec(max_steps=steps, human=walker, end_on_collision=False)
-    world = SocialNavWorld.create(home, seed=4, spec=spec, free=free, human="male_1")
+    world = social_nav_episode(home, seed=4, spec=spec, free=free, human="male_1")
     return world, simulate_social_nav(world, policy="stand_still")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
+from sim_kinematic.tasks.rearrange.simulate import minds_of
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
@@ -24,10 +24,10 @@ from sim_kinematic.contact.clearance import RobotHumanContact
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
-from sim_kinematic.tasks.wander import simulate_wander
 from sim_kinematic.world import AgentWorlds
+from tests.simulated import rearrange_episode, simulate_rearrange, simulate_wander
 
 MIXES = ("robot", "human", "robot,robot", "human,male_1", "robot,human", "robot,lift_arm,human,female_2")
 CLOSE = SocialNavSpec(spawn_distance_m=1.2)
@@ -44,9 +44,9 @@ def free(home: Scene) -> FreeSpace:
 
 
 @pytest.fixture(scope="module")
-def drawn(home: Scene, free: FreeSpace) -> RearrangeWorld:
+def drawn(home: Scene, free: FreeSpace) -> RearrangeEpisode:
     """An episode of rearrangement for whoever plays it."""
-    return RearrangeWorld.create(home, seed=3, free=free)
+    return rearrange_episode(home, seed=3, free=free)
 
 
 def random_actions(worlds: AgentWorlds, rng: np.random.Generator) -> list[np.ndarray]:
@@ -223,7 +223,7 @@ def test_everybody_wanders(home: Scene, free: FreeSpace, agents: str, tmp_path: 
     ],
 )  # fmt: skip
 def test_any_agents_rearrange(
-    drawn: RearrangeWorld, free: FreeSpace, agents: str, policy: str, partner: str, tmp_path: Any
+    drawn: RearrangeEpisode, free: FreeSpace, agents: str, policy: str, partner: str, tmp_path: Any
 ) -> None:
     world = drawn.played_by(agents)
     recording = simulate_rearrange(world, policy=policy, partner=partner, solo_steps=700)
@@ -235,27 +235,27 @@ def test_any_agents_rearrange(
     assert measure(recording).values["TS"] == len(recording) or recording.episode.info["ended"] != "success"
 
 
-def test_the_same_seed_gives_the_same_bits(home: Scene, free: FreeSpace, drawn: RearrangeWorld) -> None:
-    other = RearrangeWorld.create(home, seed=3, free=free, agents="robot,robot")
+def test_the_same_seed_gives_the_same_bits(home: Scene, free: FreeSpace, drawn: RearrangeEpisode) -> None:
+    other = rearrange_episode(home, seed=3, free=free, agents="robot,robot")
     world = drawn.played_by("robot,robot")
     for one, two in zip(other.targets, world.targets, strict=True):
         np.testing.assert_array_equal(one.goal, two.goal)
-    np.testing.assert_array_equal(other.places, world.places)
-    np.testing.assert_array_equal(world.places[0, :2], drawn.starts.robot_xz)
+    np.testing.assert_array_equal(other.places, world.starts)
+    np.testing.assert_array_equal(world.starts[0, :2], drawn.starts.robot_xz)
     hashes = [
         simulate_rearrange(one, policy="greedy_nearest", solo_steps=700).columns["state_hash"] for one in (world, other)
     ]
     np.testing.assert_array_equal(*hashes)
 
 
-def test_a_person_alone_is_the_solo_episode(drawn: RearrangeWorld) -> None:
+def test_a_person_alone_is_the_solo_episode(drawn: RearrangeEpisode) -> None:
     alone = simulate_rearrange(drawn.played_by("human"), partner="object_1", solo_steps=700)
     solo = simulate_rearrange(drawn, policy="solo", partner="object_1", solo_steps=700)
     assert alone.episode == solo.episode
     np.testing.assert_array_equal(alone.columns["state_hash"], solo.columns["state_hash"])
 
 
-def test_everybody_needs_a_policy(drawn: RearrangeWorld) -> None:
+def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
     world = drawn.played_by("robot,robot")
     with pytest.raises(InputError, match="2 in all"):
         simulate_rearrange(world, policy="complement,both,still")

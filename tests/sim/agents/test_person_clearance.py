@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.bodies import load_humanoid
 from h3data.bodies.people.reach import reacher
@@ -23,7 +22,8 @@ from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from tests.simulated import rearrange_episode, simulate_rearrange
 
 DEEPEST_M = TOLERANCE_M + 0.01
 """In recorded episodes: a little more between the frames that are looked at."""
@@ -35,8 +35,8 @@ def home() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def world(home: Scene) -> RearrangeWorld:
-    return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25, cache=False))
+def world(home: Scene) -> RearrangeEpisode:
+    return rearrange_episode(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25, cache=False))
 
 
 def parts_inside(recording: Recording, scene: Scene, *, deeper_than_m: float) -> set[tuple[str, str]]:
@@ -57,8 +57,8 @@ def parts_inside(recording: Recording, scene: Scene, *, deeper_than_m: float) ->
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_in_recorded_episodes_her_body_keeps_out_of_the_home(home: Scene, world: RearrangeWorld, seed: int) -> None:
-    played = world if seed == world.seed else RearrangeWorld.create(home, seed=seed, free=world.free)
+def test_in_recorded_episodes_her_body_keeps_out_of_the_home(home: Scene, world: RearrangeEpisode, seed: int) -> None:
+    played = world if seed == world.seed else rearrange_episode(home, seed=seed, free=world.free)
     recording = simulate_rearrange(played, policy="solo", partner="both", solo_steps=1)
     assert recording.episode.info["ended"] == "success"
     supports = {place.partition("|")[0] for t in played.targets for place in (t.source, t.destination)}
@@ -81,7 +81,7 @@ def test_in_many_homes_her_body_keeps_out(capsys: pytest.CaptureFixture[str]) ->
         assert {part for part, _ in inside} <= {*REACHING_PARTS["right"], *REACHING_PARTS["left"]}
 
 
-def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeWorld) -> None:
+def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeEpisode) -> None:
     body, free = world.human, world.free
     point = world.targets[0].start[:3]
     room = ReachRoom(home, body, free.floor_y)
@@ -98,9 +98,9 @@ def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeWorl
     again = ReachRoom(home, body, free.floor_y)  # what it was asked before does not matter
     order = np.random.default_rng(0).permutation(len(stands))
     np.testing.assert_array_equal([again.is_clear(stands[k], point) for k in order], clear[order])
-    k, _ = nearest_stand(free, stands, world.starts.human_xz, is_clear=lambda s: room.is_clear(s, point))
+    k, _ = nearest_stand(free, stands, world.starts[1, :2], is_clear=lambda s: room.is_clear(s, point))
     assert clear[k]
-    assert nearest_stand(free, stands, world.starts.human_xz, is_clear=lambda s: False) == (-1, np.inf)
+    assert nearest_stand(free, stands, world.starts[1, :2], is_clear=lambda s: False) == (-1, np.inf)
 
 
 def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
@@ -129,7 +129,7 @@ class NoRoom(ReachRoom):
         return False
 
 
-def test_without_room_the_skill_fails_and_says_so(world: RearrangeWorld) -> None:
+def test_without_room_the_skill_fails_and_says_so(world: RearrangeEpisode) -> None:
     state = WorldState.zeros(1, objects=2)
     state.object_pose[0] = [t.start for t in world.targets]
     objects = Objects(tuple(t.name for t in world.targets), np.array([t.goal for t in world.targets]), state)
@@ -151,7 +151,7 @@ def test_without_room_the_skill_fails_and_says_so(world: RearrangeWorld) -> None
         assert ending(actor.start(Action("nav_to_goal", 0))).reason == reason
 
 
-def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeWorld) -> None:
+def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> None:
     """Where only her left side has room she walks to a stand of the left hand, takes it and puts it down with that hand."""
 
     class OnlyLeft(ReachRoom):
@@ -163,7 +163,7 @@ def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeWorld) -> Non
     state = WorldState.zeros(1, objects=2)
     state.object_pose[0] = [t.start for t in world.targets]
     objects = Objects(tuple(t.name for t in world.targets), np.array([t.goal for t in world.targets]), state)
-    start = ground_pose(world.starts.human_xz, world.starts.human_heading, world.free.floor_y)
+    start = ground_pose(world.starts[1, :2], world.starts.human_heading, world.free.floor_y)
     person = Person(world.human, start, dict(zip(objects.names, objects.poses, strict=True)))
     actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, OnlyLeft())
     for name in ("nav_to_object", "pick"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
@@ -16,7 +15,8 @@ from sim_kinematic.agents.skills import Action, Objects
 from sim_kinematic.agents.stands import ROBOT_DISTANCES_M, robot_stands
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
+from tests.simulated import rearrange_episode, simulate_rearrange
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +25,8 @@ def home() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def world(home: Scene) -> RearrangeWorld:
-    return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25, cache=False))
+def world(home: Scene) -> RearrangeEpisode:
+    return rearrange_episode(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25, cache=False))
 
 
 def behind_walls(free: FreeSpace, way: ArmClearance, height: float) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +57,7 @@ def inside_boxes(scene: Scene, points: np.ndarray) -> bool:
     return False
 
 
-def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, world: RearrangeWorld) -> None:
+def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, world: RearrangeEpisode) -> None:
     robot, free = world.robot, world.free
     way = arm_clearance(home, robot, free.floor_y)
     rng = np.random.default_rng(1)
@@ -80,7 +80,7 @@ def test_what_is_open_is_what_no_box_of_the_home_is_in_the_way_of(home: Scene, w
     assert min(found.values()) > 10
 
 
-def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeWorld) -> None:
+def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeEpisode) -> None:
     body, free = load_robot("quad_arm"), world.free
     way = arm_clearance(home, body, free.floor_y)
     stand, point = behind_walls(free, way, 0.9)
@@ -99,9 +99,9 @@ def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeWor
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_episodes_are_picked_and_placed_on_the_same_side(home: Scene, world: RearrangeWorld, seed: int) -> None:
-    played = world if seed == world.seed else RearrangeWorld.create(home, seed=seed, free=world.free)
-    way = arm_clearance(home, played.robot, played.free.floor_y)
+def test_episodes_are_picked_and_placed_on_the_same_side(home: Scene, world: RearrangeEpisode, seed: int) -> None:
+    played = world if seed == world.seed else rearrange_episode(home, seed=seed, free=world.free)
+    way = arm_way(home, played.robot, played.free.floor_y)
     for target in played.targets:
         for point in (target.start[:3], target.goal):
             stands = robot_stands(played.free, played.robot, played.spec.robot, point)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from sim_kinematic.tasks.rearrange.simulate import minds_of, simulate_rearrange
+from sim_kinematic.tasks.rearrange.simulate import minds_of
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
@@ -24,8 +24,9 @@ from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, discs_of, in_the_way, path_around
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from tests.simulated import rearrange_episode, simulate_rearrange
 
 
 @pytest.fixture(scope="module")
@@ -277,7 +278,7 @@ def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSp
 )
 def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed: int, steps: int) -> None:
     spec = RearrangeSpec(max_steps=750)
-    world = RearrangeWorld.create(home, seed=seed, free=free, agents=agents, spec=spec)
+    world = rearrange_episode(home, seed=seed, free=free, agents=agents, spec=spec)
     world = replace(world, spec=replace(spec, max_steps=steps))
     made = simulate_rearrange(world, policy="complement", partner="both", solo_steps=1)
     assert not made.columns["metrics.collision"].any()
@@ -287,14 +288,14 @@ def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed:
 def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None:
     """Somebody who does nothing stands in the narrowest place of the other's way, and somebody else looks on."""
     spec = RearrangeSpec(max_steps=1000)  # with nobody in her way she needs 870
-    world = RearrangeWorld.create(home, seed=3, free=free, agents="human,male_1,female_2", spec=spec)
+    world = rearrange_episode(home, seed=3, free=free, agents="human,male_1,female_2", spec=spec)
     points = [point[[0, 2]] for target in world.targets for point in (target.start, target.goal)]
-    paths = [free.path(world.places[0, :2], point, max_snap_m=2.0) for point in points]
+    paths = [free.path(world.starts[0, :2], point, max_snap_m=2.0) for point in points]
     path = max(paths, key=lambda way: float(np.hypot(*np.diff(way, axis=0).T).sum()))
     dots = np.concatenate([np.linspace(p, q, 30) for p, q in pairwise(path)])
     inner = dots[(np.hypot(*(dots - path[0]).T) > 1.0) & (np.hypot(*(dots - path[-1]).T) > 1.0)]
     narrow = inner[int(np.argmin(free.signed_distance(inner)))]
-    places = world.places.copy()
+    places = world.starts.copy()
     places[1, :2] = narrow
     world = replace(world, places=places)
     minds = minds_of(("human",) * 3, "", "both,still,still", seed=world.seed)

@@ -14,7 +14,6 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 from sim_kinematic.envs.rearrange_env import RearrangeEnv
 from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
 from sim_kinematic.tasks.rearrange.session import RearrangeSession
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 import h3data
 from h3data.errors import InputError
@@ -27,6 +26,7 @@ from sim_kinematic.policies.rearrange import planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from tests.simulated import simulate_rearrange
 
 HOME = "small:1"
 OF_ROBOT = (*SENSES, "arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "back_rgb")

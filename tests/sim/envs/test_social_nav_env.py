@@ -25,7 +25,7 @@ from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.social_nav import Command, View, heuristic_expert
 from sim_kinematic.sensing.agent_pictures import DETECTORS
-from sim_kinematic.tasks.social_nav import simulate_social_nav
+from tests.simulated import simulate_social_nav
 
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)

@@ -16,7 +16,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sim_kinematic.envs.social_nav_env import SocialNavEnv
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 from torch import nn
 
 import h3data
@@ -30,9 +29,9 @@ from sim_kinematic.policies.learned_chooser import chooser_input
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.policies.rearrange import Chooser, TaskView, robot_policy
 from sim_kinematic.policies.social_nav import Command, View, policy_by_name
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import verify
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import rearrange_episode, simulate_rearrange, simulate_social_nav, social_nav_episode
 
 NAMES = ("humanoid_gps", "egomotion")
 CHOOSER_INPUTS = ("holds", "at_goal", "last_done")
@@ -211,7 +210,7 @@ def test_it_is_shown_what_the_training_environment_shows() -> None:
 
 def test_by_name_it_drives_and_comes_out_again(weights: Path) -> None:
     home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
-    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=40, spawn_distance_m=3.0))
+    world = social_nav_episode(home, seed=2, spec=SocialNavSpec(max_steps=40, spawn_distance_m=3.0))
     named = simulate_social_nav(world, policy=f"weights:{weights}")
     given_ = simulate_social_nav(world, policy=LearnedNavigation(small_network()))
     np.testing.assert_array_equal(named.columns["state_hash"], given_.columns["state_hash"])
@@ -221,7 +220,7 @@ def test_by_name_it_drives_and_comes_out_again(weights: Path) -> None:
 
 def test_the_weights_that_come_with_the_package_find_and_follow() -> None:
     home = h3data.build_home(h3data.HomeSpec(preset="small", seed=7))
-    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=300, spawn_distance_m=3.0))
+    world = social_nav_episode(home, seed=2, spec=SocialNavSpec(max_steps=300, spawn_distance_m=3.0))
     recording = simulate_social_nav(world, policy="learned_follower")
     assert recording.episode.info["policy"] == "learned_follower"
     assert any(event.kind == "found" for event in recording.events)
@@ -258,7 +257,7 @@ def test_networks_for_something_else_are_refused(tmp_path: Path, change: dict, m
 def test_inputs_of_another_length_are_told(tmp_path: Path) -> None:
     np.savez(tmp_path / "x.npz", **other_arrays(observations=["humanoid_gps"]))
     home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
-    world = SocialNavWorld.create(home, seed=2, spec=SocialNavSpec(max_steps=4, spawn_distance_m=3.0))
+    world = social_nav_episode(home, seed=2, spec=SocialNavSpec(max_steps=4, spawn_distance_m=3.0))
     with pytest.raises(InputError, match=r"takes 5 numbers.*\[2\]"):
         simulate_social_nav(world, policy=f"weights:{tmp_path / 'x.npz'}")
 
@@ -275,12 +274,12 @@ def test_the_command_takes_weights(tmp_path: Path, weights: Path, capsys: pytest
 
 # --- rearrangement ------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
-def task_world() -> RearrangeWorld:
+def task_world() -> RearrangeEpisode:
     home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
-    return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home))
+    return rearrange_episode(home, seed=3, free=FreeSpace.from_scene(home))
 
 
-def copied_chooser(world: RearrangeWorld) -> Network:
+def copied_chooser(world: RearrangeEpisode) -> Network:
     """One layer that follows what the greedy robot does by `last_done`: next comes what came next then."""
     known = choices(len(world.targets))
     rows: list[tuple[np.ndarray, int]] = []
@@ -304,7 +303,7 @@ def copied_chooser(world: RearrangeWorld) -> Network:
     )  # fmt: skip
 
 
-def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: RearrangeWorld) -> None:
+def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: RearrangeEpisode) -> None:
     save_network(copied_chooser(task_world), tmp_path / "chooser.npz")
     policy = f"weights:{tmp_path / 'chooser.npz'}"
     recording = simulate_rearrange(task_world, policy=policy, partner="still", solo_steps=1)
@@ -314,7 +313,7 @@ def test_a_chooser_from_a_file_does_the_task(tmp_path: Path, task_world: Rearran
     assert done[:4] == ["nav_to_object", "pick", "nav_to_goal", "place"]
 
 
-def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: RearrangeWorld, weights: Path) -> None:
+def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: RearrangeEpisode, weights: Path) -> None:
     good = copied_chooser(task_world)
     save_network(good, tmp_path / "robot.npz")
     for policy, partner, message in (
@@ -329,7 +328,7 @@ def test_choosers_that_do_not_fit_are_refused(tmp_path: Path, task_world: Rearra
 
 
 def test_the_commands_take_choosers(
-    tmp_path: Path, task_world: RearrangeWorld, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, task_world: RearrangeEpisode, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_network(copied_chooser(task_world), tmp_path / "c.npz")
     common = ["rearrange", "--scenes", "small:1", "--episodes", "1"]

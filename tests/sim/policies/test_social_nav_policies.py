@@ -19,7 +19,8 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
 from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, View, future_oracle, heuristic_expert
-from sim_kinematic.tasks.social_nav import SocialNavWorld, plan_of, simulate_social_nav
+from sim_kinematic.tasks.social_nav import plan_of
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 SPEC = BaseSpec()
 MIRROR = np.array([1.0, -1.0])
@@ -154,7 +155,7 @@ def test_only_the_oracle_needs_the_future(free: FreeSpace) -> None:
 
 
 def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
-    world = SocialNavWorld.create(home, seed=3, spec=SocialNavSpec(max_steps=40), free=free)
+    world = social_nav_episode(home, seed=3, spec=SocialNavSpec(max_steps=40), free=free)
     seen = {}
 
     def watcher(view: View, spec: BaseSpec) -> object:
@@ -171,7 +172,7 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
 @pytest.mark.parametrize("policy", ["heuristic_expert", "sampling_expert", "future_oracle"])
 def test_experts_find_follow_and_keep_clear(policy: str, home: Scene, free: FreeSpace) -> None:
     spec = SocialNavSpec(max_steps=400)
-    worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(4)]
+    worlds = [social_nav_episode(home, seed=seed, spec=spec, free=free) for seed in range(4)]
     values = [measure(simulate_social_nav(world, policy=policy)).values for world in worlds]
     mean = {name: float(np.mean([v[name] for v in values])) for name in ("S", "SPS", "F", "CR")}
     assert mean["S"] == 1

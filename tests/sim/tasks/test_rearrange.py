@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
+from sim_kinematic.tasks.rearrange.simulate import solo_steps_of
 
 from h3data.bodies import load_humanoid, load_robot, solve_ik
 from h3data.bodies.people.reach import hand_points, reach
@@ -33,8 +33,9 @@ from sim_kinematic.policies.rearrange import (
     planner,
     robot_policy,
 )
-from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
+from tests.simulated import rearrange_episode, simulate_rearrange
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +49,12 @@ def free(home: Scene) -> FreeSpace:
 
 
 @pytest.fixture(scope="module")
-def world(home: Scene, free: FreeSpace) -> RearrangeWorld:
-    return RearrangeWorld.create(home, seed=3, free=free)
+def world(home: Scene, free: FreeSpace) -> RearrangeEpisode:
+    return rearrange_episode(home, seed=3, free=free)
 
 
 @pytest.fixture(scope="module")
-def pair(world: RearrangeWorld) -> Recording:
+def pair(world: RearrangeEpisode) -> Recording:
     """The robot and the person do one object each."""
     return simulate_rearrange(world, policy="complement", partner="both")
 
@@ -81,7 +82,7 @@ def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
     surfaces = {f"{i.name}|{r.name}": instance_matrix(i) @ np.append(r.center, 1) for i, r in home.receptacles()}
     fixed, drawn = FclScene(home), set()
     for seed in range(4):
-        w = RearrangeWorld.create(home, seed=seed, free=free)
+        w = rearrange_episode(home, seed=seed, free=free)
         assert np.hypot(*(w.starts.robot_xz - w.starts.human_xz)) >= w.spec.spawn_distance_m
         assert len({t.name for t in w.targets}) == 2
         for t in w.targets:
@@ -99,7 +100,7 @@ def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
     assert len(drawn) > 4
 
 
-def test_stands_reach(world: RearrangeWorld) -> None:
+def test_stands_reach(world: RearrangeEpisode) -> None:
     for target in world.targets:
         point = target.start[:3]
         stands = person_stands(world.free, world.human, point)
@@ -118,15 +119,15 @@ def test_stands_reach(world: RearrangeWorld) -> None:
 def test_what_cannot_be_drawn_says_why(home: Scene, free: FreeSpace) -> None:
     bare = replace(home, instances=home.static_instances)
     with pytest.raises(SceneError, match="has 0 things"):
-        RearrangeWorld.create(bare, seed=0, free=free)
+        rearrange_episode(bare, seed=0, free=free)
     with pytest.raises(SceneError, match="a person alone would take"):
-        RearrangeWorld.create(home, seed=0, free=free, spec=RearrangeSpec(max_steps=300))
+        rearrange_episode(home, seed=0, free=free, spec=RearrangeSpec(max_steps=300))
     with pytest.raises(InputError, match="paper, habitat"):
         RearrangeSpec(reward="mine")
 
 
 # --- a whole episode --------------------------------------------------------------------------------------------------
-def test_a_pair_finishes_and_halves_the_time(world: RearrangeWorld, pair: Recording) -> None:
+def test_a_pair_finishes_and_halves_the_time(world: RearrangeEpisode, pair: Recording) -> None:
     values = measure(pair).values
     assert pair.episode.info["ended"] == "success"
     assert values["SR"] == 1
@@ -138,7 +139,7 @@ def test_a_pair_finishes_and_halves_the_time(world: RearrangeWorld, pair: Record
     assert not pair.columns["metrics.at_goal"][:-1].all(axis=1).any()
 
 
-def test_the_reward_is_the_papers(world: RearrangeWorld, pair: Recording) -> None:
+def test_the_reward_is_the_papers(world: RearrangeEpisode, pair: Recording) -> None:
     reward = pair.columns["metrics.reward"].astype(float)
     assert reward.sum() == pytest.approx(10 + 4 * 5 - 0.005 * len(pair), abs=1e-3)
     cheap = replace(world, spec=replace(world.spec, reward="habitat"))
@@ -147,7 +148,7 @@ def test_the_reward_is_the_papers(world: RearrangeWorld, pair: Recording) -> Non
     assert REARRANGE_REWARDS["habitat"].collision == 0.5
 
 
-def test_objects_follow_hands_and_else_stay_put(world: RearrangeWorld, pair: Recording) -> None:
+def test_objects_follow_hands_and_else_stay_put(world: RearrangeEpisode, pair: Recording) -> None:
     robot, human = load_robot("quad_arm"), load_humanoid("female_0")
     columns = pair.columns
     links = robot.link_matrices(columns["agent_0.base_pose"], columns["agent_0.joint_pos"])[:, robot.hand_link]
@@ -167,7 +168,7 @@ def test_objects_follow_hands_and_else_stay_put(world: RearrangeWorld, pair: Rec
         assert quat_rotate(track[-1, 3:].astype(float), np.array([0, 1.0, 0]))[1] > 0.999  # it stands
 
 
-def test_bodies_keep_their_speed_and_out_of_obstacles(world: RearrangeWorld, pair: Recording) -> None:
+def test_bodies_keep_their_speed_and_out_of_obstacles(world: RearrangeEpisode, pair: Recording) -> None:
     for i in (0, 1):
         base = pair.columns[f"agent_{i}.base_pose"].astype(float)
         assert np.hypot(*np.diff(base[:, [0, 2]], axis=0).T).max() < 2.5 / 30 + 0.03  # a push-out adds a little
@@ -181,8 +182,8 @@ def test_bodies_keep_their_speed_and_out_of_obstacles(world: RearrangeWorld, pai
     assert joints <= world.spec.arm_rad_s / 30 + 1e-5
 
 
-def test_same_seed_same_bits(home: Scene, free: FreeSpace, world: RearrangeWorld, pair: Recording, tmp_path) -> None:
-    again = simulate_rearrange(RearrangeWorld.create(home, seed=3, free=free), policy="complement", partner="both")
+def test_same_seed_same_bits(home: Scene, free: FreeSpace, world: RearrangeEpisode, pair: Recording, tmp_path) -> None:
+    again = simulate_rearrange(rearrange_episode(home, seed=3, free=free), policy="complement", partner="both")
     assert recordings_equal(pair, again) == []
     state = {k: v for k, v in pair.columns.items() if k != "state_hash"}
     np.testing.assert_array_equal(state_hash(state), pair.columns["state_hash"])
@@ -209,7 +210,7 @@ def test_skills_and_events_tell_the_story(pair: Recording) -> None:
             assert pair.columns[f"agent_{e.agent}.grasp_body"][e.step - 1] < 0
 
 
-def test_the_person_alone(world: RearrangeWorld) -> None:
+def test_the_person_alone(world: RearrangeEpisode) -> None:
     alone = simulate_rearrange(world, policy="solo", partner="both")
     assert [a.kind for a in alone.agents] == ["human"]
     assert len(alone) == alone.episode.info["solo_steps"] == solo_steps_of(world)
@@ -220,7 +221,7 @@ def test_the_person_alone(world: RearrangeWorld) -> None:
 
 
 # --- skills -----------------------------------------------------------------------------------------------------------
-def test_infeasible_skills_are_reported_no_ops(world: RearrangeWorld) -> None:
+def test_infeasible_skills_are_reported_no_ops(world: RearrangeEpisode) -> None:
     short = replace(world, spec=replace(world.spec, max_steps=12))
     script = Scripted([Action("pick", 0), Action("place", 0), Action("turn_left"), Action("wait", steps=2)])
     recording = simulate_rearrange(short, policy=script, partner="still", solo_steps=1)
@@ -240,7 +241,7 @@ def test_infeasible_skills_are_reported_no_ops(world: RearrangeWorld) -> None:
         simulate_rearrange(short, policy=Scripted([Action("pick", 2)]), partner="still", solo_steps=1)
 
 
-def test_a_skill_can_be_aborted_at_any_step(world: RearrangeWorld) -> None:
+def test_a_skill_can_be_aborted_at_any_step(world: RearrangeEpisode) -> None:
     short = replace(world, spec=replace(world.spec, max_steps=20))
     script = Scripted([Action("nav_to_object", 0), Action("nav_to_goal", 1)], lambda v: "why" * (v.step == 7))
     spans = simulate_rearrange(short, policy=script, partner="still", solo_steps=1).skills
@@ -248,7 +249,7 @@ def test_a_skill_can_be_aborted_at_any_step(world: RearrangeWorld) -> None:
     assert mine == [("nav_to_object", 0, 6, "aborted", "why"), ("nav_to_goal", 7, 19, "running", "")]
 
 
-def test_one_object_two_agents(world: RearrangeWorld) -> None:
+def test_one_object_two_agents(world: RearrangeEpisode) -> None:
     """Both go for the first object: one gets it, nobody holds it twice, the other does not wait for ever."""
     recording = simulate_rearrange(world, policy="greedy_nearest", partner="both", solo_steps=1)
     held = np.stack([recording.columns[f"agent_{i}.grasp_body"] for i in (0, 1)])
@@ -271,7 +272,7 @@ def test_populations_draw_all_their_members() -> None:
     assert {"complement", "same_object", "still"} <= set(ROBOT_POLICIES)
 
 
-def test_specialists_depend_on_their_partner(world: RearrangeWorld) -> None:
+def test_specialists_depend_on_their_partner(world: RearrangeEpisode) -> None:
     """As the paper's Plan-Pop 1: fine with who does the other object, lost with who does the same."""
     done = {
         plan: measure(simulate_rearrange(world, policy="same_object", partner=plan, solo_steps=1)).values["SR"]

@@ -18,7 +18,7 @@ from h3data_pipelines.cli import main
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.social_nav import POLICIES
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 SCENE = build_home(HomeSpec(preset="small", seed=1))
 GOALS = 3
@@ -26,7 +26,7 @@ GOALS = 3
 
 def simulated(seed: int, *, policy: str = "heuristic_expert", steps: int = 150, told: bool = False) -> Recording:
     spec = SocialNavSpec(max_steps=steps)
-    world = SocialNavWorld.create(SCENE, seed=seed, spec=spec, free=FreeSpace.from_scene(SCENE, radius_m=0.25))
+    world = social_nav_episode(SCENE, seed=seed, spec=spec, free=FreeSpace.from_scene(SCENE, radius_m=0.25))
     if told:  # goals that do not follow from the seed
         rng = np.random.default_rng(0)
         world = replace(world, goals=tuple((float(x), float(z)) for x, z in world.free.sample(rng, GOALS)))

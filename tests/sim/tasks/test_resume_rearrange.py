@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, state_hash, write_mcap
@@ -19,9 +18,9 @@ from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES, TaskView
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
+from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
-from sim_kinematic.tasks.wander import simulate_wander
+from tests.simulated import rearrange_episode, simulate_rearrange, simulate_wander
 
 STEP = 60
 """Where others take over in most tests: robot and person are under way."""
@@ -33,12 +32,12 @@ def home() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def world(home: Scene) -> RearrangeWorld:
-    return RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25))
+def world(home: Scene) -> RearrangeEpisode:
+    return rearrange_episode(home, seed=3, free=FreeSpace.from_scene(home, radius_m=0.25))
 
 
 @pytest.fixture(scope="module")
-def episode(world: RearrangeWorld) -> Recording:
+def episode(world: RearrangeEpisode) -> Recording:
     return simulate_rearrange(world, policy="complement", partner="both", solo_steps=500)
 
 
@@ -63,7 +62,7 @@ def require_same(one: Recording, other: Recording) -> None:
 
 
 @pytest.fixture(scope="module")
-def known(world: RearrangeWorld, episode: Recording) -> Callable[[int], Recording]:
+def known(world: RearrangeEpisode, episode: Recording) -> Callable[[int], Recording]:
     """Episodes of different casts and policies, in turn, each played once."""
     played = {0: episode}
 
@@ -138,11 +137,11 @@ def test_resuming_gives_the_rest_of_the_episode(known: Callable[[int], Recording
 
 
 @pytest.mark.slow
-def test_resuming_is_exact_for_50_random_episodes_and_steps(world: RearrangeWorld) -> None:
+def test_resuming_is_exact_for_50_random_episodes_and_steps(world: RearrangeEpisode) -> None:
     rng, free = np.random.default_rng(0), world.free
     casts = ("robot,human", "robot,human", "robot,robot", "human,male_1", "robot,robot,human")
     for seed in range(50):
-        drawn = RearrangeWorld.create(world.scene, seed=seed, free=free, agents=casts[seed % len(casts)])
+        drawn = rearrange_episode(world.scene, seed=seed, free=free, agents=casts[seed % len(casts)])
         policy, partner = str(rng.choice(list(ROBOT_POLICIES))), str(rng.choice(PARTNERS))
         recording = simulate_rearrange(drawn, policy=policy, partner=partner, solo_steps=500)
         step = int(rng.integers(len(recording) + 1))
@@ -183,7 +182,7 @@ class Mine:
         return ""
 
 
-def test_a_policy_may_be_any_object(world: RearrangeWorld, episode: Recording) -> None:
+def test_a_policy_may_be_any_object(world: RearrangeEpisode, episode: Recording) -> None:
     other = resume(episode, STEP, policy=Mine())
     assert other.episode.info["policy"] == "Mine"
     assert verify(other).equal
@@ -241,7 +240,7 @@ def test_the_person_keeps_her_track_and_it_says_so(episode: Recording, step: int
     require_same(resume(other, step + 40), other)
 
 
-def test_she_takes_only_what_is_there(world: RearrangeWorld) -> None:
+def test_she_takes_only_what_is_there(world: RearrangeEpisode) -> None:
     """A robot that is at her object first keeps it; nobody is at two places, nothing is held twice."""
     alone = simulate_rearrange(world, policy="still", partner="object_1", solo_steps=500)
     picked = next(e.step for e in alone.events if e.kind == "pick")

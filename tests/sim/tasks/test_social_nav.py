@@ -19,7 +19,9 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpe
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.social_nav import Command, View, heuristic_expert, policy_by_name
 from sim_kinematic.tasks.oracle import oracle_min_steps, steps_to_find
-from sim_kinematic.tasks.social_nav import SocialNavWorld, draw_starts, simulate_social_nav
+from sim_kinematic.tasks.social_nav import sample_pair_starts as draw_starts
+from sim_kinematic.tasks.task import Episode
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +34,8 @@ def free(home: Scene) -> FreeSpace:
     return FreeSpace.from_scene(home, radius_m=0.25, cache=False)
 
 
-def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> SocialNavWorld:
-    return SocialNavWorld.create(home, seed=seed, spec=SocialNavSpec(**{"max_steps": 150, **changes}), free=free)  # type: ignore[arg-type]
+def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> Episode:
+    return social_nav_episode(home, seed=seed, spec=SocialNavSpec(**{"max_steps": 150, **changes}), free=free)  # type: ignore[arg-type]
 
 
 def ram(view: View, spec: BaseSpec) -> Command:
@@ -86,7 +88,7 @@ def test_same_seed_same_bits_and_the_hash_knows(home: Scene, free: FreeSpace) ->
 
 def test_another_person_is_another_episode(home: Scene, free: FreeSpace) -> None:
     spec = SocialNavSpec(max_steps=2)
-    worlds = [SocialNavWorld.create(home, seed=5, spec=spec, free=free, human=h) for h in ("female_0", "male_0")]
+    worlds = [social_nav_episode(home, seed=5, spec=spec, free=free, human=h) for h in ("female_0", "male_0")]
     assert len({simulate_social_nav(w).episode.uid for w in worlds}) == 2
 
 

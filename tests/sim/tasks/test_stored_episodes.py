@@ -24,8 +24,8 @@ from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRu
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_of, rules_of, set_episode, world_of
+from tests.simulated import simulate_social_nav, social_nav_episode
 
 HOME = HomeSpec(seed=1)
 SET_TEXT = """
@@ -94,7 +94,7 @@ def test_all_episodes_of_the_eval_splits_can_be_played(split: str) -> None:
         episode = set_episode(scenes, entry, index)
         free = open_free_space(entry.source, 0.25, 1.41)
         world = world_of(episode, open_scene(entry.source), free=free)
-        assert free.geodesic(world.starts.robot_xz, world.starts.human_xz) >= 5.0
+        assert free.geodesic(world.starts[0, :2], world.starts[1, :2]) >= 5.0
         start, goals = world.starts, world.goals
         track = human_plan(free, start.human_xz, start.human_heading, world.seed, WalkerSpec(), 1500, goals).xz
         steps = np.hypot(*np.diff(track, axis=0).T)
@@ -107,7 +107,7 @@ def test_all_episodes_of_the_eval_splits_can_be_played(split: str) -> None:
 def test_a_stored_episode_plays_like_the_drawn_one() -> None:
     spec = SocialNavSpec(max_steps=200)
     free = open_free_space(HOME, spec.agent_radius_m, spec.agent_height_m)
-    drawn = SocialNavWorld.create(open_scene(HOME), seed=5, spec=spec, free=free)
+    drawn = social_nav_episode(open_scene(HOME), seed=5, spec=spec, free=free)
     stored = world_of(episode_of(drawn), drawn.scene, free=free)
     assert episode_of(stored) == episode_of(drawn)
     a, b = simulate_social_nav(drawn), simulate_social_nav(stored)
