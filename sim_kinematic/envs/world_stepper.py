@@ -226,6 +226,7 @@ class WorldStepper:
 
         return Moment(
             self.spec,
+            world.bases[k],
             self.play.memory,
             self.play.episodes,
             world,

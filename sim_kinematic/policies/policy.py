@@ -19,7 +19,6 @@ from h3data.geometry import Array
 from h3data.plugins import Registry
 from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import base_of
-from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 
@@ -90,23 +89,10 @@ class AgentView(NamedTuple):
         return float(self.places[self.agent, 2])
 
 
-class Episode(Protocol):
-    """What making a policy needs to know of `sim_kinematic.tasks.task.Episode`."""
-
-    free: FreeSpace
-    seed: int
-    spec: Any
-    roster: tuple[AgentSpec, ...]
-
-
-class Task(Protocol):
-    """What making a policy needs to know of `sim_kinematic.tasks.task.Task`."""
-
-    policies: Mapping[str, Mapping[str, Any]]
-    defaults: Mapping[str, str]
-    uses_common_policies: bool
-
-    def named_policy(self, episode: Any, number: int, name: str) -> AssignedPolicy | None: ...
+Task = Any
+"""`sim_kinematic.tasks.task.Task`, which lies above policies."""
+Episode = Any
+"""`sim_kinematic.tasks.task.Episode`."""
 
 
 # --- the protocol -----------------------------------------------------------------------------------------------------

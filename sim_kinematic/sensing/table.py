@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.geometry import Array, ground_pose
 from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
 from sim_kinematic.sensing.sensor import (
@@ -42,6 +43,8 @@ class Moment(NamedTuple):
 
     spec: Any
     """The task's rules."""
+    base: BaseSpec
+    """Discs and limits of the agent."""
     memory: Any
     """What the task remembers (`WorldPlay.memory`), for sensors of its own."""
     episodes: Sequence[Any]
@@ -85,7 +88,7 @@ def _other_from_start(moment: Moment) -> NDArray[np.floating]:
 
 
 def _path_to_other(moment: Moment) -> NDArray[np.floating]:
-    begun = moment.spec.robot.disc_radius_m / 2
+    begun = moment.base.disc_radius_m / 2
     xz, heading, other = moment.now.xz, moment.now.heading.tolist(), moment.other.xz
     length = moment.distance().tolist()
     values = np.zeros((len(xz), 2))
