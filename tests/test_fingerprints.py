@@ -1,0 +1,64 @@
+"""What the product computes is what it computed when `fingerprints.FILE` was stored. See `fingerprints` for how to renew."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import fingerprints
+import pytest
+from fingerprints import CASES, Case
+
+HINT = (
+    "The stored digests are of another arithmetic ({}). To compare two commits here, run `python -m tests.fingerprints "
+    "--renew --file FILE` on the old one and `python -m tests.fingerprints --file FILE` on the new one."
+)
+
+
+@functools.cache
+def stored() -> dict[str, Any]:
+    return fingerprints.read()
+
+
+def _marked(case: Case) -> Any:
+    return pytest.param(case, id=case.name, marks=() if case.quick else pytest.mark.slow)
+
+
+@pytest.mark.parametrize("case", [_marked(case) for case in CASES.values()])
+def test_what_is_computed_is_what_was_computed(case: Case) -> None:
+    if why := case.missing():
+        pytest.skip(why)
+    if other := fingerprints.elsewhere(stored(), torch="torch" in case.needs):
+        pytest.skip(HINT.format(other))
+    moved = fingerprints.differences(stored()["cases"].get(case.name, {}), fingerprints.computed(case))
+    assert not moved, f"{case.name}:\n" + "\n".join(moved)
+
+
+def test_digests_notice_every_bit() -> None:
+    import numpy as np
+
+    one = np.arange(6, dtype=np.float32)
+    other = one.copy()
+    other[3] = np.nextafter(other[3], np.float32(9), dtype=np.float32)
+    values = [
+        one,
+        other,
+        one.astype(np.float64),
+        one.reshape(2, 3),
+        one.tolist(),
+        [*one.tolist(), float("nan")],
+        b"",
+        "",
+        None,
+    ]
+    assert len({fingerprints.digest(value) for value in values}) == len(values)
+
+
+def test_differences_name_group_and_part() -> None:
+    old = {"episode 0": {"time_ns": "a", "state_hash": "b", "skills": "c"}, "metrics": {"S": "d"}}
+    new = {"episode 0": {"time_ns": "a", "state_hash": "x", "events": "e"}, "told": {}}
+    assert fingerprints.differences(old, old) == []
+    assert fingerprints.differences(old, new) == [
+        "episode 0: state_hash differ", "episode 0: skills are gone", "episode 0: events are new",
+        "metrics: no longer computed", "told: not stored",
+    ]  # fmt: skip
