@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import functools
+import sys
+from pathlib import Path
 from typing import Any
 
-import fingerprints
+import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # whether or not the tests are a package
+
+import fingerprints
 from fingerprints import CASES, Case
 
 HINT = (
-    "The stored digests are of another arithmetic ({}). To compare two commits here, run `python -m tests.fingerprints "
-    "--renew --file FILE` on the old one and `python -m tests.fingerprints --file FILE` on the new one."
+    "The stored digests are of another arithmetic ({}). To compare two commits here, run `python tests/fingerprints.py "
+    "--renew --file FILE` on the old one and `python tests/fingerprints.py --file FILE` on the new one."
 )
 
 
@@ -35,8 +41,6 @@ def test_what_is_computed_is_what_was_computed(case: Case) -> None:
 
 
 def test_digests_notice_every_bit() -> None:
-    import numpy as np
-
     one = np.arange(6, dtype=np.float32)
     other = one.copy()
     other[3] = np.nextafter(other[3], np.float32(9), dtype=np.float32)
