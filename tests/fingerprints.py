@@ -181,8 +181,13 @@ class Prints:
         self.add(group, "episode", [episode.episode_id, episode.task, episode.scene, episode.seed, episode.dt_ns])
         for name, value in episode.info.items():
             self.add(group, f"info.{name}", value)
-        for name in ("agents", "bodies", "assets", "skills", "events", "inputs", "attachments"):
+        for name in ("agents", "bodies", "assets", "skills", "events", "inputs"):
             self.add(group, name, getattr(recording, name))
+        files = recording.attachments.items()
+        self.add(group, "attachments", {name: _of_glb(f) if self._names_place(f) else f for name, f in files})
+
+    def _names_place(self, file: bytes) -> bool:
+        return any(place.encode() in file for place in self.places)
 
     def files(self, group: str, folder: Path) -> None:
         """Contents of all files below a folder; those of a folder with many are one part."""
@@ -225,6 +230,12 @@ def contents(path: Path) -> Any:
         ".mcap": lambda: _of_mcap(path), ".png": lambda: _of_picture(path),
     }.get(kind, path.read_bytes)  # fmt: skip
     return reader()
+
+
+def _of_glb(file: bytes) -> Any:
+    """What the chunks of a GLB file say: paths in it move its bytes."""
+    size = int.from_bytes(file[12:16], "little")
+    return [json.loads(file[20 : 20 + size]), file[28 + size :]]
 
 
 def _of_parquet(path: Path) -> Any:
