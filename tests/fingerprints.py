@@ -32,7 +32,6 @@ import os
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,22 +41,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import h3data
+from h3data import make
 
 # --- adapter: all that is imported from below the public entry points --------------------------------------------------
 from h3data_pipelines.cli import main as run_command
 
 
-def make(task: str, **options: Any) -> Any:
-    """What `h3data.make` makes, by the entry points of these sources: another state of them may be the installed one."""
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    entry = project["entry-points"]["h3data.tasks"][task]
-    return importlib.metadata.EntryPoint(task, entry, "h3data.tasks").load()(**options)
-
-
 def habitat_rules(task: str) -> Any:
     """The rules of a task with sliding and people as in Habitat."""
-    from sim_kinematic.rearrange_episode import RearrangeSpec
-    from sim_kinematic.spec import BaseSpec, SocialNavSpec, WalkerSpec
+    from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
+    from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
 
     moves: dict[str, Any] = {"robot": BaseSpec(slide="habitat"), "human": WalkerSpec()}
     if task == "social_nav":
@@ -67,14 +60,11 @@ def habitat_rules(task: str) -> Any:
 
 def simulated(task: str, home: Any, *, seed: int, rules: Any) -> Any:
     """The recording of one episode of a task under any rules, with its default policies."""
-    if task == "social_nav":
-        from sim_kinematic.social_nav import SocialNavWorld, simulate_social_nav
+    from sim_kinematic.tasks.registry import find_task
+    from sim_kinematic.tasks.runner import simulate
 
-        return simulate_social_nav(SocialNavWorld.create(home, seed=seed, spec=rules))
-    from sim_kinematic.rearrange import simulate_rearrange
-    from sim_kinematic.rearrange_episode import RearrangeWorld
-
-    return simulate_rearrange(RearrangeWorld.create(home, seed=seed, spec=rules))
+    found = find_task(task)
+    return simulate(found, found.episode(home, seed=seed, spec=rules))
 
 
 # --- end of the adapter -------------------------------------------------------------------------------------------------
