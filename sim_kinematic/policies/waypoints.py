@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from h3data.geometry import wrap_angle
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
-from sim_kinematic.avoidance.velocity import keep_clear
 from sim_kinematic.avoidance.robot_base import footprint_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import keep_clear
 from sim_kinematic.avoidance.yielding import Seen, avoided, in_the_way, waits
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.policies.policy import AgentView, Towards, Velocity

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.geometry import Array, ground_pose
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import AgentState
 from sim_kinematic.sensing.agent_pictures import Limits
 from sim_kinematic.sensing.sensor import (

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
@@ -433,7 +433,9 @@ def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:
 
 def _oracle(episode: Episode, track: NDArray[np.float64]) -> Any:
     x, z, heading = episode.starts[ROBOT]
-    return oracle_min_steps(episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT)))
+    return oracle_min_steps(
+        episode.free, np.array([x, z]), float(heading), track, replace(episode.spec, robot=agent_base(episode, ROBOT))
+    )
 
 
 def _plan(play: WorldPlay) -> HumanPlan:

@@ -101,7 +101,7 @@ def test_who_stands_behind_a_wall_does_not_pick(home: Scene, world: RearrangeEpi
 @pytest.mark.parametrize("seed", [3, 4])
 def test_episodes_are_picked_and_placed_on_the_same_side(home: Scene, world: RearrangeEpisode, seed: int) -> None:
     played = world if seed == world.seed else rearrange_episode(home, seed=seed, free=world.free)
-    way = arm_way(home, played.robot, played.free.floor_y)
+    way = arm_clearance(home, played.robot, played.free.floor_y)
     for target in played.targets:
         for point in (target.start[:3], target.goal):
             stands = robot_stands(played.free, played.robot, played.spec.robot, point)
