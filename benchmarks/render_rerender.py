@@ -39,12 +39,12 @@ def run(emit: Emit) -> None:
 
     def draw(*outputs: Output) -> None:
         for step in range(len(replay)):
-            stage.draw(renderer, step, [track.at(step)], outputs=outputs)
+            stage.render(renderer, step, [track.at(step)], outputs=outputs)
 
     def pose(stage: Stage) -> None:
         own = stage.renderer()
         for step in range(len(replay)):
-            stage.draw(own, step, [replace(track.at(step), width=1, height=1)], outputs=("depth",))
+            stage.render(own, step, [replace(track.at(step), width=1, height=1)], outputs=("depth",))
 
     full = Replay(replay.recording, detail=True).stage
     count = len(replay)

@@ -49,9 +49,9 @@ def cameras_at(step: int) -> list[Camera]:
 
 
 before, after = cameras_at(step), cameras_at(step + 3)
-stage.draw(renderer, step + 3, after[:1], outputs=("depth",))
+stage.render(renderer, step + 3, after[:1], outputs=("depth",))
 poses_after = renderer.poses()
-stage.draw(renderer, step, before[:1], outputs=("depth",))
+stage.render(renderer, step, before[:1], outputs=("depth",))
 body_of_id = np.array([drawable.agent for drawable in replay.drawables])  # the parts of each agent, nothing else
 agents = [agent.name for agent in replay.recording.agents]
 

@@ -22,7 +22,6 @@ FILES_PER_FOLDER = 15
 KNOWN_CIRCLES = (
     "h3data.bodies.robots.kinematics -> h3data.bodies.robots.robot",
     "h3data.habitat.assets -> h3data.habitat.scenes.object_handles -> h3data.habitat.scenes.asset_files",
-    "h3data.replay.replay -> h3data.replay.stage",
     "h3data.scene.freespace.build -> h3data.scene.freespace.free_space",
     "h3data_pipelines.jobs.episode_jobs -> h3data_pipelines.jobs.failed_episodes",
     "sim_kinematic.policies.learned -> sim_kinematic.policies.social_nav",

@@ -1,4 +1,10 @@
-"""State of a recording at any step, posed bodies, cameras, frames."""
+"""Recordings brought back: poses at any step, cameras, and images.
+
+- `replay`: `Replay`; `posed_recording`: its poses, with `link_poses` for robots; `stage`: its images; `records`: its data
+- `cameras`: cameras by name, among them `third_person` (with `sight`); `camera_files`: cameras from TOML and JSON files;
+  `follow`: a camera for recordings without a home
+- `validation`: faults of a recording
+"""
 
 from h3data.replay.cameras import camera_at, camera_names, camera_track
 from h3data.replay.follow import follow_camera

@@ -1,4 +1,4 @@
-"""Cameras described in TOML or JSON files: fixed, mounted on a body, following, orbiting, along a path; any lens.
+"""Cameras described in TOML or JSON files: fixed, mounted on a body, following, orbiting, or moving along a path.
 
 The fields are those of `CameraFile`; docs/cameras.md explains them with examples.
 """
@@ -27,8 +27,7 @@ from h3data.render import (
     pinhole,
 )
 from h3data.render.camera import Convention, Projection
-from h3data.replay.chase import held
-from h3data.replay.records import CameraTrack
+from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 
 _JOINT_STEPS = 512
@@ -37,7 +36,7 @@ Point = tuple[float, float, float]
 
 
 class Key(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One place of a camera's path."""
+    """One key frame of a camera's path."""
 
     time_s: float
     eye: Point
@@ -49,43 +48,43 @@ class Orbit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     radius_m: float = 3.0
     height_m: float = 1.5
-    """Of the eye over the target."""
+    """Height of the eye above the target."""
     period_s: float = 12.0
     start_deg: float = 0.0
-    """Heading from the target to the eye at the start."""
+    """Heading of the eye, seen from the target, at the start."""
 
 
 class CameraFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A camera: lens, and place: ``eye`` and ``target``, ``pose``, ``keys`` or ``orbit``, in the world or on a body."""
+    """A camera: its lens, and its pose as ``eye`` and ``target``, ``pose``, ``keys`` or ``orbit``, in the world or a body."""
 
     name: str = ""
     width: int = 640
     height: int = 480
     projection: Projection = "perspective"
     hfov_deg: float | None = None
-    """Across the width; 70 for perspective, 180 for fisheye cameras unless given."""
+    """Horizontal field of view; default 70 for perspective, 180 for fisheye cameras."""
     intrinsics: tuple[float, float, float, float] | None = None
-    """fx fy cx cy [px], in place of hfov_deg."""
+    """fx fy cx cy [px], instead of hfov_deg."""
     width_m: float | None = None
-    """Across an orthographic picture."""
+    """Width of an orthographic image."""
     near: float = 0.0
     far: float = float("inf")
     hidden_layers: tuple[str, ...] = ()
     eye: Point | None = None
     target: Point | None = None
     pose: list[float | list[float]] | None = None
-    """x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to what it is mounted on), in ``convention``."""
+    """x y z qx qy qz qw, or a 4x4 matrix: camera to world (or to the body it is mounted on), in ``convention``."""
     convention: Convention = "opencv"
     keys: tuple[Key, ...] = ()
     orbit: Orbit | None = None
     follow: str = ""
-    """Name of an agent: the camera goes and turns with its root frame (x forward, y up, z right)."""
+    """Name of an agent: the camera moves and turns with its root frame (x forward, y up, z right)."""
     turns: bool = True
-    """False: it goes with the agent but keeps its direction."""
+    """If false, the camera moves with the agent but keeps its direction."""
     smooth_s: float = 0.0
-    """Evens out the way of what is followed."""
+    """Time over which the motion of the agent is smoothed."""
     link: str = ""
-    """Link of the robot ``follow`` or joint of the human ``follow``: the camera is mounted there."""
+    """Link of a robot, or joint of a person, named by ``follow``, that the camera is mounted on."""
     body: str = ""
     """Name of a recorded body that the camera is mounted on."""
 
@@ -97,7 +96,7 @@ def load_camera_file(path: Path) -> CameraFile:
         InputError: there is no such file, or it does not describe a camera.
     """
     if not path.is_file():
-        raise InputError(f"No camera file there. Expected a TOML or JSON file with eye and target: {path}")
+        raise InputError(f"No such camera file. Expected a TOML or JSON file with eye and target: {path}")
     decoder: Any = msgspec.json if path.suffix.lower() == ".json" else msgspec.toml
     try:
         spec = decoder.decode(path.read_bytes(), type=CameraFile)
@@ -105,16 +104,20 @@ def load_camera_file(path: Path) -> CameraFile:
         fields = ", ".join(CameraFile.__struct_fields__)
         kind = path.suffix.lower()[1:].upper()
         raise InputError(f"Not a camera: {error}. Expected {kind} with the fields {fields}: {path}") from None
-    places = [name for name in ("eye", "pose", "keys", "orbit") if getattr(spec, name)]
-    if len(places) != 1 or (spec.eye is None) != (spec.target is None or spec.orbit is not None):
+    poses = [name for name in ("eye", "pose", "keys", "orbit") if getattr(spec, name)]
+    if len(poses) != 1 or (spec.eye is None) != (spec.target is None or spec.orbit is not None):
         raise InputError(
-            f"A camera needs one of: eye with target, pose, keys, orbit; this one has {places or 'none'}: {path}"
+            f"A camera needs one of: eye with target, pose, keys, orbit; this one has {poses or 'none'}: {path}"
         )
     return spec
 
 
 def track_of_file(replay: Replay, path: Path) -> CameraTrack:
-    """The camera in a file, at every step of a recording."""
+    """The camera described in a file, with its pose at every step of a recording.
+
+    Raises:
+        InputError: the file is not a camera, or the recording lacks what it is mounted on.
+    """
     spec = load_camera_file(path)
     try:
         camera = _lens(spec, spec.name or path.stem)
@@ -132,7 +135,7 @@ def _lens(spec: CameraFile, name: str) -> Camera:
     clip: dict[str, Any] = {"near": spec.near, "far": spec.far}
     if spec.projection == "orthographic":
         if spec.width_m is None:
-            raise InputError("An orthographic camera needs width_m, the metres across its picture.")
+            raise InputError("An orthographic camera needs width_m, the width of its image in metres.")
         return orthographic(spec.width, spec.height, width_m=spec.width_m, **common, **clip)
     if spec.projection == "fisheye":
         return fisheye(spec.width, spec.height, hfov_deg=spec.hfov_deg or 180.0, **common)
@@ -147,32 +150,32 @@ def _lens(spec: CameraFile, name: str) -> Camera:
     return Camera(width=k.width, height=k.height, fx=fx, fy=fy, cx=cx, cy=cy, pose=np.eye(4), **common, **clip)
 
 
-# --- where it is in its frame --------------------------------------------------------------------------------------------
+# --- pose relative to the world or the body ------------------------------------------------------------------------------
 def _poses(replay: Replay, spec: CameraFile) -> NDArray[np.float64]:
-    """Camera to its frame, [1 or T, 4, 4]."""
+    """Camera to the frame that it is given in, [1 or T, 4, 4]."""
     if spec.pose is not None:
         try:
-            given = np.array(spec.pose, np.float64)
+            pose = np.array(spec.pose, np.float64)
         except ValueError:  # rows of different lengths
-            given = np.zeros(0)
-        if given.shape not in ((7,), (4, 4)) or not np.isfinite(given).all():
+            pose = np.zeros(0)
+        if pose.shape not in ((7,), (4, 4)) or not np.isfinite(pose).all():
             raise InputError(f"pose must be 7 numbers (x y z qx qy qz qw) or a 4x4 matrix, got {spec.pose}.")
-        if given.shape == (7,):
-            length = float(np.linalg.norm(given[3:]))
+        if pose.shape == (7,):
+            length = float(np.linalg.norm(pose[3:]))
             if abs(length - 1) > 1e-3:
-                raise InputError(f"The quaternion of pose must have length 1, it has {length:g}.")
-            given[3:] /= length
-            given = pose_to_matrix(given)
-        return (given @ CONVENTIONS[spec.convention])[None]
+                raise InputError(f"The quaternion of pose must have length 1, but its length is {length:g}.")
+            pose[3:] /= length
+            pose = pose_to_matrix(pose)
+        return (pose @ CONVENTIONS[spec.convention])[None]
     if spec.orbit is not None:
         return orbit_poses(_times(replay), spec.target or (0.0, 0.8, 0.0), spec.orbit)
     if spec.keys:
         times = np.array([key.time_s for key in spec.keys])
         if (np.diff(times) <= 0).any():
-            raise InputError(f"The keys of a path must be in the order of time, got {times.tolist()} s.")
-        now = _times(replay)
-        eye = smooth_path(times, np.array([key.eye for key in spec.keys]), now)
-        target = smooth_path(times, np.array([key.target for key in spec.keys]), now)
+            raise InputError(f"The keys of a path must be in chronological order, got {times.tolist()} s.")
+        steps = _times(replay)
+        eye = smooth_path(times, np.array([key.eye for key in spec.keys]), steps)
+        target = smooth_path(times, np.array([key.target for key in spec.keys]), steps)
         return np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)])
     assert spec.eye is not None
     assert spec.target is not None
@@ -188,41 +191,41 @@ def _times(replay: Replay) -> NDArray[np.float64]:
 
 
 def orbit_poses(times_s: Array, target: Point, orbit: Orbit) -> NDArray[np.float64]:
-    """Camera (OpenCV) to world at each time [T] of a camera that circles ``target`` [m], shape [T, 4, 4]."""
+    """Poses [T, 4, 4] (OpenCV camera to world) at times [T] of a camera that circles ``target`` [m]."""
     angle = np.radians(orbit.start_deg) + 2 * np.pi * np.asarray(times_s) / orbit.period_s
-    way = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
-    eyes = np.array(target) + way * orbit.radius_m + (0.0, orbit.height_m, 0.0)
+    outward = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
+    eyes = np.array(target) + outward * orbit.radius_m + (0.0, orbit.height_m, 0.0)
     return np.stack([look_at(eye, target) for eye in eyes])
 
 
 def smooth_path(key_times: Array, points: Array, times: Array) -> NDArray[np.float64]:
-    """A smooth line through points [K, 3] at key times [K], at ``times`` [T]; it waits before the first and after the last."""
+    """Positions [T, 3] at ``times`` on a smooth curve through points [K, 3] at key times [K], constant outside of them."""
     if len(points) < 3:
         return np.stack([np.interp(times, key_times, points[:, k]) for k in range(3)], axis=1)
-    from scipy.interpolate import PchipInterpolator  # goes through the keys without overshooting
+    from scipy.interpolate import PchipInterpolator  # passes through the keys without overshooting
 
     path = PchipInterpolator(key_times, points, axis=0)
     return np.asarray(path(np.clip(times, key_times[0], key_times[-1])), np.float64)
 
 
-# --- what it is mounted on -------------------------------------------------------------------------------------------
+# --- frame that the camera moves with --------------------------------------------------------------------------------
 def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
-    """What the camera moves with, to world [T, 4, 4]; None = nothing."""
+    """World frames [T, 4, 4] that the camera moves with; None if it is given in the world."""
     if spec.body and spec.follow:
         raise InputError("Give either body or follow, not both.")
     if spec.body:
         return body_frames(replay, spec.body)
     if not spec.follow:
         if spec.link:
-            raise InputError(f"link {spec.link!r} needs follow, the name of its agent.")
+            raise InputError(f"link {spec.link!r} needs follow, the name of the agent that has it.")
         return None
     names = [agent.name for agent in replay.recording.agents]
     if spec.follow not in names:
-        raise InputError(f"The camera follows {spec.follow!r}; this recording has the agents {names}.")
+        raise InputError(f"The camera follows {spec.follow!r}, but this recording has the agents {names}.")
     agent = names.index(spec.follow)
     if spec.link:
         return link_frames(replay, agent, spec.link)
-    base = held(replay.recording.agent_column(agent, "base_pose").astype(np.float64))
+    base = forward_fill(replay.recording.agent_column(agent, "base_pose").astype(np.float64))
     if spec.smooth_s > 0:
         base = _smoothed(base, spec.smooth_s / max(float(np.median(np.diff(_times(replay)))), 1e-6))
     if not spec.turns:
@@ -231,12 +234,12 @@ def _base(replay: Replay, spec: CameraFile) -> NDArray[np.float64] | None:
 
 
 def _smoothed(base: NDArray[np.float64], steps: float) -> NDArray[np.float64]:
-    """Root poses [T, 7] with place and heading evened out over about so many steps."""
+    """Root poses [T, 7] with position and heading smoothed over about ``steps`` steps."""
     from scipy.ndimage import gaussian_filter1d
 
-    place = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
+    position = gaussian_filter1d(base[:, :3], steps / 2, axis=0, mode="nearest")
     heading = gaussian_filter1d(np.unwrap(heading_from_quat(base[:, 3:])), steps / 2, mode="nearest")
-    return np.asarray(np.concatenate([place, quat_from_heading(heading)], axis=1), np.float64)
+    return np.asarray(np.concatenate([position, quat_from_heading(heading)], axis=1), np.float64)
 
 
 def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
@@ -251,19 +254,18 @@ def link_frames(replay: Replay, agent: int, name: str) -> NDArray[np.float64]:
     number = names.index(name)
     if isinstance(model, Robot):
         return _rigid(replay.link_track(agent, number).astype(np.float64))
-    blocks = np.array_split(
-        np.arange(len(replay)), len(replay) // _JOINT_STEPS + 1
-    )  # all joints of all steps are large
+    # In blocks, because the matrices of all joints at all steps of a long recording would not fit into memory.
+    blocks = np.array_split(np.arange(len(replay)), len(replay) // _JOINT_STEPS + 1)
     frames = [replay.joint_matrices(agent, steps)[:, number] for steps in blocks]
     return _rigid(np.concatenate(frames).astype(np.float64))
 
 
 def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
-    """World frames of something drawn, by its name, [T, 4, 4]; its scale is left out."""
+    """World frames [T, 4, 4] of a drawable by name, without its scale."""
     names = [drawable.name for drawable in replay.drawables]
     if name not in names:
-        near = [n for n in names if name.lower() in n.lower()][:8] or names[:8]
-        raise InputError(f"There is no body {name!r} among {len(names)}, for example: {', '.join(near)}.")
+        similar = [n for n in names if name.lower() in n.lower()][:8] or names[:8]
+        raise InputError(f"There is no body {name!r} among {len(names)}, for example: {', '.join(similar)}.")
     index = names.index(name)
     if replay.drawables[index].deformable:
         raise InputError(f"Body {name!r} is a skinned person: mount the camera with follow and link.")
@@ -272,7 +274,7 @@ def body_frames(replay: Replay, name: str) -> NDArray[np.float64]:
 
 
 def _rigid(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Frames [T, 4, 4] with unit axes; where there are none (NaN) the last ones."""
-    frames = held(matrices.reshape(len(matrices), 16)).reshape(-1, 4, 4)
+    """Frames [T, 4, 4] with unit axes and gaps (NaN) filled."""
+    frames = forward_fill(matrices.reshape(len(matrices), 16)).reshape(-1, 4, 4)
     frames[:, :3, :3] /= np.maximum(np.linalg.norm(frames[:, :3, :3], axis=1, keepdims=True), 1e-12)
     return frames

@@ -1,4 +1,4 @@
-"""Named cameras of a recording: the robot's and the human's own, some that watch them, some from above; and camera files."""
+"""Cameras of a recording by name: those of its robots and people, some that watch them, some from above; and camera files."""
 
 from __future__ import annotations
 
@@ -12,60 +12,49 @@ from h3data.errors import InputError, did_you_mean
 from h3data.geometry import pose_to_matrix
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
-from h3data.replay.chase import held, third_person, third_person_at
-from h3data.replay.records import CameraTrack
+from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
+from h3data.replay.third_person import third_person, third_person_at
 
 
 def camera_names(replay: Replay) -> list[str]:
-    """Every camera that this recording offers by name."""
+    """Names of all cameras that a recording offers."""
     names = ["top_down", "top_down_orthographic", "orbit"]
     if replay.recording.agents:
         names.append("third_person")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model else None
-        own = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
-        names += [name if name not in names else f"{agent.name}/{name}" for name in own]
+        mounted = [c.name for c in model.cameras] if isinstance(model, Robot) else [HUMAN_HEAD] if model else []
+        names += [name if name not in names else f"{agent.name}/{name}" for name in mounted]
     return names + [c for c in replay.recording.columns if c.startswith("user.")]
 
 
 def camera_track(replay: Replay, name_or_file: str) -> CameraTrack:
-    """The camera called ``name_or_file``, or the one described in that TOML or JSON file (docs/cameras.md).
+    """The camera with a name (`camera_names`), or the one described in a TOML or JSON file (docs/cameras.md).
 
-    ``agent/name`` is the camera of that name of one agent, where several have one.
+    ``agent/name`` selects the camera of one agent if several have a camera of that name.
 
     Raises:
-        InputError: there is no such camera (the message lists them) or the file is not a camera.
+        InputError: there is no such camera (the message lists those that exist), or the file is not a camera.
     """
     if name_or_file.lower().endswith((".toml", ".json")):
         return track_of_file(replay, Path(name_or_file))
     names = camera_names(replay)
-    if name_or_file not in names:
-        found = _mounted(replay, name_or_file) if "/" in name_or_file else None
-        if found is None:
-            near = did_you_mean(name_or_file, names)
-            raise InputError(
-                f"Unknown camera {name_or_file!r}.{near} This recording offers: {', '.join(names)}; or give a .toml or "
-                ".json file."
-            )
-        return found
-    if name_or_file == "top_down":
-        return top_down(replay)
-    if name_or_file == "top_down_orthographic":
-        return top_down_orthographic(replay)
-    if name_or_file == "orbit":
-        return orbit(replay)
-    if name_or_file == "third_person":
-        return third_person(replay)
-    if name_or_file.startswith("user."):
+    if name_or_file in names and name_or_file in _VIRTUAL:
+        return _VIRTUAL[name_or_file](replay)
+    if name_or_file in names and name_or_file.startswith("user."):
         return _user(replay, name_or_file)
-    found = _mounted(replay, name_or_file)
-    assert found is not None
-    return found
+    mounted = _mounted(replay, name_or_file) if name_or_file in names or "/" in name_or_file else None
+    if mounted is None:
+        raise InputError(
+            f"Unknown camera {name_or_file!r}.{did_you_mean(name_or_file, names)} This recording offers: "
+            f"{', '.join(names)}; or give a .toml or .json file."
+        )
+    return mounted
 
 
 def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
-    """`camera_track` at one step; negative steps count from the end. For one picture this may be much faster."""
+    """`camera_track` at one step (negative steps count from the end), much faster for the ``third_person`` camera."""
     row = replay.row(step)
     if name_or_file == "third_person" and replay.recording.agents:
         return third_person_at(replay, row)
@@ -73,36 +62,36 @@ def camera_at(replay: Replay, name_or_file: str, step: int) -> Camera:
 
 
 def _mounted(replay: Replay, name: str) -> CameraTrack | None:
-    """A camera of the first agent that has one of that name; with ``agent/`` before it, of that agent. None: there is none."""
-    owner, _, own_name = name.rpartition("/")
+    """The mounted camera of the first agent that has one with this name, or of the agent in ``agent/name``; else None."""
+    owner, _, camera_name = name.rpartition("/")
     for index, agent in enumerate(replay.recording.agents):
         model = replay.model(index) if agent.model and owner in ("", agent.name) else None
         if isinstance(model, Robot):
             for mounted in model.cameras:
-                if mounted.name == own_name:
+                if mounted.name == camera_name:
                     camera = pinhole(
                         mounted.width, mounted.height, hfov_deg=mounted.hfov_deg, name=name.replace("/", ".")
                     )
-                    link = model.camera(own_name)
+                    link = model.camera(camera_name)
                     poses = replay.link_track(index, link.link).astype(np.float64) @ link.pose
                     return CameraTrack(camera=camera, poses=poses)
-        elif model is not None and own_name == HUMAN_HEAD:
+        elif model is not None and camera_name == HUMAN_HEAD:
             camera = pinhole(640, 480, hfov_deg=90.0, name=name.replace("/", "."), near=HEAD_NEAR_M)
             return CameraTrack(camera=camera, poses=link_frames(replay, index, "head") @ HEAD_POSE)
     return None
 
 
 HUMAN_HEAD = "human_head"
-"""What a human sees: between the eyes, looking where the head does."""
+"""A person's view: a camera between the eyes, looking in the direction of the head."""
 HEAD_POSE = np.array([[-1.0, 0, 0, 0], [0, -1, 0, 0.07], [0, 0, 1, 0.07], [0, 0, 0, 1]])
 """Camera to the frame of the joint ``head`` (z forward, y up, x left)."""
 HEAD_NEAR_M = 0.12
-"""The face itself is cut away."""
+"""Near plane that cuts the person's own face away."""
 
 
 def _user(replay: Replay, column: str) -> CameraTrack:
-    """A camera pose that the recording carries (Habitat's convention: looks along -z, y up)."""
-    poses = pose_to_matrix(held(replay.recording.columns[column].astype(np.float64))) @ OPENGL_TO_OPENCV
+    """A camera whose pose is a column of the recording (Habitat's convention: looking along -z, y up)."""
+    poses = pose_to_matrix(forward_fill(replay.recording.columns[column].astype(np.float64))) @ OPENGL_TO_OPENCV
     return CameraTrack(camera=pinhole(640, 480, hfov_deg=90, name=column), poses=poses)
 
 
@@ -111,7 +100,7 @@ TOP_DOWN_PIXELS = 480_000
 
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """The whole home from high above, without ceilings; the picture's upper edge is -Z. Stands still."""
+    """A static view of the whole home from high above, without ceilings, -Z at the top."""
     lo, hi = _extent(replay)
     lo, hi = lo - margin_m, hi + margin_m
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
@@ -129,7 +118,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
 
 
 def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
-    """The whole home as a plan to scale: no wall leans; else as `top_down`."""
+    """The whole home as a plan to scale, i.e. `top_down` without perspective."""
     lo, hi = _extent(replay)
     lo, hi = lo - margin_m, hi + margin_m
     span_x, span_z = hi[0] - lo[0], hi[2] - lo[2]
@@ -144,7 +133,7 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
 
 
 def orbit(replay: Replay) -> CameraTrack:
-    """Around everything from above, without ceilings, once in the recording."""
+    """A camera that circles the whole home from above, without ceilings, once per recording."""
     lo, hi = _extent(replay)
     middle, reach = (lo + hi) / 2, float(np.hypot(hi[0] - lo[0], hi[2] - lo[2])) / 2
     times = replay.recording.columns["time_ns"].astype(np.float64) * 1e-9
@@ -159,7 +148,7 @@ PLACEHOLDER_STAGE_M = 10.0
 
 
 def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Smallest and largest corner of what was there, over the whole recording [m]."""
+    """Minimum and maximum corner of the home, or of everything that was recorded [m]."""
     if replay.scene is not None and replay.scene.rooms:
         rectangles = np.concatenate([room.rectangles for room in replay.scene.rooms])
         top = float(replay.scene.bounds[1, 1])
@@ -171,7 +160,7 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     for index, drawable in enumerate(replay.drawables):
         lo, hi = drawable.mesh.bounds
         if drawable.placeholder and np.max(hi - lo) > PLACEHOLDER_STAGE_M:
-            continue  # the slab that stands for a missing building says nothing about its size
+            continue  # the placeholder of a missing building does not have its size
         box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
         steps = np.unique(np.linspace(0, len(replay) - 1, 32).astype(int)) if drawable.moving else None
         if drawable.deformable and steps is not None:
@@ -184,3 +173,12 @@ def _extent(replay: Replay) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     points = np.concatenate([c.reshape(-1, 3) for c in corners]) if corners else np.zeros((1, 3))
     lo, hi = points.min(0), points.max(0)
     return lo, np.maximum(hi, lo + 1.0)
+
+
+_VIRTUAL = {
+    "top_down": top_down,
+    "top_down_orthographic": top_down_orthographic,
+    "orbit": orbit,
+    "third_person": third_person,
+}
+"""Cameras that are computed from the recording as a whole."""

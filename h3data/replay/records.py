@@ -1,4 +1,4 @@
-"""What a replay is made of: things that can be drawn, how each of them moves, where everything was, cameras and their ways."""
+"""Records of a replay: drawables and their tracks, states, and camera tracks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.recording import Body
 from h3data.render.camera import Camera
@@ -19,21 +20,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawable:
-    """One thing that can be drawn. Its position in `Replay.drawables` is its instance id in pictures."""
+    """One object that is rendered. Its index in `Replay.drawables` is its id in instance images."""
 
     name: str
     mesh: Mesh
     matrix: Array
-    """4x4 mesh frame to world, scale included; of a moving thing, at its first step."""
+    """4x4 matrix from mesh to world, scale included; for moving objects, at the first step."""
     layer: str = ""
     semantic_id: int = 0
     agent: int = -1
     """Index of the agent that it belongs to; -1 = none."""
     moving: bool = False
     deformable: bool = False
-    """Its vertices change and are given in the world frame (skinned bodies)."""
+    """Whether its vertices change and are in the world frame (skinned bodies)."""
     placeholder: bool = False
-    """A stand-in: the recorded asset was not found."""
+    """Whether it stands in for an asset that was not found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class LinkTrack:
-    """A link of a robot that is drawn by its model."""
+    """A link of a robot that is rendered from its model."""
 
     agent: int
     link: int
@@ -54,7 +55,7 @@ class LinkTrack:
 
 @dataclass(frozen=True)
 class PersonTrack:
-    """A humanoid that is drawn by its model."""
+    """A person who is rendered from a humanoid model."""
 
     agent: int
 
@@ -74,27 +75,40 @@ Track = BodyTrack | LinkTrack | PersonTrack | RigTrack
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where everything was at one step."""
+    """The state of a recording at one step."""
 
     step: int
     time_s: float
     poses: dict[str, NDArray[np.float64]] = field(repr=False)
-    """4x4 in the world by name, scale included; things that were not in the world then are left out."""
+    """4x4 matrices to world by name, scale included, without objects that were absent."""
     agents: dict[str, dict[str, Any]]
-    """Per agent: every recorded column of it at this step."""
+    """All recorded columns of each agent at this step, by agent name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraTrack:
-    """A camera and where it is at every step."""
+    """A camera and its pose at every step."""
 
     camera: Camera
     poses: Array
-    """4x4 camera to world, shape [T, 4, 4]; [1, 4, 4] for one that stands still."""
+    """4x4 matrices from camera to world, shape [T, 4, 4]; [1, 4, 4] for a static camera."""
     nears: Array | None = None
-    """What is nearer than this is cut away [T] [m], as `Camera.near`; None: as ``camera`` has it."""
+    """`Camera.near` at every step, shape [T] [m]; None = that of ``camera`` throughout."""
 
     def at(self, step: int) -> Camera:
         """The camera at one step."""
         camera = self.camera.at(self.poses[min(step, len(self.poses) - 1)])
         return camera if self.nears is None else replace(camera, near=float(self.nears[step]))
+
+
+def forward_fill(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows [T, n] with rows that contain NaN (absent agents) replaced by the last finite row, or the first at the start.
+
+    Raises:
+        InputError: no row is finite.
+    """
+    finite = np.isfinite(values).all(-1)
+    if not finite.any():
+        raise InputError("This camera has no pose at any step.")
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    return values[np.where(last < 0, np.argmax(finite), last)]

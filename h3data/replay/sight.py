@@ -1,8 +1,6 @@
-"""What stands around a point of a recording: small depth images of everything but its agents and what they may carry."""
+"""Free lines of sight around points of a recording, from small depth images without agents and the objects they carry."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,28 +8,26 @@ from numpy.typing import NDArray
 from h3data.geometry import Array
 from h3data.render import Renderer, look_at, pinhole
 from h3data.replay.records import BodyTrack
-
-if TYPE_CHECKING:
-    from h3data.replay.replay import Replay
+from h3data.replay.replay import Replay
 
 CARRIED_M = 0.6
-"""Moving things smaller than this hide nobody: they are carried, or soon gone."""
+"""Smaller moving objects do not obstruct: they are carried, or soon gone."""
 CLEARANCE_M = 0.1
-"""Half the width of a free line, and how far it ends before what it meets."""
+"""Half the width of a free line, and the distance at which it ends in front of an obstacle."""
 SIDES, SIDE_PX, SIDE_DEG = 4, 96, 130.0
-"""All around: images that overlap, each with all lines up to 45 degrees off the horizon and what is near them."""
+"""Overlapping images of a panorama; each covers all lines up to 45 degrees off the horizon and their surroundings."""
 AHEAD_PX, AHEAD_DEG = 48, 80.0
 SEEN_SLACK_M = 0.1
 
 
 class Sight:
-    """Lines of sight between points at any step. Layers in ``hidden_layers`` and the agents stand in no one's way."""
+    """Lines of sight between points at any step; agents and ``hidden_layers`` do not obstruct them."""
 
     def __init__(self, replay: Replay, *, hidden_layers: tuple[str, ...] = ()) -> None:
         self.replay = replay
         scene = replay.stage.scene
         self._renderer = Renderer(scene)
-        hidden = np.ones(len(scene.instances), np.bool_)  # those after the drawables are people, too
+        hidden = np.ones(len(scene.instances), np.bool_)  # instances beyond the drawables are light meshes of people
         moving = []
         for index, (drawable, track) in enumerate(zip(replay.drawables, replay.tracks, strict=True)):
             if drawable.agent >= 0 or drawable.deformable:
@@ -52,75 +48,77 @@ class Sight:
         self._turns = np.stack([look_at(np.zeros(3), out)[:3, :3] for out in self._outward])
 
     def at(self, step: int) -> None:
-        """Go to a step: what moves is put where it was."""
+        """Moves all obstacles to their poses at a step."""
         if len(self._moving):
             rows = np.array([step])
             matrices = np.stack([self.replay.matrices(int(index), rows)[0] for index in self._moving])
             self._renderer.set_transforms(self._moving, matrices)
 
     def around(self, point: Array) -> NDArray[np.float64]:
-        """z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] of what is seen from ``point`` [3] to all sides, inf = nothing [m]."""
+        """Panorama from ``point`` [3]: z-depth [`SIDES`, `SIDE_PX`, `SIDE_PX`] [m], inf = no surface."""
         poses = np.tile(np.eye(4), (SIDES, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = self._turns, point
         cameras = [self._side.at(pose) for pose in poses]
-        return _open(self._renderer.render_batch(cameras, outputs=("depth",))["depth"])
+        return _with_inf(self._renderer.render_batch(cameras, outputs=("depth",))["depth"])
 
-    def free_ahead(self, point: Array, direction: Array, most_m: float) -> float:
-        """How far a free line goes from ``point`` [3] along the unit ``direction`` [3], at most ``most_m`` [m]."""
+    def free_ahead(self, point: Array, direction: Array, max_m: float) -> float:
+        """Length of the free line from ``point`` [3] along the unit ``direction`` [3], at most ``max_m`` [m]."""
         camera = self._ahead.at(look_at(point, point + direction))
-        depth = _open(self._renderer.render(camera, outputs=("depth",))["depth"])
-        return float(self._beam.free(depth.reshape(1, -1), most_m)[0])
+        depth = _with_inf(self._renderer.render(camera, outputs=("depth",))["depth"])
+        return float(self._beam.free(depth.reshape(1, -1), max_m)[0])
 
     def sees(self, panorama: NDArray[np.float64], point: Array, others: Array) -> NDArray[np.bool_]:
-        """Which points [N, 3] are seen from ``point`` [3], where `around` gave ``panorama``."""
+        """Whether points ``others`` [N, 3] are visible from ``point`` [3], whose panorama is given (`around`)."""
         side, local = self._turned(others - point)
         u, v = np.clip(self._pixels(local), 0, SIDE_PX - 1).T
         return panorama[side, v, u] > local[:, 2] - SEEN_SLACK_M
 
     def _turned(self, offsets: Array) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """The side [N] of a panorama to which offsets [N, 3] belong, and the offsets in that camera's frame [N, 3]."""
+        """Image [N] of a panorama that offsets [N, 3] belong to, and the offsets in that camera's frame [N, 3]."""
         side = (offsets @ self._outward.T).argmax(1)
         return side, np.einsum("nji,nj->ni", self._turns[side], offsets)
 
     def _pixels(self, local: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Pixels [N, 2] of points [N, 3] in the frame of a side's camera."""
+        """Pixels [N, 2] of points [N, 3] in the frame of a panorama camera."""
         return np.floor(np.nan_to_num(self._side.to_pixels(local))).astype(np.intp)
 
 
 class Fan:
-    """Free lengths along the same directions, unit [D, 3] and at most 45 degrees off the horizon, in many panoramas."""
+    """Free distances in many panoramas along fixed unit directions [D, 3], at most 45 degrees off the horizon."""
 
     def __init__(self, sight: Sight, directions: Array) -> None:
         self._side, axes = sight._turned(directions)
         pixels = sight._pixels(axes)
         reach = int(np.radians(25) * sight._side.fx) + 1
         rows, columns = (a.ravel() for a in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+        # every pixel close to the axis, every second one farther out
         kept = (np.maximum(np.abs(rows), np.abs(columns)) <= 3) | ((rows % 2 == 0) & (columns % 2 == 0))
         self._v = np.clip(pixels[:, 1:] + rows[kept], 0, SIDE_PX - 1)
         self._u = np.clip(pixels[:, :1] + columns[kept], 0, SIDE_PX - 1)
         self._beam = Beam(sight._side.rays()[1][self._v, self._u], axes, sight._side.fx)
 
-    def free(self, panorama: NDArray[np.float64], most_m: float) -> NDArray[np.float64]:
-        """Length [D] of the free line along each direction, at most ``most_m`` [m]."""
-        return self._beam.free(panorama[self._side[:, None], self._v, self._u], most_m)
+    def free(self, panorama: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
+        """Length [D] of the free line along each direction, at most ``max_m`` [m]."""
+        return self._beam.free(panorama[self._side[:, None], self._v, self._u], max_m)
 
 
 class Beam:
-    """Lines along unit ``axes`` [D, 3] among the points that pixels with ``rays`` [D, P, 3] (z = 1) show."""
+    """Beams along unit ``axes`` [D, 3], tested against the surface points of pixels with ``rays`` [D, P, 3] (z = 1)."""
 
     def __init__(self, rays: Array, axes: Array, focal_px: float) -> None:
         length = np.linalg.norm(rays, axis=-1)
         cosine = np.clip(np.einsum("dpk,dk->dp", rays, axes) / length, 0.0, 1.0)
         self._along, self._across = length * cosine, length * np.sqrt(1 - cosine**2)
         self._on_axis = self._across < 1.5 / focal_px * self._along
-        """Pixels that the axis passes, or nearly."""
+        """Pixels on the axis or next to it."""
 
-    def free(self, depth: NDArray[np.float64], most_m: float) -> NDArray[np.float64]:
-        """Free length [D], at most ``most_m``, where the pixels have z-depth [D, P]; a point blocks within `CLEARANCE_M`."""
+    def free(self, depth: NDArray[np.float64], max_m: float) -> NDArray[np.float64]:
+        """Free length [D], at most ``max_m``, given z-depth [D, P]; points within `CLEARANCE_M` of the axis obstruct."""
         blocks = self._on_axis | (depth * self._across < CLEARANCE_M)
         first = np.where(blocks, depth * self._along, np.inf).min(1)
-        return np.clip(first - CLEARANCE_M, 0.0, most_m)
+        return np.clip(first - CLEARANCE_M, 0.0, max_m)
 
 
-def _open(depth: NDArray[np.float32]) -> NDArray[np.float64]:
+def _with_inf(depth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Depth with infinity instead of 0 for misses."""
     return np.where(depth > 0, depth, np.inf).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Pictures of a recording: its things as a scene to render, posed step by step, drawn by several threads."""
+"""`Stage`: the drawables of a recording as a scene to render, posed step by step, by several threads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +17,20 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid
 from h3data.geometry import Array, pose_to_matrix
 from h3data.render import Camera, Output, Renderer, RenderInstance, RenderScene
-from h3data.replay.records import BodyTrack, LinkTrack, PersonTrack
+from h3data.replay.posed_recording import PosedRecording
+from h3data.replay.records import BodyTrack, CameraTrack, LinkTrack, PersonTrack
 from h3data.scene import Mesh
 
-if TYPE_CHECKING:
-    from h3data.replay.records import CameraTrack
-    from h3data.replay.replay import Replay
-
 JOINT_STEPS = 64
-"""Poses of people are worked out for so many steps at once: for a single one they would cost more than skinning."""
+"""Steps for which poses of people are computed at once; for single steps they would cost more than skinning."""
 
-Pictures = list[dict[str, NDArray[Any]]]
-"""The outputs of each camera."""
+Images = list[dict[str, NDArray[Any]]]
+"""Outputs of each camera."""
 
 
 @dataclass(frozen=True)
 class _Skin:
-    """A deformable mesh in the scene and its instance."""
+    """A deformable mesh of the scene and its instance."""
 
     instance: int
     mesh: int
@@ -41,7 +38,7 @@ class _Skin:
 
 @dataclass(frozen=True)
 class _Person:
-    """A person with the meshes that a camera may choose."""
+    """A person with the meshes to choose from for each camera."""
 
     body: Humanoid
     agent: int
@@ -50,33 +47,33 @@ class _Person:
 
 
 class Stage:
-    """What a replay shows, as a scene to render. Immutable: threads share it, each with a renderer of its own."""
+    """The drawables of a replay as a scene to render. Immutable; threads share it, each with a renderer of its own."""
 
-    def __init__(self, replay: Replay) -> None:
+    def __init__(self, replay: PosedRecording) -> None:
         self.replay = replay
         self._meshes: list[Mesh] = []
         self._slots: dict[int, int] = {}
         self._instances: list[RenderInstance] = []
         self._people: list[_Person] = []
         self._rigged: list[tuple[int, _Skin]] = []
-        soft = []
+        deformable = []
         for index, drawable in enumerate(replay.drawables):
             skin = _Skin(index, self._add(index, drawable.mesh, shared=not drawable.deformable))
             if drawable.deformable:
-                soft.append((index, skin))
-        for index, skin in soft:
+                deformable.append((index, skin))
+        for index, skin in deformable:
             track = replay.tracks[index]
             if isinstance(track, PersonTrack):
                 self._people.append(self._person(index, track.agent, skin))
             else:
                 self._rigged.append((index, skin))
-        meshes = [skin.mesh for _, skin in soft] + [p.light.mesh for p in self._people if p.light]
+        meshes = [skin.mesh for _, skin in deformable] + [p.light.mesh for p in self._people if p.light]
         self.scene = RenderScene(self._meshes, self._instances, deformable=meshes)
         self._find_movers()
         self._joints = lru_cache(maxsize=64)(self._joints_of_chunk)
 
     def _add(self, index: int, mesh: Mesh, *, shared: bool) -> int:
-        """An instance of drawable ``index``; returns the number of its mesh."""
+        """Adds an instance of drawable ``index``; returns the index of its mesh."""
         slot = self._slots.get(id(mesh), len(self._meshes)) if shared else len(self._meshes)
         if slot == len(self._meshes):
             self._meshes.append(mesh)
@@ -86,13 +83,18 @@ class Stage:
         matrix = np.eye(4) if drawable.deformable else drawable.matrix.astype(np.float64)
         self._instances.append(
             RenderInstance(
-                mesh=slot, matrix=matrix, semantic_id=drawable.semantic_id, layer=drawable.layer, name=drawable.name,
+                mesh=slot,
+                matrix=matrix,
+                semantic_id=drawable.semantic_id,
+                layer=drawable.layer,
+                name=drawable.name,
                 id=index,
             )
-        )  # fmt: skip
+        )
         return slot
 
     def _person(self, index: int, agent: int, skin: _Skin) -> _Person:
+        """A person with one mesh if the replay's ``detail`` is fixed, else with both."""
         body = self.replay.model(agent)
         assert isinstance(body, Humanoid)
         if self.replay.detail is not None:
@@ -101,7 +103,7 @@ class Stage:
         return _Person(body, agent, skin, _Skin(instance, self._add(index, body.lod_mesh, shared=False)))
 
     def _find_movers(self) -> None:
-        """Tables of what moves, so that a step is posed by a few array operations."""
+        """Tabulates moving bodies and links, so that a step is posed by a few array operations."""
         tracks = list(enumerate(self.replay.tracks))
         bodies = [(i, t) for i, t in tracks if isinstance(t, BodyTrack)]
         self._bodies = np.array([i for i, _ in bodies], np.intp)
@@ -114,23 +116,28 @@ class Stage:
         ]
 
     def _joints_of_chunk(self, agent: int, chunk: int) -> Array:
-        """Joint frames [t, 55, 4, 4] of `JOINT_STEPS` steps."""
+        """Joint matrices [t, 55, 4, 4] of up to `JOINT_STEPS` steps."""
         first = chunk * JOINT_STEPS
         return self.replay.joint_matrices(agent, np.arange(first, min(first + JOINT_STEPS, len(self.replay))))
 
-    # --- drawing ------------------------------------------------------------------------------------------------------
+    # --- images -------------------------------------------------------------------------------------------------------
     def renderer(self) -> Renderer:
-        """A renderer for one thread, to be given to `draw`."""
+        """A renderer for one thread, to be passed to `render`."""
         return Renderer(self.scene)
 
-    def draw(
-        self, renderer: Renderer, step: int, cameras: Sequence[Camera], *, outputs: Sequence[Output],
+    def render(
+        self,
+        renderer: Renderer,
+        step: int,
+        cameras: Sequence[Camera],
+        *,
+        outputs: Sequence[Output],
         samples: Literal[1, 4] = 1,
-    ) -> Pictures:  # fmt: skip
-        """What each camera sees at ``step``, from what a renderer of this stage draws."""
+    ) -> Images:
+        """The outputs of each camera at ``step``, by a renderer of this stage."""
         if len(self._bodies):
             poses = self.replay.recording.columns["object_pose"][step, self._columns]
-            matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is not there
+            matrices = pose_to_matrix(poses.astype(np.float64))  # NaN where a body is absent
             matrices[:, :3, :3] *= self._scales
             renderer.set_transforms(self._bodies, matrices)
         rows = np.array([step])
@@ -138,64 +145,76 @@ class Stage:
             renderer.set_transforms(instances, self.replay.link_matrices(agent, rows)[0, links])
         for index, skin in self._rigged:
             vertices = self.replay.vertices(index, rows)[0]
-            there = bool(np.isfinite(vertices).all())
-            renderer.set_visible([skin.instance], there)
-            if there:
+            present = bool(np.isfinite(vertices).all())
+            renderer.set_visible([skin.instance], present)
+            if present:
                 renderer.set_vertices(skin.mesh, vertices)
         people = [
             (person, self._joints(person.agent, step // JOINT_STEPS)[[step % JOINT_STEPS]]) for person in self._people
         ]
         posed: set[_Skin] = set()
-        pictures = []
+        images = []
         for camera in cameras:
             for person, joints in people:
                 _show(renderer, person, joints, camera, posed)
-            pictures.append(renderer.render(camera, outputs=outputs, samples=samples))
-        return pictures
+            images.append(renderer.render(camera, outputs=outputs, samples=samples))
+        return images
 
     def frames(
-        self, tracks: Sequence[CameraTrack], steps: Sequence[int], *, outputs: Sequence[Output],
-        samples: Literal[1, 4] = 1, threads: int = 1, then: Callable[[int, Pictures], Any] | None = None,
-    ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-        """As `Replay.frames`; with ``then``, what it makes of a step and its pictures, in the thread that drew them."""
+        self,
+        tracks: Sequence[CameraTrack],
+        steps: Sequence[int],
+        *,
+        outputs: Sequence[Output],
+        samples: Literal[1, 4] = 1,
+        threads: int = 1,
+        then: Callable[[int, Images], Any] | None = None,
+    ) -> Iterator[tuple[int, Any]]:
+        """Yields ``(step, images)`` like `Replay.frames`, or ``(step, then(step, images))``.
+
+        ``then`` runs in the thread that rendered the images, e.g. to encode them in parallel.
+        """
         local = threading.local()
 
-        def draw(step: int) -> Any:
+        def render(step: int) -> Any:
             if not hasattr(local, "renderer"):
                 local.renderer = self.renderer()
             cameras = [track.at(step) for track in tracks]
-            pictures = self.draw(local.renderer, step, cameras, outputs=outputs, samples=samples)
-            return pictures if then is None else then(step, pictures)
+            images = self.render(local.renderer, step, cameras, outputs=outputs, samples=samples)
+            return images if then is None else then(step, images)
 
         if threads <= 1:
             for step in steps:
-                yield step, draw(step)
+                yield step, render(step)
             return
         todo = iter(steps)
-        with ThreadPoolExecutor(threads, thread_name_prefix="h3data-draw") as pool:
-            pending = deque((step, pool.submit(draw, step)) for step in islice(todo, 2 * threads))
+        with ThreadPoolExecutor(threads, thread_name_prefix="h3data-render") as pool:
+            pending = deque((step, pool.submit(render, step)) for step in islice(todo, 2 * threads))
             try:
                 while pending:
                     step, future = pending.popleft()
                     yield step, future.result()
-                    pending.extend((step, pool.submit(draw, step)) for step in islice(todo, 1))
+                    pending.extend((step, pool.submit(render, step)) for step in islice(todo, 1))
             finally:
                 for _, future in pending:
                     future.cancel()
 
 
 def _show(renderer: Renderer, person: _Person, joints: Array, camera: Camera, posed: set[_Skin]) -> None:
-    """Show the mesh that ``camera`` needs of a person with joint frames [1, 55, 4, 4]; ``posed`` ones have their shape."""
-    there = bool(np.isfinite(joints).all())
+    """Shows the mesh that suits ``camera`` of a person with joint matrices [1, 55, 4, 4].
+
+    ``posed`` collects the meshes that have this step's vertices already.
+    """
+    present = bool(np.isfinite(joints).all())
     light = person.full is None
-    if person.full and person.light and there:
+    if person.full and person.light and present:
         distance = np.linalg.norm(joints[0, :, :3, 3] - camera.pose[:3, 3], axis=1).min()
         focal = camera.fx * (distance if camera.projection == "orthographic" else 1.0)
         light = person.body.light_enough(focal, distance)
     shown = person.light if light else person.full
     for skin in (person.full, person.light):
         if skin:
-            renderer.set_visible([skin.instance], there and skin is shown)
-    if there and shown and shown not in posed:
+            renderer.set_visible([skin.instance], present and skin is shown)
+    if present and shown and shown not in posed:
         posed.add(shown)
         renderer.set_vertices(shown.mesh, person.body.skin(joints, lod=light)[0])

@@ -1,7 +1,7 @@
-"""What is wrong with a recording: names and kinds of columns, time, values, rotations, the hash, jumps, feet, walls, files.
+"""Faults of a recording: column names and types, time, values, rotations, the hash, jumps, feet, walls, asset files.
 
-Errors are things that no sound recording has. Warnings are things that a recording may have, and that its user should
-know of: a teleport, a foot that slides, an asset that is not at hand.
+Errors never occur in a sound recording. Warnings may, but its user should know: a teleport, a sliding foot, an asset that
+was not found.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ Check = Literal[
 Severity = Literal["error", "warning"]
 
 GAP_STEPS = 1.5
-"""A step longer than this many usual ones is a gap."""
+"""Gaps are steps longer than this many usual ones."""
 UNIT_WARNING, UNIT_ERROR = 1e-3, 1e-2
-"""How far the length of a quaternion may be from 1: files that round to five digits are off by 1e-5."""
+"""Limits of a quaternion's deviation from unit length; files that round to five digits are off by 1e-5."""
 AGENT_MPS, OBJECT_MPS = 10.0, 25.0
-"""Nobody runs and nothing is carried faster [m/s]; what is faster was put there."""
+"""Largest plausible speeds of agents and carried objects [m/s]; anything faster was teleported."""
 TURN_RAD, JOINT_RAD = 2.1, 1.6
-"""Most that a thing or an agent turns, and that a joint turns, from one step to the next [rad]."""
+"""Largest rotation of an object or agent, and of a joint, from one step to the next [rad]."""
 WALL_M = 0.02
-"""An agent's root may be this far inside an obstacle: the error of the distance grid [m]."""
+"""Tolerated depth of an agent's root inside an obstacle: the error of the distance grid [m]."""
 APART_M = 0.15
-"""Roots of two agents nearer than this are inside each other [m]."""
+"""Agents whose roots are closer than this are inside each other [m]."""
 SINK_M = 0.05
-"""A sole lower than this under its root's floor is in the floor [m]."""
+"""Soles deeper than this below the height of the root are in the floor [m]."""
 LOW_M, SLIDE_MPS, SLIDE_S, SLIDE_SHARE = 0.02, 0.3, 0.15, 0.10
-"""A foot within LOW_M of the floor can carry. Feet slide where none that can carry is slower than SLIDE_MPS, for SLIDE_S or
-longer: shorter is a foot that lands, or both in the flight of a jog. Told of from this share of the steps on."""
+"""Feet within LOW_M of the floor can carry. They slide if all that can carry are faster than SLIDE_MPS for at least SLIDE_S
+(shorter: a foot that lands, or the flight phase of a jog). Reported if it happens in at least SLIDE_SHARE of the steps."""
 _FEET_CHUNK = 512
 
 _AGENT = re.compile(r"agent_(\d+)\.(\w+)$")
@@ -55,40 +55,38 @@ _POSES = ("base_pose", "root_pose")
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong."""
+    """One fault."""
 
     check: Check
     severity: Severity
     subject: str
-    """A column, body, agent or file."""
+    """The column, body, agent or file concerned."""
     text: str
-    """What is wrong, with numbers."""
+    """Description of the fault, with numbers."""
     step: int = -1
-    """The first step of it; -1 = none in particular."""
+    """First step at which it occurs; -1 = not tied to a step."""
     count: int = 1
-    """At how many steps."""
+    """Number of steps at which it occurs."""
 
     def __str__(self) -> str:
-        at = f", step {self.step}" if self.step >= 0 else ""
-        many = f" ({self.count} steps)" if self.count > 1 else ""
-        return f"{self.severity:<7} {self.check:<11} {self.subject}{at}: {self.text}{many}"
+        step = f", step {self.step}" if self.step >= 0 else ""
+        count = f" ({self.count} steps)" if self.count > 1 else ""
+        return f"{self.severity:<7} {self.check:<11} {self.subject}{step}: {self.text}{count}"
 
 
 def validate_recording(recording: Recording, *, assets: AssetLibrary | None = None) -> list[Finding]:
-    """Everything that is wrong with a recording, errors first. Without findings it can be relied on.
+    """All faults of a recording, errors first; a recording without errors can be relied on.
 
-    ``assets`` finds files that a foreign recording names.
+    ``assets`` finds the files that a foreign recording refers to.
     """
-    with np.errstate(all="ignore"):  # of garbage, which is what is looked for
-        found = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]
-        if not any(
-            f.severity == "error" and f.check in ("schema", "values") for f in found
-        ):  # else nothing can be posed
-            found += [*_jumps(recording), *_seen(recording, assets or AssetLibrary())]
-    return sorted(found, key=lambda f: f.severity != "error")
+    with np.errstate(all="ignore"):  # invalid values, which are what is searched for
+        findings = [*_schema(recording), *_time(recording), *_values(recording), *_hash(recording)]
+        if not any(f.severity == "error" and f.check in ("schema", "values") for f in findings):  # else it has no poses
+            findings += [*_jumps(recording), *_posed(recording, assets or AssetLibrary())]
+    return sorted(findings, key=lambda f: f.severity != "error")
 
 
-# --- names and kinds --------------------------------------------------------------------------------------------------
+# --- names and types --------------------------------------------------------------------------------------------------
 def _schema(rec: Recording) -> Iterator[Finding]:
     wrong = partial(_error, "schema")
     moving = len(rec.moving_bodies)
@@ -100,7 +98,7 @@ def _schema(rec: Recording) -> Iterator[Finding]:
         if match is None:
             continue
         if int(match[1]) >= len(rec.agents):
-            yield wrong(name, f"there are {len(rec.agents)} agents")
+            yield wrong(name, f"refers to agent {match[1]}, but there are {len(rec.agents)} agents")
             continue
         agent = rec.agents[int(match[1])]
         kinds: dict[str, tuple[str, tuple[int | None, ...], tuple[float, float] | None]] = {
@@ -125,14 +123,14 @@ def _schema(rec: Recording) -> Iterator[Finding]:
         if not np.isfinite(body.scale).all() or not (np.isfinite(body.pose).all() or body.moving >= 0):
             yield wrong(body.name, f"pose {body.pose.tolist()} and scale {body.scale.tolist()} must be finite")
         if not -1 <= body.agent < len(rec.agents):
-            yield wrong(body.name, f"is a part of agent {body.agent}; there are {len(rec.agents)}")
+            yield wrong(body.name, f"belongs to agent {body.agent}, but there are {len(rec.agents)} agents")
     last = len(rec) - 1
     for event in rec.events:
         if not (0 <= event.step <= last and -1 <= event.agent < len(rec.agents)):
             yield wrong(f"event {event.kind}", f"step {event.step} of agent {event.agent} is not in this recording")
-    for given in rec.inputs:
-        if given.payload and not _is_json(given.payload):
-            yield wrong(f"input {given.kind}", f"its payload must be JSON, is {given.payload[:40]!r}")
+    for event in rec.inputs:
+        if event.payload and not _is_json(event.payload):
+            yield wrong(f"input {event.kind}", f"expected a JSON payload, got {event.payload[:40]!r}")
     for span in rec.skills:
         if not (0 <= span.start_step <= span.end_step <= last and 0 <= span.agent < len(rec.agents)):
             yield wrong(
@@ -158,22 +156,22 @@ def _is(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> bool:
 
 def _expected(array: NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> str:
     rows = ", ".join(["T", *("any" if n is None else str(n) for n in shape)])
-    return f"expected {kind} [{rows}], is {array.dtype} {list(array.shape)}"
+    return f"expected {kind} [{rows}], got {array.dtype} {list(array.shape)}"
 
 
 # --- time and numbers -------------------------------------------------------------------------------------------------
 def _time(rec: Recording) -> Iterator[Finding]:
-    """That time increases is checked when a recording is opened."""
+    """Gaps, and a time step that differs from the header's. (Opening a recording already checks that time increases.)"""
     steps = np.diff(rec.columns["time_ns"])
     if not len(steps):
         return
     usual = float(np.median(steps))
     gaps = steps > GAP_STEPS * usual
     if gaps.any():
-        text = f"{steps[np.argmax(gaps)] * 1e-9:.3f} s pass, usually {usual * 1e-9:.3f} s"
+        text = f"{steps[np.argmax(gaps)] * 1e-9:.3f} s to the previous step, usually {usual * 1e-9:.3f} s"
         yield _warning("time", "time_ns", text, at=np.append(False, gaps))
     if abs(usual - rec.episode.dt_ns) > 0.05 * rec.episode.dt_ns:
-        yield _warning("time", "dt_ns", f"says {rec.episode.dt_ns} ns per step, rows are {usual:.0f} ns apart")
+        yield _warning("time", "dt_ns", f"is {rec.episode.dt_ns} ns, but rows are {usual:.0f} ns apart")
 
 
 def _values(rec: Recording) -> Iterator[Finding]:
@@ -182,16 +180,17 @@ def _values(rec: Recording) -> Iterator[Finding]:
             continue
         match = _AGENT.match(name)
         rows = array.reshape(len(array), -1)
-        part = rows.reshape(len(rows), -1, 7) if _holds_poses(name, array) else None
+        poses = rows.reshape(len(rows), -1, 7) if _holds_poses(name, array) else None
         infinite = np.isinf(rows).any(axis=1) & (not name.startswith("metrics."))
         if infinite.any():
             yield _error("values", name, "is infinite", at=infinite)
-        if part is not None:
-            missing = np.isnan(part)
-            torn = np.any(missing.any(axis=2) & ~missing.all(axis=2), axis=1)
-            if torn.any():
-                yield _error("values", name, "a pose is NaN in part; absent things are NaN throughout", at=torn)
-            yield from _unit(name, part[..., 3:])
+        if poses is not None:
+            missing = np.isnan(poses)
+            partial_nan = np.any(missing.any(axis=2) & ~missing.all(axis=2), axis=1)
+            if partial_nan.any():
+                text = "a pose is partly NaN; poses of absent objects must be NaN throughout"
+                yield _error("values", name, text, at=partial_nan)
+            yield from _unit(name, poses[..., 3:])
         elif match is not None and np.isnan(rows).any():
             yield _error("values", name, "is NaN", at=np.isnan(rows).any(axis=1))
         if match is not None and match[2] == "joint_quat" and array.ndim == 3:
@@ -199,22 +198,22 @@ def _values(rec: Recording) -> Iterator[Finding]:
     for body in rec.bodies:
         length = float(np.linalg.norm(body.pose[3:].astype(np.float64)))
         if np.isfinite(body.pose).all() and abs(length - 1) > UNIT_ERROR:
-            yield _error("quaternions", body.name, f"its quaternion has the length {length:.4f}")
+            yield _error("quaternions", body.name, f"its quaternion has length {length:.4f}")
 
 
 def _holds_poses(name: str, array: NDArray[Any]) -> bool:
     match = _AGENT.match(name)
-    named = name == "object_pose" or name.startswith("rig.") or (match is not None and match[2] in _POSES)
-    return named and array.ndim > 1 and array.shape[-1] == 7
+    is_pose = name == "object_pose" or name.startswith("rig.") or (match is not None and match[2] in _POSES)
+    return is_pose and array.ndim > 1 and array.shape[-1] == 7
 
 
 def _unit(name: str, quats: NDArray[Any]) -> Iterator[Finding]:
-    """Quaternions [T, ..., 4] that are not of unit length; NaN ones are not there."""
+    """Findings about quaternions [T, ..., 4] that are not of unit length; NaN marks absent objects."""
     off = np.abs(np.linalg.norm(quats.astype(np.float64), axis=-1) - 1).reshape(len(quats), -1)
     worst = np.nan_to_num(off).max(axis=1, initial=0.0)
     if (worst > UNIT_WARNING).any():
-        tell, limit = (_error, UNIT_ERROR) if (worst > UNIT_ERROR).any() else (_warning, UNIT_WARNING)
-        yield tell("quaternions", name, f"a quaternion's length is off by {worst.max():.2g}", at=worst > limit)
+        report, limit = (_error, UNIT_ERROR) if (worst > UNIT_ERROR).any() else (_warning, UNIT_WARNING)
+        yield report("quaternions", name, f"a quaternion's length is off by {worst.max():.2g}", at=worst > limit)
 
 
 def _hash(rec: Recording) -> Iterator[Finding]:
@@ -223,7 +222,7 @@ def _hash(rec: Recording) -> Iterator[Finding]:
         return
     differ = state_hash(rec.columns) != stored
     if differ.any():
-        text = "the state is not the one that was hashed: something was changed here, or the row before is missing"
+        text = "the state differs from the one that was hashed: it was modified, or the previous row is missing"
         yield _error("hash", "state_hash", text, at=differ)
 
 
@@ -235,10 +234,11 @@ def _jumps(rec: Recording) -> Iterator[Finding]:
     tracks = [(b.name, rec.columns["object_pose"][:, b.moving], OBJECT_MPS) for b in rec.moving_bodies]
     tracks += [(a.name, rec.agent_column(i, "base_pose"), AGENT_MPS) for i, a in enumerate(rec.agents)]
     for name, pose, limit in tracks:
-        way = np.linalg.norm(np.diff(pose[:, :3].astype(np.float64), axis=0), axis=1)
-        fast, turned = way / seconds > limit, _angles(pose[:, 3:]) > TURN_RAD
+        distance = np.linalg.norm(np.diff(pose[:, :3].astype(np.float64), axis=0), axis=1)
+        speed, turned = distance / seconds, _angles(pose[:, 3:]) > TURN_RAD
+        fast = speed > limit
         if fast.any():
-            text = f"moves {way[np.argmax(fast)]:.2f} m in one step, {(way / seconds)[np.argmax(fast)]:.0f} m/s"
+            text = f"moves {distance[np.argmax(fast)]:.2f} m in one step, {speed[np.argmax(fast)]:.0f} m/s"
             yield _warning("jumps", name, text, at=np.append(False, fast))
         if turned.any():
             text = f"turns {np.degrees(_angles(pose[:, 3:])[np.argmax(turned)]):.0f} degrees in one step"
@@ -261,25 +261,25 @@ def _angles(quats: NDArray[Any]) -> NDArray[np.float64]:
 
 
 # --- bodies, walls, files ---------------------------------------------------------------------------------------------
-def _seen(rec: Recording, assets: AssetLibrary) -> Iterator[Finding]:
-    """What only the posed bodies, the scene and the asset files can tell."""
+def _posed(rec: Recording, assets: AssetLibrary) -> Iterator[Finding]:
+    """Findings that need the posed bodies, the scene or the asset files."""
     try:
         replay = Replay(rec, assets=assets)
     except H3DataError as fault:
         yield _error("assets", "recording", f"it cannot be posed: {fault}")
         return
     for uri, bodies in sorted(replay.missing.items()):
-        yield _warning("assets", uri, f"not found; {bodies} bodies are drawn as placeholders")
+        yield _warning("assets", uri, f"not found; {bodies} bodies are replaced by placeholders")
     if not len(rec):
         return
     if replay.scene is not None and len(replay.scene.instances):
         yield from _in_walls(rec, replay)
     roots = [rec.agent_column(i, "base_pose")[:, :3].astype(np.float64) for i in range(len(rec.agents))]
     for i, j in itertools.combinations(range(len(roots)), 2):
-        apart = np.linalg.norm(roots[i] - roots[j], axis=1)
-        if (apart < APART_M).any():
-            text = f"the roots of both are {apart[np.argmax(apart < APART_M)]:.2f} m apart"
-            yield _error("penetration", f"{rec.agents[i].name}, {rec.agents[j].name}", text, at=apart < APART_M)
+        distance = np.linalg.norm(roots[i] - roots[j], axis=1)
+        if (distance < APART_M).any():
+            text = f"their roots are {distance[np.argmax(distance < APART_M)]:.2f} m apart"
+            yield _error("penetration", f"{rec.agents[i].name}, {rec.agents[j].name}", text, at=distance < APART_M)
     for i, agent in enumerate(rec.agents):
         if agent.model and isinstance(replay.model(i), Humanoid):
             yield from _feet(replay, i)
@@ -294,16 +294,16 @@ def _in_walls(rec: Recording, replay: Replay) -> Iterator[Finding]:
         return
     for i, agent in enumerate(rec.agents):
         root = rec.agent_column(i, "base_pose")[:, :3].astype(np.float64)
-        here = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.floor_y) < 0.5)  # not on another storey
+        on_storey = np.isfinite(root).all(axis=1) & (np.abs(root[:, 1] - free.floor_y) < 0.5)
         depth = np.full(len(root), -np.inf)
-        depth[here] = -free.signed_distance(root[here][:, [0, 2]])
+        depth[on_storey] = -free.signed_distance(root[on_storey][:, [0, 2]])
         if (depth > WALL_M).any():
             text = f"its root is {depth.max():.2f} m inside an obstacle or off the floor"
             yield _error("penetration", agent.name, text, at=depth > WALL_M)
 
 
 def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
-    """Soles in the floor, and feet that slide while they carry; the floor is at the height of the root."""
+    """Soles in the floor, and feet that slide while carrying; the floor is assumed at the height of the root."""
     rec, body = replay.recording, replay.model(agent)
     assert isinstance(body, Humanoid)
     parts = []
@@ -315,13 +315,14 @@ def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
     lowest = points[..., 1].min(axis=(1, 2))
     name = rec.agents[agent].name
     if (lowest < -SINK_M).any():
-        yield _warning("penetration", name, f"a sole is {-np.nanmin(lowest):.2f} m below her root", at=lowest < -SINK_M)
+        text = f"a sole is {-np.nanmin(lowest):.2f} m below the root"
+        yield _warning("penetration", name, text, at=lowest < -SINK_M)
     if len(rec) < 2:
         return
     pivot = np.argmin(points[1:, ..., 1] + points[:-1, ..., 1], axis=2)[..., None]
-    way = np.take_along_axis(np.linalg.norm(np.diff(points[..., ::2], axis=0), axis=-1), pivot, axis=2)[..., 0]
+    distance = np.take_along_axis(np.linalg.norm(np.diff(points[..., ::2], axis=0), axis=-1), pivot, axis=2)[..., 0]
     height = np.take_along_axis(np.maximum(points[1:, ..., 1], points[:-1, ..., 1]), pivot, axis=2)[..., 0]
-    speed = np.where(height < LOW_M, way, np.inf).min(axis=1) / (np.diff(rec.columns["time_ns"]) * 1e-9)
+    speed = np.where(height < LOW_M, distance, np.inf).min(axis=1) / (np.diff(rec.columns["time_ns"]) * 1e-9)
     slides = np.isfinite(speed) & (speed > SLIDE_MPS)
     for start, end in runs(slides):
         slides[start:end] &= (rec.columns["time_ns"][end] - rec.columns["time_ns"][start]) * 1e-9 > SLIDE_S * 0.95
@@ -330,7 +331,7 @@ def _feet(replay: Replay, agent: int) -> Iterator[Finding]:
         yield _warning("feet", name, text, at=np.append(False, slides))
 
 
-# --- inside -----------------------------------------------------------------------------------------------------------
+# --- findings ---------------------------------------------------------------------------------------------------------
 def _error(check: Check, subject: str, text: str, *, at: ArrayLike | None = None) -> Finding:
     return _finding(check, "error", subject, text, at)
 
@@ -340,6 +341,6 @@ def _warning(check: Check, subject: str, text: str, *, at: ArrayLike | None = No
 
 
 def _finding(check: Check, severity: Severity, subject: str, text: str, at: ArrayLike | None) -> Finding:
-    """``at``: bool [T], the steps of which it is said."""
+    """A finding at the steps marked in ``at`` [T]."""
     step, count = (-1, 1) if at is None else (int(np.argmax(at)), int(np.sum(at)))
     return Finding(check=check, severity=severity, subject=subject, text=text, step=step, count=count)

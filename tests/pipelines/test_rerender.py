@@ -144,11 +144,11 @@ def test_killed_at_any_time_it_goes_on(episode: Path, tmp_path: Path, capsys: py
 SLOW = """
 import sys, time
 from h3data.replay.stage import Stage
-quick = Stage.draw
+quick = Stage.render
 def slow(*arguments, **options):
     time.sleep(0.05)
     return quick(*arguments, **options)
-Stage.draw = slow
+Stage.render = slow
 from h3data_pipelines.cli import main
 main(sys.argv[1:])
 """

@@ -136,7 +136,7 @@ def test_overviews_see_into_rooms_without_ceilings(replay, name):
     camera = found.at(STEPS // 2)
     shares = []
     for seen in (camera, replace(camera, hidden_layers=())):
-        ids = stage.draw(stage.renderer(), STEPS // 2, [seen], outputs=("instance",))[0]["instance"]
+        ids = stage.render(stage.renderer(), STEPS // 2, [seen], outputs=("instance",))[0]["instance"]
         shares.append(np.isin(ids, ceilings).sum() / (ids >= 0).sum())
     assert ceilings
     assert shares[0] == 0
@@ -159,7 +159,7 @@ def test_overviews_see_into_rooms_without_ceilings(replay, name):
         ('eye = [0, 1, 0]\ntarget = [1, 1, 0]\nfollow = "robot"\nlink = "tail"', "no link 'tail'. It has: .*arm_hand"),
         ('eye = [0, 1, 0]\ntarget = [1, 1, 0]\nlink = "head"', "needs follow"),
         ('eye = [0, 1, 0]\ntarget = [1, 1, 0]\nbody = "spaceship"', "no body 'spaceship'"),
-        ("pose = [0, 0, 0, 0, 0, 0, 2]", "length 1, it has 2"),
+        ("pose = [0, 0, 0, 0, 0, 0, 2]", "length 1, but its length is 2"),
         ("pose = [0, 0, 0]", "7 numbers"),
         ("pose = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]", "orthogonal and of unit length"),
         ("pose = [nan, 0, 0, 0, 0, 0, 1]", "7 numbers"),
@@ -173,7 +173,7 @@ def test_what_is_no_camera_is_refused_in_words(replay, tmp_path, text, message):
 
 def test_broken_files_are_refused(replay, tmp_path):
     for name in ("lost.toml", "lost.json"):
-        with pytest.raises(InputError, match="No camera file there"):
+        with pytest.raises(InputError, match="No such camera file"):
             camera_track(replay, str(tmp_path / name))
     (tmp_path / "broken.json").write_bytes(b'{"eye": \xff')
     with pytest.raises(InputError, match="Not a camera"):

@@ -147,7 +147,7 @@ def test_feet_that_slide_and_sink_are_told(episode: Recording) -> None:
     root = base.copy()
     root[:, 1] = 0.5
     columns = {"agent_1.base_pose": base, "agent_1.root_pose": root, "agent_1.joint_quat": quat}
-    assert "below her root" in only(hashed(episode, **columns), "penetration", "warning").text
+    assert "below the root" in only(hashed(episode, **columns), "penetration", "warning").text
 
 
 def test_missing_assets_are_told(episode: Recording) -> None:

@@ -118,7 +118,7 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
         return lambda image, _: image
     if target.output == "depth" and target.colored:
         stage = replay.stage
-        (view,) = stage.draw(stage.renderer(), first, [track.at(first)], outputs=("depth",))
+        (view,) = stage.render(stage.renderer(), first, [track.at(first)], outputs=("depth",))
         near, far = depth_range(view["depth"])
         return lambda image, _: depth_to_rgb(image, near, far)
     if target.output == "depth":

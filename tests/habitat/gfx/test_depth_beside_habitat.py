@@ -66,7 +66,7 @@ def test_depth_and_semantics_agree_with_habitat_sim(name: str) -> None:
     far = seen = off = total = labels_off = labels = 0
     for step, _, camera, files in pictures:
         outputs = ("depth", "semantic", "instance", "triangle")
-        (ours,) = replay.stage.draw(renderer, step, [camera], outputs=outputs)
+        (ours,) = replay.stage.render(renderer, step, [camera], outputs=outputs)
         expected = np.load(files["depth"])
         inside = ~on_silhouette(expected)
         wrong = np.abs(ours["depth"] - expected) > 1e-2
@@ -93,7 +93,7 @@ def test_colours_are_where_habitat_sim_draws_them(name: str) -> None:
     renderer = replay.stage.renderer()
     agree = vivid = tinted = grey = 0
     for step, _, camera, files in pictures:
-        ours = replay.stage.draw(renderer, step, [camera], outputs=("rgb",))[0]["rgb"].astype(int)
+        ours = replay.stage.render(renderer, step, [camera], outputs=("rgb",))[0]["rgb"].astype(int)
         image = cv2.imread(str(files["rgba"]), cv2.IMREAD_UNCHANGED)
         assert image is not None
         image = image[..., [2, 1, 0, 3]].astype(int)

@@ -1,4 +1,4 @@
-"""Where the links of a robot were, worked out in blocks of steps: all of a long recording would not fit into memory."""
+"""World poses of a robot's links, computed in blocks of steps: those of a long recording would not fit into memory."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ BLOCKS_KEPT = 16
 
 
 class LinkPoses:
-    """World matrices of the links of one robot along a recording. Threads may share it."""
+    """World matrices of one robot's links along a recording. Thread-safe."""
 
     def __init__(
         self, robot: Robot, base_pose: NDArray[np.floating], joint_pos: NDArray[np.floating], *, stepping: bool
     ) -> None:
-        """Of ``base_pose`` [T, 7] and ``joint_pos`` [T, J]; ``stepping`` lets legs trot that were recorded at rest."""
+        """Takes ``base_pose`` [T, 7] and ``joint_pos`` [T, J]; ``stepping`` makes legs trot that were recorded at rest."""
         self.robot, self._base = robot, base_pose
         trots = stepping and legs_are_posed(robot, joint_pos)
         self._joints = trot(robot, base_pose, joint_pos) if trots else joint_pos
         self._block = lru_cache(maxsize=BLOCKS_KEPT)(self._pose_block)
 
     def at(self, steps: NDArray[np.integer] | None, link: int | slice) -> NDArray[np.float32]:
-        """Matrices of one link, [T, 4, 4], or a slice of them, [T, L, 4, 4], at ``steps`` (all if None)."""
+        """Matrices at ``steps`` (default all) of one link, [T, 4, 4], or of a slice of links, [T, L, 4, 4]."""
         rows = np.arange(len(self._base)) if steps is None else np.arange(len(self._base))[steps]
         blocks = rows // BLOCK_STEPS
         numbers = np.unique(blocks)

@@ -1,8 +1,11 @@
-"""The ``third_person`` camera: on a free line of sight from the agent it follows, with the other agent in view where it can.
+"""The ``third_person`` camera: follows an agent on a free line of sight, with the other agent in view where possible.
 
-Depth images around the agent (`sight`) say how far the camera may be, whatever the recording is made of. The chain: lengths of
-free lines every `KEY_S` to all directions; the best path among them (Viterbi), smoothed; the free length along it at every
-step; its moving minimum, smoothed by a window no wider. So the line from camera to agent is free at every step.
+Depth images around the agent (`sight`) limit the camera's distance, so it works for any recording. The stages:
+
+1. The free distance in all directions, every `KEY_S`.
+2. The best path among directions (Viterbi), smoothed.
+3. The free distance along that path at every step.
+4. Its moving minimum, smoothed by a window that is no wider, so that the line of sight is free at every step.
 """
 
 from __future__ import annotations
@@ -12,47 +15,48 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
 from h3data.geometry import Array, heading_direction, heading_from_quat, normalized
 from h3data.render import Camera, look_at, pinhole
-from h3data.replay.records import CameraTrack
+from h3data.replay.records import CameraTrack, forward_fill
 from h3data.replay.replay import Replay
 from h3data.replay.sight import Fan, Sight
 
 BOOM_M = 2.6
-"""Distance from the agent, where there is room."""
+"""Distance from the agent if there is enough space."""
 NEAREST_M = 1.0
-"""It comes no nearer; where even that is not free, what is in between is cut away (`CameraTrack.nears`)."""
+"""Smallest distance; if even that is obstructed, obstacles are cut away by the near plane (`CameraTrack.nears`)."""
 CLOSE_M = 1.6
-"""Where it is nearer than this, it rather turns."""
+"""Below this distance, other directions are preferred."""
 PIVOT_M = {"robot": 0.55, "human": 1.25}
-"""Height above the floor of the point of the agent that the camera keeps in sight."""
+"""Height above the floor of the point on the agent that the camera keeps in sight."""
 HEAD_M = 1.5
+"""Height above the floor of the other agent's head."""
 DIRECTIONS, ELEVATIONS_DEG = 48, (8.0, 22.0, 42.0)
 ELEVATION_SCORE = (-0.3, 0.0, -0.2)
 BODY_M = 0.4
-"""Radius of an agent in another's line of sight."""
+"""Radius of an agent that obstructs the line of sight to another."""
 KEY_S = 0.2
-"""Directions are chosen so often and smoothed in between."""
+"""Time between keys, i.e. steps at which a direction is chosen; directions in between are interpolated and smoothed."""
 SMOOTH_S = 0.5
-"""Half the window over which the distance is smoothed."""
+"""Half width of the window over which the distance is smoothed."""
 AROUND_S = 8.0
-"""What lies farther away has no say in where the camera is: with 5 s it was 0.7 m off at times, with 8 s nowhere."""
+"""`third_person_at` considers steps within this time; with 5 s the camera was up to 0.7 m off, with 8 s it never was."""
 TURN_COST = 1.2
-"""Price of turning by one radian between two keys, squared, against scores of about 1."""
+"""Cost of turning by one radian between two keys, squared; scores are about 1."""
 HIDDEN = ("ceiling",)
-"""Layers that are not drawn and hide nothing."""
+"""Layers that are neither rendered nor regarded as obstacles."""
 OFF_AXIS_RAD = 0.3
-"""The agent is at most so far from the middle of the picture."""
+"""Largest angle between the optical axis and the followed agent."""
 JUMP_M, JUMP_MPS = 0.5, 8.0
-"""The camera cuts where the agent moves by more than both in one step; elsewhere it moves smoothly."""
+"""The camera cuts where the agent moves by more than both limits in one step; elsewhere it moves smoothly."""
 
 
 def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> CameraTrack:
-    """A camera that circles the robot (or the first agent, if there is none) at the best free place to watch it.
+    """A camera that follows the robot, or else the first agent, from the best free position around it.
 
-    The best place is found for the whole recording at once (dynamic programming over directions): a long free line, the
-    other agent visible, preferably from behind, little turning. The followed agent is in sight at every step.
+    Positions are optimised for the whole recording at once (dynamic programming over directions): a long free line of
+    sight, the other agent visible, preferably from behind, and little turning. The followed agent is in sight at every
+    step.
     """
     camera = _lens(width, height)
     if not len(replay):
@@ -64,14 +68,14 @@ def third_person(replay: Replay, *, width: int = 640, height: int = 480) -> Came
 
 
 def third_person_at(replay: Replay, step: int, *, width: int = 640, height: int = 480) -> Camera:
-    """The camera of `third_person` at one step, found among the steps around it (0.17 s, however long the recording).
+    """The camera of `third_person` at one step, computed from the steps around it in 0.17 s, however long the recording.
 
-    The best path there is as a rule that of the whole recording: within 1e-5 m at 144 steps of four homes.
+    The best local path is usually that of the whole recording: equal within 1e-5 m at 144 steps in four homes.
     """
     scene = _scene(replay)
     run = next(run for run in scene.runs if run[-1] >= step)
     row, reach = step - run[0], round(AROUND_S / scene.dt)
-    first = max(row - reach, 0) // scene.stride * scene.stride  # the same keys
+    first = max(row - reach, 0) // scene.stride * scene.stride  # same keys as for the whole recording
     poses, nears = _follow(scene, run[first : row + reach + 1], np.array([row - first]))
     return CameraTrack(camera=_lens(width, height), poses=poses, nears=nears if nears.any() else None).at(0)
 
@@ -82,24 +86,24 @@ def _lens(width: int, height: int) -> Camera:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """Whom the camera follows, and what it has to look past."""
+    """The followed agent, the other agents, and the obstacles around them."""
 
     sight: Sight
     pivot: Array
-    """Point of the followed agent that it keeps in sight [T, 3]."""
+    """Point on the followed agent that stays in sight, shape [T, 3]."""
     watched: Array
-    """Head of the other agent, or a point ahead of the only one, [T, 3]."""
+    """Head of the other agent, or a point ahead of the only agent, shape [T, 3]."""
     two: bool
     """Whether there is another agent to watch."""
     bodies: Array
-    """Where all other agents are on the floor [T, N, 2]."""
+    """Floor positions (x, z) of all other agents, shape [T, N, 2]."""
     dt: float
     runs: list[NDArray[np.intp]]
-    """Steps without a cut."""
+    """Steps of each stretch between two cuts."""
 
     @property
     def stride(self) -> int:
-        """Steps from key to key."""
+        """Number of steps between keys."""
         return max(round(KEY_S / self.dt), 1)
 
 
@@ -109,11 +113,13 @@ def _scene(replay: Replay) -> _Scene:
     leader = kinds.index("robot") if "robot" in kinds else 0
     other = kinds.index("human") if "human" in kinds and kinds.index("human") != leader else None
     if other is not None and np.isnan(recording.agent_column(other, "base_pose")).any(-1).all():
-        other = None  # never there
-    base = held(recording.agent_column(leader, "base_pose").astype(np.float64))
+        other = None  # absent throughout
+    base = forward_fill(recording.agent_column(leader, "base_pose").astype(np.float64))
     pivot = base[:, :3] + (0.0, PIVOT_M.get(kinds[leader], PIVOT_M["robot"]), 0.0)
     ahead = heading_direction(heading_from_quat(base[:, 3:]))
-    person = None if other is None else held(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]
+    person = (
+        None if other is None else forward_fill(recording.agent_column(other, "base_pose").astype(np.float64))[:, :3]
+    )
     watched = pivot + np.insert(ahead, 1, 0.0, axis=1) if person is None else person + np.array([0.0, HEAD_M, 0.0])
     dt = max(recording.duration_s, 1e-3) / max(len(base) - 1, 1)
     bodies = [recording.agent_column(i, "base_pose") for i in range(len(kinds)) if i != leader]
@@ -127,11 +133,11 @@ def _scene(replay: Replay) -> _Scene:
 def _follow(
     scene: _Scene, steps: NDArray[np.intp], wanted: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses [len(wanted), 4, 4] and near planes [m] at ``wanted`` rows of ``steps``, which are one run.
+    """Camera poses [N, 4, 4] and near planes [N] [m] at the ``wanted`` rows [N] of ``steps``, which form one run.
 
-    All steps count for where the camera circles; how near it comes depends on `SMOOTH_S` before and after alone.
+    The direction depends on all steps, the distance only on those within `SMOOTH_S`.
     """
-    from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # a quarter of a second, which no other camera needs
+    from scipy.ndimage import gaussian_filter1d, minimum_filter1d  # takes 0.25 s, which other cameras do not need
 
     sight, two = scene.sight, scene.two
     pivot, watched, bodies = scene.pivot[steps], scene.watched[steps], scene.bodies[steps]
@@ -146,8 +152,8 @@ def _follow(
         sight.at(int(steps[key]))
         boom[row] = fan.free(sight.around(pivot[key]), BOOM_M)
         away = normalized((pivot - watched)[key, [0, 2]]) if two else (pivot - watched)[key, [0, 2]]
-        hides = _passed(pivot[key], directions, boom[row], bodies[key]) > 0
-        score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * hides
+        obstructed = _first_body(pivot[key], directions, boom[row], bodies[key]) > 0
+        score[row] = 0.5 * directions[:, [0, 2]] @ away - 2.0 * obstructed
         if two:
             eyes = pivot[key] + directions * boom[row, :, None]
             score[row] += sight.sees(sight.around(watched[key]), watched[key], eyes)
@@ -179,21 +185,21 @@ def _follow(
     poses = np.stack([look_at(e, e + v) for e, v in zip(eye[wanted], view[wanted], strict=True)])
     hidden = np.maximum(length - free, 0.0)
     for row in wanted:
-        passed = float(_passed(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
-        if 0 < passed < length[row]:
-            hidden[row] = max(hidden[row], length[row] - passed)
+        obstacle = float(_first_body(pivot[row], direction[[row]], length[[row]], bodies[row])[0])
+        if 0 < obstacle < length[row]:
+            hidden[row] = max(hidden[row], length[row] - obstacle)
     return poses, (hidden * np.einsum("ti,ti->t", view, -direction))[wanted]
 
 
-def _passed(start: Array, directions: Array, length: Array, bodies: Array) -> NDArray[np.float64]:
-    """How far from ``start`` [3] lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
+def _first_body(start: Array, directions: Array, length: Array, bodies: Array) -> NDArray[np.float64]:
+    """Distances [D] from ``start`` [3] at which lines meet the first of ``bodies`` [N, 2] [m]; 0 = none.
 
-    The lines have unit ``directions`` [D, 3], none of them upright, and ``length`` [D] [m].
+    The lines have unit ``directions`` [D, 3], none of them vertical, and ``length`` [D] [m].
     """
-    there = bodies[np.isfinite(bodies).all(-1)] - start[[0, 2]]
+    offsets = bodies[np.isfinite(bodies).all(-1)] - start[[0, 2]]
     flat = np.linalg.norm(directions[:, [0, 2]], axis=1, keepdims=True)
-    along = directions[:, [0, 2]] @ there.T / flat
-    across = np.sqrt(np.maximum((there**2).sum(1) - along**2, 0.0))
+    along = directions[:, [0, 2]] @ offsets.T / flat
+    across = np.sqrt(np.maximum((offsets**2).sum(1) - along**2, 0.0))
     meets = (across < BODY_M) & (along > 0) & (along < length[:, None] * flat + BODY_M)
     first = np.where(meets, np.maximum(along - BODY_M, 0.4) / flat, np.inf).min(1, initial=np.inf)
     return np.where(np.isfinite(first), first, 0.0)
@@ -206,7 +212,7 @@ def _direction(azimuth: Array, elevation: Array) -> Array:
 
 
 def _towards(start: Array, end: Array) -> Array:
-    """The directions [T, 3] of ``start`` turned towards those of ``end`` by at most `OFF_AXIS_RAD`."""
+    """Unit directions [T, 3] of ``start``, turned towards ``end`` by at most `OFF_AXIS_RAD`."""
     start, end = normalized(start), normalized(end)
     cosine = np.clip(np.einsum("ti,ti->t", start, end), -1.0, 1.0)[:, None]
     side = end - cosine * start
@@ -216,26 +222,17 @@ def _towards(start: Array, end: Array) -> Array:
     return start * np.cos(angle) + side * np.sin(angle)
 
 
-def held(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows [T, n] with those that hold NaN (not there then) replaced by the last, at the start by the first, finite row."""
-    finite = np.isfinite(values).all(-1)
-    if not finite.any():
-        raise InputError("This camera has no pose at any step.")
-    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
-    return values[np.where(last < 0, np.argmax(finite), last)]
-
-
 def _best_path(score: Array, azimuth: Array, elevation: Array) -> NDArray[np.intp]:
-    """The direction at each key [K] of the path with the most score [K, D] less the cost of turning (Viterbi)."""
+    """Direction at each key [K] on the path with the highest score [K, D] minus the cost of turning (Viterbi)."""
     step = (azimuth[:, None] - azimuth[None] + np.pi) % (2 * np.pi) - np.pi
     cost = 6 * TURN_COST * (step**2 + (elevation[:, None] - elevation[None]) ** 2)
-    total, came = score[0], np.zeros(score.shape, np.intp)
+    total, previous = score[0], np.zeros(score.shape, np.intp)
     for k in range(1, len(score)):
         through = total[None, :] - cost
-        came[k] = through.argmax(1)
+        previous[k] = through.argmax(1)
         total = score[k] + through.max(1)
     path = np.empty(len(score), np.intp)
     path[-1] = total.argmax()
     for k in range(len(score) - 1, 0, -1):
-        path[k - 1] = came[k, path[k]]
+        path[k - 1] = previous[k, path[k]]
     return path

@@ -1,0 +1,307 @@
+"""`PosedRecording`: the drawables of a recording and their poses at any step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
+from h3data.errors import FormatError, InputError
+from h3data.geometry import Array, pose_to_matrix
+from h3data.habitat.assets import AssetLibrary
+from h3data.recording import Agent, AssetRef, Body, Recording
+from h3data.replay.link_poses import LinkPoses
+from h3data.replay.records import (
+    BodyTrack,
+    Drawable,
+    LinkTrack,
+    PersonTrack,
+    RigTrack,
+    State,
+    Track,
+)
+from h3data.scene import Mesh, Scene, load_scene
+
+
+class PosedRecording:
+    """Everything in a recording, posed at any step.
+
+    Args:
+        recording: The recording.
+        assets: Where to find the files that a foreign recording refers to. Missing ones are replaced by marked
+            placeholders and listed in `missing`.
+        detail: Whether to use the full (True) or the reduced (False) meshes of people. By default, images use whichever is
+            sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
+        stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`). Affects
+            appearance only.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        assets: AssetLibrary | Sequence[str | Path] | None = None,
+        detail: bool | None = None,
+        stepping: bool = True,
+    ) -> None:
+        self.recording = recording
+        self.detail = detail
+        self.stepping = stepping
+        self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
+        self.scene: Scene | None = None
+        if "scene.glb" in recording.attachments:
+            self.scene = load_scene(recording.attachments["scene.glb"])
+            self.library = self.library.with_scene(self.scene)
+        self._tracks: list[Track | None] = []
+        self._drawables: list[Drawable] = []
+        self._assets: dict[str, Mesh | None] = {}
+        self.missing: dict[str, int] = {}
+        """Number of bodies that refer to each asset file that was not found."""
+        refs = {ref.name: ref for ref in recording.assets}
+        rigs = {rig["body"]: rig for rig in recording.episode.info.get("rigs", ())}
+        for body in recording.bodies:
+            if body.name not in rigs or not self._add_rigged(body, refs[body.asset], rigs[body.name]):
+                self._add_body(body, refs[body.asset])
+        for index, agent in enumerate(recording.agents):
+            if agent.model:
+                self._add_agent(index, agent)
+
+    # --- drawables ----------------------------------------------------------------------------------------------------
+    @property
+    def drawables(self) -> Sequence[Drawable]:
+        """All drawables; the index is the id in instance images."""
+        return self._drawables
+
+    def __len__(self) -> int:
+        return len(self.recording)
+
+    @property
+    def tracks(self) -> Sequence[Track | None]:
+        """The motion of each drawable; None = static."""
+        return self._tracks
+
+    def _add(self, drawable: Drawable, track: Track | None) -> None:
+        self._drawables.append(drawable)
+        self._tracks.append(track)
+
+    def _add_body(self, body: Body, ref: AssetRef) -> None:
+        if ref.name not in self._assets:
+            self._assets[ref.name] = self.library.mesh(ref)
+        mesh = self._assets[ref.name]
+        missing = mesh is None
+        if mesh is None:
+            mesh = self.library.placeholder(ref, body)
+            self.missing[ref.uri] = self.missing.get(ref.uri, 0) + 1
+        self._add(
+            Drawable(
+                name=body.name,
+                mesh=mesh,
+                matrix=_matrix(body),
+                layer=body.layer,
+                semantic_id=body.semantic_id,
+                agent=body.agent,
+                moving=body.moving >= 0,
+                placeholder=missing,
+            ),
+            BodyTrack(body.moving, body.scale) if body.moving >= 0 else None,
+        )
+
+    def _add_rigged(self, body: Body, ref: AssetRef, rig: Mapping[str, Any]) -> bool:
+        """Adds a body that is deformed by recorded bones; False if its file has no skin or the bones were not recorded."""
+        column = f"rig.{rig['id']}"
+        skin = self.library.skinned(ref) if column in self.recording.columns else None
+        if skin is None:
+            return False
+        self._add(
+            Drawable(
+                name=body.name,
+                mesh=skin.mesh,
+                matrix=_matrix(body),
+                layer=body.layer,
+                semantic_id=body.semantic_id,
+                agent=body.agent,
+                moving=True,
+                deformable=True,
+            ),
+            RigTrack(body, column, tuple(rig["bones"]), skin),
+        )
+        return True
+
+    def _add_agent(self, index: int, agent: Agent) -> None:
+        model = self.model(index)
+        self._require_motion(index, model)
+        common: dict[str, Any] = {"semantic_id": agent.semantic_id, "agent": index, "moving": True}
+        if isinstance(model, Humanoid):
+            mesh = model.lod_mesh if self.detail is False else model.mesh
+            self._add(
+                Drawable(name=agent.name, mesh=mesh, matrix=np.eye(4), deformable=True, **common), PersonTrack(index)
+            )
+            return
+        first = np.zeros(1, np.intp)
+        for number, link in enumerate(model.links):
+            if link.mesh is not None:
+                matrix = self.link_track(index, number, first)[0] if len(self) else np.eye(4)
+                name = f"{agent.name}/{link.name}"
+                self._add(
+                    Drawable(name=name, mesh=link.mesh, matrix=matrix.astype(np.float64), **common),
+                    LinkTrack(index, number),
+                )
+
+    def _require_motion(self, index: int, model: Robot | Humanoid) -> None:
+        """Raises a FormatError if an agent has a model but lacks the columns that move it."""
+        columns, prefix = self.recording.columns, f"agent_{index}."
+        needed = ("motion_id", "motion_phase", "motion_blend")
+        if isinstance(model, Robot):
+            needed = ("joint_pos",)
+        elif prefix + "joint_quat" in columns:
+            needed = ("root_pose",)
+        missing = [prefix + name for name in needed if prefix + name not in columns]
+        if missing:
+            agent = self.recording.agents[index]
+            raise FormatError(
+                f"Agent {agent.name!r} has the model {agent.model!r}, but the recording lacks the columns "
+                f"{', '.join(missing)}. Hint: with an empty model, its recorded bodies are shown instead."
+            )
+
+    def model(self, agent: int) -> Robot | Humanoid:
+        """The built-in model of an agent."""
+        kind, _, name = self.recording.agents[agent].model.partition("/")
+        if kind == "robot":
+            return load_robot(name)
+        if kind == "humanoid":
+            return load_humanoid(name)
+        raise FormatError(
+            f"Agent {self.recording.agents[agent].name!r} has the model {self.recording.agents[agent].model!r}; "
+            "expected robot/<name> or humanoid/<name>."
+        )
+
+    # --- poses --------------------------------------------------------------------------------------------------------
+    def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """World matrices of a robot's links at ``steps`` (default all), shape [T, L, 4, 4].
+
+        For a long recording the result is large: ask for a few steps at a time, or for one link (`link_track`).
+        """
+        return self._links_of(agent).at(steps, slice(None))
+
+    def link_track(self, agent: int, link: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """World matrices of one link of a robot at ``steps`` (default all), shape [T, 4, 4]."""
+        return self._links_of(agent).at(steps, link)
+
+    def _links_of(self, agent: int) -> LinkPoses:
+        if agent not in self._links:
+            robot = self.model(agent)
+            if not isinstance(robot, Robot):
+                raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a robot with links.")
+            base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
+            self._links[agent] = LinkPoses(robot, base, joints, stepping=self.stepping)
+        return self._links[agent]
+
+    @cached_property
+    def _links(self) -> dict[int, LinkPoses]:
+        return {}
+
+    def matrices(self, index: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """Matrices of a moving drawable at ``steps`` (default all), shape [T, 4, 4]; NaN where it was absent."""
+        rows = np.arange(len(self)) if steps is None else np.asarray(steps)
+        track = self._tracks[index]
+        if isinstance(track, BodyTrack):
+            out = pose_to_matrix(self.recording.columns["object_pose"][rows, track.column])
+            out[:, :3, :3] *= track.scale
+            out[np.isnan(out[:, 0, 0])] = np.nan
+            return out
+        if isinstance(track, LinkTrack):
+            return self.link_track(track.agent, track.link, rows)
+        return np.broadcast_to(self._drawables[index].matrix.astype(np.float32), (len(rows), 4, 4))
+
+    def joint_matrices(self, agent: int, steps: NDArray[np.integer]) -> NDArray[np.floating]:
+        """World matrices of a person's 55 joints at ``steps``, shape [T, 55, 4, 4]."""
+        body = self.model(agent)
+        if not isinstance(body, Humanoid):
+            raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a humanoid with a skeleton.")
+        prefix, columns = f"agent_{agent}.", self.recording.columns
+        if prefix + "joint_quat" in columns:
+            return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
+        quats, pelvis = body.clip_pose(
+            columns[prefix + "motion_id"][steps],
+            columns[prefix + "motion_phase"][steps],
+            columns[prefix + "motion_blend"][steps],
+            arms=columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None,
+        )
+        if self.stepping:
+            feet = self._feet_of(agent)
+            quats, pelvis = turned(body, quats, pelvis, feet.yaw[steps], feet.lift[steps])
+        return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
+
+    def _feet_of(self, agent: int) -> TurningFeet:
+        if agent not in self._feet:
+            names = ("base_pose", "motion_phase", "motion_blend")
+            self._feet[agent] = turning_feet(*(self.recording.agent_column(agent, name) for name in names))
+        return self._feet[agent]
+
+    @cached_property
+    def _feet(self) -> dict[int, TurningFeet]:
+        return {}
+
+    def vertices(self, index: int, steps: NDArray[np.integer]) -> NDArray[np.float32]:
+        """World vertices of a deformable drawable at ``steps``, shape [T, V, 3] [m]; NaN where it was absent."""
+        track, steps = self._tracks[index], np.asarray(steps)
+        if isinstance(track, RigTrack):
+            bones = pose_to_matrix(self.recording.columns[track.column][steps].astype(np.float64))
+            return track.skin.vertices(self._roots(track.body, steps), bones, track.bones)
+        if not isinstance(track, PersonTrack):
+            raise InputError(f"{self._drawables[index].name!r} is rigid. Hint: use matrices().")
+        body = self.model(track.agent)
+        assert isinstance(body, Humanoid)
+        return body.skin(self.joint_matrices(track.agent, steps), lod=self.detail is False)
+
+    def _roots(self, body: Body, steps: NDArray[np.integer]) -> Array:
+        if body.moving < 0:
+            return np.broadcast_to(_matrix(body), (len(steps), 4, 4))
+        roots = pose_to_matrix(self.recording.columns["object_pose"][steps, body.moving].astype(np.float64))
+        roots[:, :3, :3] *= body.scale
+        return roots
+
+    def row(self, step: int) -> int:
+        """The row of ``step`` in the recording's columns; negative steps count from the end.
+
+        Raises:
+            InputError: there is no such step.
+        """
+        if not -len(self) <= step < len(self):
+            raise self._no_such_step(step)
+        return step % len(self)
+
+    def _no_such_step(self, step: int) -> InputError:
+        return InputError(f"There is no step {step}: the recording has {len(self)} steps, 0 to {len(self) - 1}.")
+
+    def at(self, step: int) -> State:
+        """The state after action ``step``; negative steps count from the end."""
+        step = self.row(step)
+        poses = {}
+        for index, drawable in enumerate(self._drawables):
+            if drawable.deformable:
+                continue
+            matrix = self.matrices(index, np.array([step]))[0] if drawable.moving else drawable.matrix
+            if np.isfinite(matrix[0, 0]):
+                poses[drawable.name] = np.asarray(matrix, np.float64)
+        columns = self.recording.columns
+        agents = {
+            agent.name: {
+                name.partition(".")[2]: columns[name][step] for name in columns if name.startswith(f"agent_{i}.")
+            }
+            for i, agent in enumerate(self.recording.agents)
+        }
+        return State(step, float(columns["time_ns"][step]) * 1e-9, poses, agents)
+
+
+def _matrix(body: Body) -> Array:
+    """Matrix [4, 4] from mesh to world of a body at its first pose."""
+    matrix = pose_to_matrix(np.nan_to_num(body.pose.astype(np.float64)))
+    matrix[:3, :3] *= body.scale
+    return matrix
