@@ -1,4 +1,4 @@
-"""The ``h3data`` command line. Exit codes: 0 done, 1 done with failures listed, 2 refused (bad input), 130 interrupted."""
+"""The ``h3data`` command line. Exit codes: 0 done, 1 done but failures are listed, 2 refused (bad input), 130 interrupted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ABOUT = """Simulate people and robots sharing a home, record everything, and ren
 
 
 def jsonable(value: Any) -> Any:
-    """The value with NaN and infinities as null, which JSON has no other word for."""
+    """The value as JSON can hold it: NaN and infinities become null, NumPy scalars plain numbers."""
     if isinstance(value, dict):
         return {str(k): jsonable(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -27,7 +27,7 @@ def jsonable(value: Any) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Runs one command and returns its exit code."""
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt:
@@ -39,13 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
-    from h3data.errors import H3DataError  # imports take a while: Ctrl-C is none the less one line
+    from h3data.errors import H3DataError  # here, so that Ctrl-C during these slow imports is caught too
     from h3data.recording.storage import masked
     from h3data_pipelines.commands.table import COMMANDS
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
-    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # why the very first command takes longer
+    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # says that the first command compiles
     try:
         command = parse(args, COMMANDS, about=ABOUT)
         outcome = command.run()
@@ -66,12 +66,12 @@ def _run(args: list[str]) -> int:
 
 
 def _message(error: BaseException) -> str:
-    """One line. What the operating system refuses (rights, full disks, names too long) is the user's to mend as well."""
+    """One line about an error, including those of the operating system that a user can fix (permissions, full disks)."""
     if isinstance(error, MemoryError):
         return f"Out of memory ({error})." if str(error) else "Out of memory."
     if isinstance(error, OSError):
-        where = f": {error.filename}" if error.filename is not None else ""
-        return f"The operating system refused ({error.strerror or error}){where}"
+        path = f": {error.filename}" if error.filename is not None else ""
+        return f"The operating system refused ({error.strerror or error}){path}"
     return str(error)
 
 
@@ -84,15 +84,15 @@ def _print(text: str) -> None:
 
 
 def _close_stdout() -> None:
-    """After the reader has seen enough (| head): what Python flushes at its end goes nowhere."""
+    """Discards further output when the reader has closed the pipe (``| head``), also what Python flushes at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry() -> None:
     """Console entry point."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is finished is kept
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C: finished files are kept
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text in the terminal's encoding
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
     sys.exit(main())
 
 

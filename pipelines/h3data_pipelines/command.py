@@ -1,4 +1,4 @@
-"""What every command of the command line shares: its result, its switches, and care with output folders."""
+"""Shared parts of all commands: their result, common options, and care with output folders."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from h3data.recording.storage import AnyPath, RemotePath, local, remove_tree
 
 P = TypeVar("P", Path, RemotePath, AnyPath)
 JsonFlag = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout instead of text.")]
-ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite what is already there.")]
+ForceFlag = Annotated[bool, tyro.conf.arg(help="Overwrite existing output.")]
 AssetsOption = Annotated[
     tuple[Path, ...],
-    tyro.conf.arg(help="Folders below which a Habitat scene's files are looked for as well (default: H3DATA_ASSETS)."),
+    tyro.conf.arg(help="More folders to search for a Habitat scene's files (default: H3DATA_ASSETS)."),
 ]
-StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene with anything left out or guessed.")]
-MissingFlag = Annotated[bool, tyro.conf.arg(help="Leave out what a Habitat scene has no files for, with a warning.")]
+StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
+MissingFlag = Annotated[
+    bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
+]
 
 
 @dataclass(frozen=True)
@@ -39,16 +41,16 @@ class NameOf:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a command has done: text for people, data for machines."""
+    """Result of a command: text for people, data for machines."""
 
     text: str
     data: dict[str, Any] = field(default_factory=dict)
     exit_code: int = 0
-    """0 done, 1 done with failures that are listed."""
+    """0 done, 1 done but failures are listed."""
 
 
 class Command(Protocol):
-    """A command is a dataclass of its options that can run."""
+    """A command: a dataclass of its options with a method that runs it."""
 
     @property
     def json(self) -> bool: ...
@@ -58,17 +60,17 @@ class Command(Protocol):
 
 @dataclass(frozen=True)
 class Group:
-    """Commands that share a first word, as ``h3data scenes list`` and ``h3data scenes show``."""
+    """Commands that share a first word, such as ``h3data scenes list`` and ``h3data scenes show``."""
 
     about: str
     commands: Mapping[str, type[Command]]
 
 
 def claim_folder(folder: P, *, force: bool) -> P:
-    """Make an output folder; refuse one that already holds something unless ``force``. A store makes its folders itself."""
+    """Creates an output folder; an `InputError` if it already has contents, unless ``force``. Object stores need no folders."""
     if isinstance(folder, RemotePath):
         if any(folder.iterdir()) and not force:
-            raise InputError(f"There is something already. Use --force to overwrite, or another -o: {folder}")
+            raise InputError(f"The output folder is not empty. Use --force to overwrite, or another -o: {folder}")
         return folder
     local(folder)
     if folder.exists() and not folder.is_dir():
@@ -78,12 +80,12 @@ def claim_folder(folder: P, *, force: bool) -> P:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot make the output folder ({error.strerror}): {folder}") from None
+        raise InputError(f"Cannot create the output folder ({error.strerror}): {folder}") from None
     return folder
 
 
 def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
-    """A path to write to, that ends in ``suffix``; refuse an existing file unless ``force``."""
+    """The path of an output file that ends in ``suffix``; an `InputError` if it exists, unless ``force``."""
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"Expected a file name that ends in {suffix}, got: {path}")
     if isinstance(path, Path):
@@ -96,7 +98,7 @@ def claim_file(path: P, *, force: bool, suffix: str = "") -> P:
         if isinstance(path, Path):
             path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"Cannot make the folder of the output file ({error.strerror}): {path}") from None
+        raise InputError(f"Cannot create the folder of the output file ({error.strerror}): {path}") from None
     return path
 
 
@@ -106,7 +108,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def open_episode(path: AnyPath) -> Recording:
-    """The recording in an .mcap file, or episode 3 of a dataset named as ``ds#3``."""
+    """The recording in an .mcap file, or one episode of a dataset, written as ``ds#3``."""
     from h3data.recording import Dataset, open_recording
 
     opened = open_recording(path)
@@ -118,40 +120,40 @@ def open_episode(path: AnyPath) -> Recording:
 
 
 def remove_dataset(root: AnyPath) -> None:
-    """Delete the dataset in a folder, if it is ours and nothing else lies there; else an error, and nothing is deleted."""
+    """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
     if not (root / "h3" / "schema.json").is_file():
         raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
-    strangers = [p for p in root.iterdir() if p.name not in ("meta", "data", "h3", "mcap")]
-    strangers += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
-    if strangers:
+    others = [p for p in root.iterdir() if p.name not in ("meta", "data", "h3", "mcap")]
+    others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
+    if others:
         raise InputError(
-            f"--force would replace this dataset, but {len(strangers)} other things lie in its folder. Remove them "
-            f"yourself. The first: {min(strangers)}"
+            f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
+            f"The first: {min(others)}"
         )
     for name in ("meta", "data", "h3", "mcap"):  # meta first: without it, nothing is committed
         remove_tree(root / name)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small file; it gets its name when it is complete."""
+    """Writes a small file, which appears under its name when it is complete."""
     with part_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM take effect at the end of the block: what is being written is finished first."""
+    """Delays Ctrl-C and SIGTERM to the end of the block, so that a write in progress is finished first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    before = {s: signal.signal(s, lambda number, _: came.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    received: list[int] = []
+    before = {s: signal.signal(s, lambda number, _: received.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for number in came[:1]:
+        for number in received[:1]:
             signal.raise_signal(number)

@@ -1,4 +1,4 @@
-"""What each output of a camera becomes: a video to look at, a lossless one, or numbered pictures."""
+"""Files for the outputs of a camera: videos to look at, lossless videos, or numbered pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Form = Literal["h264", "av1", "ffv1", "png"]
 Format = Literal["mp4", "av1", "png", "data"]
 ToPicture = Callable[[NDArray[Any], int], NDArray[Any]]
-"""From what was rendered at a step to what is stored."""
+"""Converts the rendered image of a step to the one that is stored."""
 
 OUTPUTS = ("rgb", "depth", "instance", "semantic")
 _FORMS: Mapping[Format, tuple[Form, Form, Form]] = {
@@ -29,13 +29,13 @@ _FORMS: Mapping[Format, tuple[Form, Form, Form]] = {
     "png": ("png", "png", "png"),
     "data": ("h264", "ffv1", "png"),
 }
-"""How colours, depth and ids are stored."""
+"""Forms of colours, depth and ids."""
 _SUFFIXES = {"h264": ".mp4", "av1": ".mp4", "ffv1": ".mkv", "png": ""}
 
 
 @dataclass(frozen=True)
 class Target:
-    """One output of one camera and the file (for pictures: the folder) that it goes to."""
+    """One output of one camera, and its file (a folder for pictures)."""
 
     output: Output
     form: Form
@@ -43,18 +43,18 @@ class Target:
 
     @classmethod
     def named(cls, folder: Path, stem: str, camera: str, output: Output, format: Format) -> Target:
-        """``<folder>/<stem>.<camera>.<output>`` with the suffix that fits."""
+        """The target ``<folder>/<stem>.<camera>.<output>`` with the suffix of its form."""
         form = _FORMS[format][min(OUTPUTS.index(output), 2)]
         return cls(output, form, folder / f"{stem}.{camera}.{output}{_SUFFIXES[form]}")
 
     @property
     def colored(self) -> bool:
-        """Whether depth and ids become colours."""
+        """Whether depth and ids are stored as colours."""
         return self.form in ("h264", "av1")
 
     @property
     def meaning(self) -> str:
-        """What the stored values are."""
+        """Meaning of the stored values."""
         if self.output == "rgb":
             return "sRGB"
         if self.colored:
@@ -62,21 +62,21 @@ class Target:
         return "z-depth in millimetres, 0 = nothing hit" if self.output == "depth" else "id + 1, 0 = nothing hit"
 
     def open(self, camera: Camera, fps: float, picture: ToPicture) -> AbstractContextManager[Sink]:
-        """Where the frames go; the target gets its name at the end of the block, if no exception came."""
+        """A sink for the frames. The target gets its name at the end of the block, unless an exception occurs."""
         if self.form == "png":
             return _open_folder(self.path, picture)
         return _open_video(self, camera, fps, picture)
 
 
 class Sink(Protocol):
-    """Takes frames in two steps."""
+    """Stores frames in two steps."""
 
     def prepare(self, image: NDArray[Any], step: int) -> Any:
-        """Everything that may happen in any thread and any order; what it returns goes to `write`."""
+        """The work that can run in any thread and any order; the result goes to `write`."""
         ...
 
     def write(self, frame: Any) -> None:
-        """Called with one frame after the other, in their order."""
+        """Stores a frame; called in the order of frames."""
         ...
 
 
@@ -117,12 +117,14 @@ class _FolderSink:
 
 @contextmanager
 def _open_folder(target: Path, picture: ToPicture) -> Iterator[Sink]:
-    """A folder for pictures that gets the name ``target`` when they are complete, in the place of older pictures."""
+    """A folder of pictures that gets the name ``target`` when it is complete, replacing older pictures."""
     part = target.with_name(target.name + ".part")
     for folder in (part, target):
-        strangers = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
-        if strangers:
-            raise InputError(f"Other things than pictures lie in the output folder. Remove them: {strangers[0]}")
+        others = [p for p in folder.glob("*") if not re.fullmatch(r"\d{6,}\.png(\.part)?", p.name)]
+        if others:
+            raise InputError(
+                f"The output folder holds files that are not numbered pictures. Move them away: {others[0]}"
+            )
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     try:

@@ -1,4 +1,4 @@
-"""``h3data bench``: the paper's speed benchmark on this machine, its numbers beside ours."""
+"""``h3data bench``: the paper's speed benchmark on this machine, beside the paper's numbers."""
 
 from __future__ import annotations
 
@@ -31,22 +31,26 @@ WORLDS = ("1", "16")
 ACTIONS = ("nav", "pick")
 BODIES = ("skinned", "bones")
 STARTED_WITHIN_S = 600.0
-"""How long processes wait for each other to have built their worlds."""
+"""How long processes wait for each other to build their worlds."""
 PAPER = {
-    ("small", "robot", 1): "245±19", ("large", "robot", 1): "154±14", ("small", "human", 1): "188±2",
-    ("small", "robot_robot", 1): "150±13", ("small", "human_robot", 1): "136±8", ("small", "human_robot", 16): "1191±3",
-}  # fmt: skip
-"""Frames per second by home, agents and worlds, of 2 objects, nav, skinned, on one V100 (section 3, appendix benchmarking)."""
+    ("small", "robot", 1): "245±19",
+    ("large", "robot", 1): "154±14",
+    ("small", "human", 1): "188±2",
+    ("small", "robot_robot", 1): "150±13",
+    ("small", "human_robot", 1): "136±8",
+    ("small", "human_robot", 16): "1191±3",
+}
+"""Frames per second by home, agents and worlds, with 2 objects, nav, skinned, on one V100 (section 3, appendix on speed)."""
 NOTES = (
     "FPS: steps of all worlds per second, mean ± standard error over the runs. CPU: user and system time per step and world.",
-    "Paper: one Nvidia V100; its appendix says 155±26 of the human. One depth image per agent: 128x128, of two agents 256x256.",
+    "Paper: one Nvidia V100; its appendix gives 155±26 for the human. One depth image per agent: 128x128, 256x256 for two.",
 )
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure steps per second by the protocol of the paper: random actions for 300 steps, the first 10 not timed, and a depth
-    image for each agent, on CPU or GPU. Lists are separated by commas; "all" is every value.
+    """Measure steps per second by the paper's protocol: 300 steps of random actions, the first 10 not timed, with a depth
+    image for each agent, on CPU or GPU. Lists are separated by commas; "all" means every value.
 
     Examples:
         h3data bench sim
@@ -56,29 +60,29 @@ class Bench:
     """
 
     group: tyro.conf.Positional[str]
-    """sim: the simulator with a depth image."""
+    """sim: the simulator with depth images."""
     homes: str = "small"
     """small, medium, large."""
     objects: str = "2"
-    """How many things can be taken; the paper has 2 and 10."""
+    """Number of objects; the paper has 2 and 10."""
     agents: str = ALL
     """robot, human, robot_robot, human_robot."""
     worlds: str = "1,16"
-    """How many are stepped at once; the paper has 1 and 16."""
+    """Number of worlds stepped at once; the paper has 1 and 16."""
     actions: str = "nav"
-    """nav: drive, walk; pick: the arm or a hand reaches while they stand."""
+    """nav: agents drive or walk; pick: they stand, and an arm or a hand reaches."""
     bodies: str = "skinned"
-    """skinned, or bones: people drawn as rigid capsules."""
+    """skinned, or bones: people rendered as rigid capsules."""
     runs: int = 3
-    """The paper has 10."""
+    """Runs per row; the paper has 10."""
     steps: int = 300
-    """Of a run; the first 10 are not timed."""
+    """Steps per run; the first 10 are not timed."""
     backend: Literal["cpu", "gpu"] = "cpu"
-    """What draws. gpu: one process with all worlds."""
+    """Renderer. gpu: one process with all worlds."""
     cores: int | None = None
     """Processes that share the worlds (default: all cores of this machine; 1 with gpu)."""
     seed: int = 0
-    """Everything random follows from it."""
+    """Seed of all random numbers."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -98,18 +102,18 @@ class Bench:
         return Outcome(text=text, data=data)
 
     def cells(self) -> list[Cell]:
-        """What is to be measured, or an `InputError` that names the bad option."""
+        """Rows to measure; an `InputError` names a bad option."""
         from h3data_pipelines.benchmark.protocol import UNTIMED, Cell
 
         if self.group != "sim":
             raise InputError(
-                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run from a checkout, by make bench."
+                f"Unknown benchmark {self.group!r}. Expected: sim. Hint: the others run in a checkout: make bench."
             )
         if self.runs < 1:
             raise InputError(f"--runs must be at least 1, got {self.runs}.")
         if self.steps <= UNTIMED:
             raise InputError(f"--steps must be more than {UNTIMED}, the steps that are not timed; got {self.steps}.")
-        chosen = product(
+        chosen: Any = product(  # texts that `_names` has checked
             _names("--homes", self.homes, HOMES),
             _numbers("--objects", self.objects, OBJECTS),
             _names("--agents", self.agents, AGENTS),
@@ -118,7 +122,7 @@ class Bench:
             _names("--bodies", self.bodies, BODIES),
         )
         cells: list[Any] = [
-            Cell(home=home, objects=objects, agents=agents, worlds=worlds, action=action, skinned=body == "skinned")  # pyright: ignore[reportArgumentType] - checked above
+            Cell(home=home, objects=objects, agents=agents, worlds=worlds, action=action, skinned=body == "skinned")
             for home, objects, agents, worlds, action, body in chosen
             if body == "skinned" or "human" in agents  # robots have no skin
         ]
@@ -127,26 +131,26 @@ class Bench:
         return cells
 
     def processes(self) -> int:
-        """How many processes share the worlds at most."""
+        """Largest number of processes that share the worlds."""
         if self.cores is not None and self.cores < 1:
             raise InputError(f"--cores must be at least 1, got {self.cores}.")
         if self.backend == "gpu":
             if self.cores not in (None, 1):
-                raise InputError("With --backend gpu one process draws all worlds. Hint: leave --cores out.")
+                raise InputError("With --backend gpu one process renders all worlds. Hint: leave out --cores.")
             return 1
         return self.cores or len(os.sched_getaffinity(0))
 
 
 # --- measuring ------------------------------------------------------------------------------------------------------------
 class Pool:
-    """Processes that start their timed work together. A pool of one works in this process."""
+    """Processes that start each timed run together. A pool of one runs in this process."""
 
     def __init__(self, size: int) -> None:
         self.size = size
         self._executors: dict[int, ProcessPoolExecutor] = {}
 
     def run(self, shares: list[int], cell: Cell, **options: Any) -> list[list[Run]]:
-        """The runs of each process; ``shares`` are the worlds of each."""
+        """Results of each process; ``shares`` are the numbers of worlds of each."""
         if len(shares) == 1:
             return [_run_share(cell, shares[0], **options)]
         executor = self._executor(len(shares))
@@ -187,7 +191,7 @@ def _meet_at(barrier: Any) -> None:
 def _run_share(
     cell: Cell, worlds: int, *, runs: int, steps: int, backend: Literal["cpu", "gpu"], seed: int
 ) -> list[Run]:
-    """The runs of one process. Where there are several, they begin each run together."""
+    """Results of one process; several processes begin each run together."""
     from h3data_pipelines.benchmark.protocol import UNTIMED, BenchmarkWorlds
 
     try:
@@ -201,7 +205,7 @@ def _run_share(
         return results
     except BaseException:
         if _barrier is not None:
-            _barrier.abort()  # the others would wait
+            _barrier.abort()  # else the others would wait for the time limit
         raise
 
 
@@ -210,7 +214,7 @@ def measure(
 ) -> dict[str, Any]:
     """A row of the table: the cell, ``fps`` of each run, their mean and standard error, CPU time per frame [ms], the paper's.
 
-    The frames per second of a run are worlds x timed steps over the mean time of the processes, as Habitat's script counts.
+    The frames per second of a run are worlds x timed steps / mean time of the processes, as in Habitat's script.
     """
     from h3data_pipelines.benchmark.protocol import UNTIMED
 
@@ -234,12 +238,12 @@ def measure(
     }
 
 
-# --- words ----------------------------------------------------------------------------------------------------------------
+# --- text -----------------------------------------------------------------------------------------------------------------
 def hardware_name(backend: str = "cpu") -> str:
-    """The processor and its cores here, and the GPU where it draws."""
+    """This machine's processor and number of cores, and its GPU if that renders."""
     info = Path("/proc/cpuinfo")
-    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")] \
-        if info.is_file() else []  # fmt: skip
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     cpu = f"{names[0] if names else platform.processor() or platform.machine()}, {len(os.sched_getaffinity(0))} cores"
     if backend == "cpu":
         return cpu
@@ -249,7 +253,7 @@ def hardware_name(backend: str = "cpu") -> str:
 
 
 def _check_gpu() -> None:
-    """Refuse at once, not after the home is built."""
+    """Refuses a missing GPU at once, not after the home is built."""
     import torch
 
     from h3data.errors import MissingExtraError
@@ -263,23 +267,30 @@ def _table(rows: Iterable[dict[str, Any]]) -> list[str]:
     lines = [head]
     for row in rows:
         error = row["fps_standard_error"]
-        lines.append([
-            row["home"], str(row["objects"]), row["agents"], f"{row['worlds']} on {row['processes']}", row["action"],
-            ("skinned" if row["skinned"] else "bones") if "human" in row["agents"] else "-",
-            f"{len(row['agents'].split('_'))} {row['image'][0]}x{row['image'][1]}",
-            f"{row['fps_mean']:.0f}" + (f"±{error:.0f}" if error == error else ""),
-            f"{row['cpu_ms_per_frame']:.2f}", row["paper"] or "-",
-        ])  # fmt: skip
+        lines.append(
+            [
+                row["home"],
+                str(row["objects"]),
+                row["agents"],
+                f"{row['worlds']} on {row['processes']}",
+                row["action"],
+                ("skinned" if row["skinned"] else "bones") if "human" in row["agents"] else "-",
+                f"{len(row['agents'].split('_'))} {row['image'][0]}x{row['image'][1]}",
+                f"{row['fps_mean']:.0f}" + (f"±{error:.0f}" if error == error else ""),
+                f"{row['cpu_ms_per_frame']:.2f}",
+                row["paper"] or "-",
+            ]
+        )
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
     return ["  ".join(f"{word:<{width}}" for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
-def _names(option: str, given: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    names = known if given == ALL else tuple(dict.fromkeys(name.strip() for name in given.split(",")))
-    unknown = [name for name in names if name not in known]
+def _names(option: str, given: str, choices: tuple[str, ...]) -> tuple[str, ...]:
+    names = choices if given == ALL else tuple(dict.fromkeys(name.strip() for name in given.split(",")))
+    unknown = [name for name in names if name not in choices]
     if unknown:
         raise InputError(
-            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(known)}; or all."
+            f"{option}: unknown {', '.join(map(repr, unknown))}. Expected some of: {', '.join(choices)}; or all."
         )
     return names
 
@@ -287,5 +298,5 @@ def _names(option: str, given: str, known: tuple[str, ...]) -> tuple[str, ...]:
 def _numbers(option: str, given: str, usual: tuple[str, ...]) -> tuple[int, ...]:
     words = usual if given == ALL else tuple(dict.fromkeys(word.strip() for word in given.split(",")))
     if not all(word.isascii() and word.isdecimal() and int(word) >= 1 for word in words):
-        raise InputError(f"{option}: expected whole numbers from 1, separated by commas, or all; got {given!r}.")
+        raise InputError(f"{option}: expected positive whole numbers, separated by commas, or all; got {given!r}.")
     return tuple(map(int, words))

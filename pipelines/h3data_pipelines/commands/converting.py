@@ -1,4 +1,4 @@
-"""``h3data convert``: MCAP logs become a Parquet dataset, a dataset becomes MCAP logs; nothing is lost either way."""
+"""``h3data convert``: MCAP logs to a Parquet dataset and back, without loss."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 class Convert:
     """Convert recordings between the session log (MCAP) and the dataset (Parquet, LeRobot v3 layout), without loss.
 
-    The output decides: OUT.mcap is one log; a folder is a dataset for logs, and a folder of logs for a dataset.
+    OUT decides: OUT.mcap is one log; a folder becomes a dataset if the input is logs, and logs if the input is a dataset.
 
     Examples:
         h3data convert recordings/ ds/
@@ -45,24 +45,24 @@ class Convert:
     """
 
     source: tyro.conf.Positional[Path]
-    """A .mcap file, a dataset, one of its episodes (ds#3), or a folder of these, which is walked; or its URI."""
+    """An .mcap file, a dataset, one of its episodes (ds#3), or a folder of these, searched recursively; or a URI."""
     out: tyro.conf.Positional[Path]
-    """A .mcap file or a folder; or its URI: s3://bucket/ds."""
+    """An .mcap file or a folder, or a URI: s3://bucket/ds."""
     to: Literal["auto", "mcap", "dataset"] = "auto"
-    """What a folder becomes, where the input does not decide."""
+    """Contents of the output folder, if the input does not decide."""
     nominal_fps: int | None = None
-    """Let a dataset hold episodes of other or irregular rates: LeRobot's time stamps count so many steps per second, the
-    true times stay in time_ns (default: the rate of the first episode, which all must have)."""
+    """Steps per second of LeRobot's time stamps in a dataset of episodes with other or irregular rates; the true times stay
+    in time_ns (default: the rate of the first episode, which all must have)."""
     check: bool = False
-    """Read everything back and compare it with the input, bit for bit."""
+    """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
-    """Go on with an interrupted conversion of the same input: what is there is kept."""
+    """Continue an interrupted conversion of the same input: finished output is kept."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         if self.force and self.resume:
-            raise InputError("Choose one: --resume goes on with what is there, --force replaces it.")
+            raise InputError("Choose one: --resume continues the output, --force replaces it.")
         if self.nominal_fps is not None and not 1 <= self.nominal_fps <= 1000:
             raise InputError(f"--nominal-fps must be at least 1 and at most 1000, got {self.nominal_fps}.")
         sources = find_episodes([self._source])
@@ -77,7 +77,7 @@ class Convert:
         if to == "auto":
             of_datasets = {source.dataset is not None or "#" in source.name for source in sources}
             if len(of_datasets) > 1:
-                raise InputError("The input holds logs and datasets. Say what they become: --to mcap or --to dataset.")
+                raise InputError("The input holds logs and datasets. Choose the output: --to mcap or --to dataset.")
             to = "mcap" if of_datasets.pop() else "dataset"
         return self._report(self._dataset(sources) if to == "dataset" else self._logs(sources), to)
 
@@ -90,10 +90,10 @@ class Convert:
         return place(self.out)
 
     def _refuse_itself(self) -> None:
-        """An output inside the input would be walked, and one that holds the input replaced."""
+        """Refuses an output inside the input, which would be read too, and one around it, which would be replaced."""
         source, out = (Path(os.path.abspath(p)) if isinstance(p, Path) else p for p in (self._source, self._out))
         if out == source or source in out.parents or out in source.parents:
-            raise InputError(f"Input and output lie inside each other; choose another output folder: {self._out}")
+            raise InputError(f"One of input and output contains the other; choose another output folder: {self._out}")
 
     # --- to logs --------------------------------------------------------------------------------------------------
     def _logs(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
@@ -105,7 +105,7 @@ class Convert:
         ]
 
     def _target(self, source: EpisodeSource) -> AnyPath:
-        """A log keeps its place below the input folder; episode 3 of a dataset becomes ``000003.mcap`` in its place."""
+        """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
         if not self._source.is_dir():
             return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
         at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
@@ -116,7 +116,7 @@ class Convert:
 
         row: dict[str, Any] = {"source": source.name, "recording": str(target)}
         try:
-            if self.resume and target.is_file():  # it has its name, so it is complete
+            if self.resume and target.is_file():  # only complete files have this name
                 if source.read().episode.uid != _read_log(target).episode.uid:
                     raise InputError(f"This is another episode. --resume needs the same input: {target}")
                 return {**row, "status": "kept"}
@@ -125,8 +125,8 @@ class Convert:
             write_mcap(recording, target, overwrite=self.force or self.resume)
             if self.check:
                 _require_equal(recording, _read_log(target), target)
-        except H3DataError as fault:
-            return {**row, "status": "failed", "reason": str(fault)}
+        except H3DataError as error:
+            return {**row, "status": "failed", "reason": str(error)}
         return {**row, "status": "converted", "steps": len(recording)}
 
     # --- to a dataset ---------------------------------------------------------------------------------------------
@@ -139,12 +139,10 @@ class Convert:
         if not self.resume:
             claim_folder(self._out, force=False)
         begun = self.resume and (self._out / "h3" / "schema.json").is_file()
+        like, nominal = () if begun else _readable(sources), self.nominal_fps is not None
         rows = []
-        with DatasetWriter(
-            self._out, resume=self.resume, fps=rate, nominal_fps=self.nominal_fps is not None,
-            like=() if begun else _readable(sources),
-        ) as writer:  # fmt: skip
-            done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).episodes.to_pylist())} if len(writer) else {}
+        with DatasetWriter(self._out, resume=self.resume, fps=rate, nominal_fps=nominal, like=like) as writer:
+            done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).rows)} if len(writer) else {}
             for source in tqdm(sources, desc="convert", unit="episode", disable=None):
                 row = self._add(source, writer, done)
                 rows.append({"source": source.name, **row})
@@ -153,7 +151,7 @@ class Convert:
         return rows
 
     def _compare(self, sources: list[EpisodeSource], rows: list[dict[str, Any]]) -> None:
-        """Read every episode of the dataset back; what differs from its source has failed."""
+        """Reads every episode of the dataset back; one that differs from its source has failed."""
         from h3data.recording import Dataset
 
         dataset = Dataset(self._out)
@@ -163,8 +161,8 @@ class Convert:
             index = int(row["recording"].rpartition("#")[2])
             try:
                 _require_equal(source.read(), dataset.recording(index), self._out)
-            except H3DataError as fault:
-                row |= {"status": "failed", "reason": str(fault)}
+            except H3DataError as error:
+                row |= {"status": "failed", "reason": str(error)}
 
     def _add(self, source: EpisodeSource, writer: DatasetWriter, done: dict[str, int]) -> dict[str, Any]:
         try:
@@ -174,8 +172,8 @@ class Convert:
                 return {"status": "kept", "recording": f"{self._out}#{index}"}
             with uninterrupted():
                 index = writer.add(recording)
-        except H3DataError as fault:
-            return {"status": "failed", "reason": str(fault)}
+        except H3DataError as error:
+            return {"status": "failed", "reason": str(error)}
         return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}
 
     # --- result ---------------------------------------------------------------------------------------------------
@@ -203,23 +201,23 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
 
     differences = recordings_equal(recording, stored)
     if differences:
-        raise H3DataError(f"What was read back differs from the input: {'; '.join(differences[:4])}: {path}")
+        raise H3DataError(f"The output differs from the input: {'; '.join(differences[:4])}: {path}")
 
 
 def _readable(sources: list[EpisodeSource]) -> Iterator[Recording]:
-    """Every episode that can be read: they fix the columns of a dataset. The others fail when their turn comes."""
+    """Every readable episode, to fix the columns of a dataset; `Convert._add` reports the others."""
     for source in tqdm(sources, desc="read", unit="episode", disable=None):
         with suppress(H3DataError):
             yield source.read()
 
 
 def _steps_per_second(sources: list[EpisodeSource]) -> int:
-    """Of the first episode that can be read; refuses inputs of which none can."""
-    faults = []
+    """Rate of the first readable episode; an `InputError` if there is none."""
+    errors = []
     for source in sources:
         try:
             return max(1, round(1e9 / max(source.read().episode.dt_ns, 1)))
-        except H3DataError as fault:
-            faults.append(fault)
-    told = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
-    raise InputError(f"{told}{faults[0]}")
+        except H3DataError as error:
+            errors.append(error)
+    several = f"None of {len(sources)} episodes can be read. The first: " if len(sources) > 1 else ""
+    raise InputError(f"{several}{errors[0]}")

@@ -1,4 +1,4 @@
-"""``h3data doctor``: what works on this machine."""
+"""``h3data doctor``: checks what works on this machine."""
 
 from __future__ import annotations
 
@@ -13,9 +13,21 @@ from typing import Any
 from h3data_pipelines.command import JsonFlag, Outcome
 
 _PACKAGES = (
-    "numpy", "numba", "scipy", "shapely", "torch", "trimesh", "python-fcl", "mcap", "pyarrow", "rerun-sdk",
-    "opencv-python-headless", "av", "msgspec", "tyro",
-)  # fmt: skip
+    "numpy",
+    "numba",
+    "scipy",
+    "shapely",
+    "torch",
+    "trimesh",
+    "python-fcl",
+    "mcap",
+    "pyarrow",
+    "rerun-sdk",
+    "opencv-python-headless",
+    "av",
+    "msgspec",
+    "tyro",
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +72,7 @@ class Doctor:
 def _attempt(check: Callable[[], str]) -> dict[str, Any]:
     try:
         return {"ok": True, "detail": check()}
-    except Exception as error:  # a doctor reports whatever is wrong, of whatever kind
+    except Exception as error:  # every failure is a finding here, whatever its type
         return {"ok": False, "detail": f"{type(error).__name__}: {error}".splitlines()[0]}
 
 
@@ -86,7 +98,7 @@ def _cpu_renderer() -> str:
     scene = RenderScene([triangle], [RenderInstance(mesh=0, matrix=np.eye(4))])
     depth = Renderer(scene).render(pinhole(32, 24, hfov_deg=60), outputs=("depth",))["depth"]
     if abs(float(depth[12, 16]) - 2.0) > 1e-4:
-        raise RuntimeError(f"a wall at 2 m is drawn at {depth[12, 16]} m")
+        raise RuntimeError(f"a wall at 2 m is rendered at {depth[12, 16]} m")
     features = llvm.get_host_cpu_features()
     simd = next((name for name in ("avx512f", "avx2", "avx", "sse4.2", "neon") if features.get(name)), "scalar")
     return f"depth exact, SIMD {simd}"

@@ -1,4 +1,4 @@
-"""``h3data info``: what is in recordings and datasets, without measuring or drawing anything."""
+"""``h3data info``: contents of recordings and datasets, without measuring or rendering."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Info:
-    """Say what recordings and datasets hold: task, scene, agents, steps, columns.
+    """Show what recordings and datasets hold: task, scene, agents, steps, columns.
 
     Examples:
         h3data info out/demo/episode.mcap
@@ -36,54 +36,65 @@ class Info:
     def run(self) -> Outcome:
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.")
-        told = [part for path in map(place, self.paths) for part in _told(path)]
-        faults = sum("error" in data for _, data in told)
-        if faults == len(told) == 1:
-            raise InputError(told[0][1]["error"])
+        described = [part for path in map(place, self.paths) for part in _described(path)]
+        faults = sum("error" in data for _, data in described)
+        if faults == len(described) == 1:
+            raise InputError(described[0][1]["error"])
         return Outcome(
-            text="\n\n".join(text for text, _ in told),
-            data={"found": [data for _, data in told]},
+            text="\n\n".join(text for text, _ in described),
+            data={"found": [data for _, data in described]},
             exit_code=int(faults > 0),
         )
 
 
-def _told(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
-    """Text and JSON types of everything below a path; of a folder of recordings one each."""
+def _described(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
+    """Text and JSON values for a dataset, or for each recording at or below a path."""
     from h3data.recording import Dataset
     from h3data.recording.parquet.files import is_dataset
 
     if path.is_dir() and is_dataset(path):
         return [_of_dataset(Dataset(path))]
-    found = []
+    described = []
     for source in find_episodes([path]):
         try:
             recording = source.read()
-        except H3DataError as fault:
-            found.append((f"{source.name}: {fault}", {"path": source.name, "error": str(fault)}))
+        except H3DataError as error:
+            described.append((f"{source.name}: {error}", {"path": source.name, "error": str(error)}))
         else:
-            found.append((f"{source.name}\n{recording!r}", {"path": source.name, **_described(recording)}))
-    return found
+            described.append((f"{source.name}\n{recording!r}", {"path": source.name, **_of_recording(recording)}))
+    return described
 
 
 def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
     rows = dataset.rows
     tasks, scenes = (Counter(str(row[key]) for row in rows) for key in ("task", "scene"))
     failed = sum(1 for row in rows if not row["length"])
-    text = f"{dataset!r}\n  scenes   " + ", ".join(f"{name} ({times})" for name, times in scenes.most_common(8))
+    text = f"{dataset!r}\n  scenes   " + ", ".join(f"{name} ({count})" for name, count in scenes.most_common(8))
     text += f", ... ({len(scenes)} in all)" if len(scenes) > 8 else ""
     text += f"\n  without steps: {failed} episodes (h3data info {dataset.root}#K says why)" if failed else ""
     return text, {
-        "path": str(dataset.root), "kind": "dataset", "episodes": len(dataset), "steps": sum(r["length"] for r in rows),
-        "tasks": dict(tasks), "scenes": dict(scenes), "without_steps": failed,
+        "path": str(dataset.root),
+        "kind": "dataset",
+        "episodes": len(dataset),
+        "steps": sum(r["length"] for r in rows),
+        "tasks": dict(tasks),
+        "scenes": dict(scenes),
+        "without_steps": failed,
         "columns": {c.name: {"dtype": c.dtype, "shape": list(c.shape)} for c in dataset.schema.columns},
-    }  # fmt: skip
+    }
 
 
-def _described(recording: Recording) -> dict[str, Any]:
+def _of_recording(recording: Recording) -> dict[str, Any]:
     return {
-        "kind": "recording", "steps": len(recording), "duration_s": recording.duration_s, **asdict(recording.episode),
-        "agents": [asdict(agent) for agent in recording.agents], "bodies": len(recording.bodies),
-        "moving_bodies": len(recording.moving_bodies), "events": len(recording.events), "skills": len(recording.skills),
+        "kind": "recording",
+        "steps": len(recording),
+        "duration_s": recording.duration_s,
+        **asdict(recording.episode),
+        "agents": [asdict(agent) for agent in recording.agents],
+        "bodies": len(recording.bodies),
+        "moving_bodies": len(recording.moving_bodies),
+        "events": len(recording.events),
+        "skills": len(recording.skills),
         "columns": {name: {"dtype": str(a.dtype), "shape": list(a.shape)} for name, a in recording.columns.items()},
         "attachments": {name: len(data) for name, data in recording.attachments.items()},
-    }  # fmt: skip
+    }

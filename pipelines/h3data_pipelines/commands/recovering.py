@@ -1,4 +1,4 @@
-"""``h3data recover``: what can be saved of a recording that was cut off."""
+"""``h3data recover``: saves the readable part of a recording that was cut off."""
 
 from __future__ import annotations
 
@@ -20,21 +20,23 @@ class Recover:
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file, or the .part file that an interrupted run left."""
+    """An .mcap file, or the .part file that an interrupted run left."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The new recording; the old file stays as it is."""
+    """The new recording; the old file is kept."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         from h3data.recording import recover_mcap
 
-        saved = recover_mcap(
-            self.recording, claim_file(self.out, force=self.force, suffix=".mcap"), overwrite=self.force
-        )
+        out = claim_file(self.out, force=self.force, suffix=".mcap")
+        saved = recover_mcap(self.recording, out, overwrite=self.force)
         text = f"saved {saved.steps} steps in {saved.path}; {saved.bytes_read} of {saved.bytes_total} bytes read: "
         data = {
-            "recording": str(saved.path), "steps": saved.steps, "reason": saved.reason,
-            "bytes_read": saved.bytes_read, "bytes_total": saved.bytes_total,
-        }  # fmt: skip
+            "recording": str(saved.path),
+            "steps": saved.steps,
+            "reason": saved.reason,
+            "bytes_read": saved.bytes_read,
+            "bytes_total": saved.bytes_total,
+        }
         return Outcome(text=text + saved.reason, data=data)

@@ -1,4 +1,4 @@
-"""``h3data replay``: simulate a recording again, to check it, to go on from any step, or to try another policy."""
+"""``h3data replay``: simulates a recording again to check it, to continue from any step, or to try another policy."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from h3data_pipelines.jobs.episode_sources import find_episodes
 class ReplayCommand:
     """Simulate the recorded actions again: compare every step, continue from any step, or swap the robot's policy.
 
-    --verify names the first step, column and values that differ. --resume-from K keeps the first K steps as they are and
-    simulates on, under the episode's own policy or another. --counterfactual keeps people's tracks, who then do not
-    react, and lets another policy drive the robots. For recordings of social_nav, rearrange and wander.
+    --verify names the first step, column and values that differ. --resume-from K keeps the first K steps and simulates the
+    rest, under the episode's own policy or another. --counterfactual keeps people on their recorded tracks, where they do
+    not react, and lets another policy drive the robots. For recordings of social_nav, rearrange and wander.
 
     Examples:
         h3data replay out/demo/episode.mcap --verify
@@ -32,19 +32,19 @@ class ReplayCommand:
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file or one episode of a dataset (ds#3); with --verify also a dataset or a folder of .mcap files."""
+    """An .mcap file or one episode of a dataset (ds#3); with --verify also a dataset or a folder of .mcap files."""
     verify: bool = False
     """Compare the simulation with the recording, bit for bit."""
     resume_from: int | None = None
-    """Keep this many steps, then simulate on."""
+    """Keep this many steps and simulate the rest."""
     counterfactual: bool = False
-    """Keep people's recorded tracks; robots follow --policy, from --resume-from on or from the start."""
+    """Keep people on their recorded tracks; robots follow --policy, from --resume-from or from the start."""
     policy: str | None = None
-    """Robot policy, as of h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
+    """Robot policy, as for h3data generate, or weights:FILE (default: the recording's own). social_nav: heuristic_expert,
     plain_expert, sampling_expert, future_oracle, learned_follower, random or stand_still; rearrange: complement,
     greedy_nearest, same_object or still."""
     partner: str | None = None
-    """rearrange: what moves the person, as of h3data generate (default: the recording's own)."""
+    """rearrange: policy of the person, as for h3data generate (default: the recording's own)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The new recording (.mcap)."""
     force: ForceFlag = False
@@ -57,7 +57,7 @@ class ReplayCommand:
         if self.verify:
             if (self.policy, self.partner, self.out) != (None, None, None):
                 raise InputError(
-                    "--verify simulates what was recorded and writes nothing: leave out --policy, --partner and -o."
+                    "--verify repeats the recording and writes nothing: leave out --policy, --partner and -o."
                 )
             return self._verify()
         return self._continue()
@@ -71,20 +71,20 @@ class ReplayCommand:
             try:
                 recording = source.read()
                 row["steps"] = len(recording)
-                found = verify(recording)
-            except H3DataError as fault:
-                rows.append({**row, "equal": None, "reason": str(fault)})
+                result = verify(recording)
+            except H3DataError as error:
+                rows.append({**row, "equal": None, "reason": str(error)})
                 continue
-            difference = None if found.difference is None else vars(found.difference)
+            difference = None if result.difference is None else vars(result.difference)
             version = recording.episode.schema_version
-            rows.append({**row, "equal": found.equal, "difference": difference, "schema_version": version})
+            rows.append({**row, "equal": result.equal, "difference": difference, "schema_version": version})
         if len(rows) == 1 and rows[0]["equal"] is None:
             name, reason = rows[0]["recording"], rows[0]["reason"]
             raise InputError(reason if name in reason else f"{reason} Recording: {name}")
         equal = sum(row["equal"] is True for row in rows)
         lines = [_line(row) for row in rows]
         if len(rows) != 1:
-            lines.append(f"{equal} of {len(rows)} recordings came out again, bit for bit")
+            lines.append(f"{equal} of {len(rows)} recordings were reproduced bit for bit")
         data = {"recordings": len(rows), "equal": equal, "episodes": rows}
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if equal == len(rows) else 1)
 
@@ -102,19 +102,25 @@ class ReplayCommand:
         old, step = open_episode(self.recording), self.resume_from or 0
         if self.counterfactual:
             assert self.policy is not None
-            made = counterfactual(old, self.policy, step=step)
+            new = counterfactual(old, self.policy, step=step)
         else:
-            made = resume(old, step, policy=self.policy, partner=self.partner)
-        write_mcap(made, out, overwrite=self.force)
-        info = made.episode.info
+            new = resume(old, step, policy=self.policy, partner=self.partner)
+        write_mcap(new, out, overwrite=self.force)
+        info = new.episode.info
         then = f", then {info['policy']}" if info.get("policy") else ""
-        whose = " beside the recorded person, who does not react" if self.counterfactual else ""
+        beside = " beside the recorded person, who does not react" if self.counterfactual else ""
         ended = f"; ended by {info['ended']}" if "ended" in info else ""
-        text = f"{out}: {len(made)} steps, the first {step} as recorded{then}{whose}{ended}"
+        text = f"{out}: {len(new)} steps, the first {step} as recorded{then}{beside}{ended}"
         data = {
-            "recording": str(out), "uid": made.episode.uid, "of": old.episode.uid, "steps": len(made), "kept": step,
-            "policy": info.get("policy"), "ended": info.get("ended"), "human_reactive": info.get("human_reactive"),
-        }  # fmt: skip
+            "recording": str(out),
+            "uid": new.episode.uid,
+            "of": old.episode.uid,
+            "steps": len(new),
+            "kept": step,
+            "policy": info.get("policy"),
+            "ended": info.get("ended"),
+            "human_reactive": info.get("human_reactive"),
+        }
         return Outcome(text=text, data=data)
 
 
@@ -125,8 +131,8 @@ def _line(row: dict[str, Any]) -> str:
         return f"equal      {row['recording']}: {row['steps']} steps"
     d = row["difference"]
     old = row["schema_version"] == "1.0"
-    hint = " (written with schema 1.0, whose actions were rounded after they had acted)" if old else ""
+    hint = " (written with schema 1.0, which rounded actions after they had been applied)" if old else ""
     return (
-        f"different  {row['recording']}: from step {d['step']} on, first in {d['column']}: recorded {d['recorded']}, "
+        f"different  {row['recording']}: from step {d['step']}, first in {d['column']}: recorded {d['recorded']}, "
         f"simulated {d['simulated']}{hint}"
     )

@@ -29,12 +29,27 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset
 
 _ROWS = 40
-"""At most so many are shown as text: the first, and the last of the first 10,000."""
+"""Rows shown as text at most: the first ones, and the last of the first 10,000."""
 _RECORDS = ("events", "skills", "agents", "bodies", "inputs")
-_EPISODE_COLUMNS = (
-    "dataset", "episode_index", "episode_id", "uid", "task", "scene", "seed", "policy", "partner", "length", "seconds",
-    "created_by", "info",
-)  # fmt: skip
+_TEXT, _WHOLE, _REAL = pa.string(), pa.int64(), pa.float64()
+_EPISODES = pa.schema(
+    [
+        ("dataset", _TEXT),
+        ("episode_index", _WHOLE),
+        ("episode_id", _TEXT),
+        ("uid", _TEXT),
+        ("task", _TEXT),
+        ("scene", _TEXT),
+        ("seed", _WHOLE),
+        ("policy", _TEXT),
+        ("partner", _TEXT),
+        ("length", _WHOLE),
+        ("seconds", _REAL),
+        ("created_by", _TEXT),
+        ("info", _TEXT),
+    ]
+)
+"""Columns of the view ``episodes``, without the metrics."""
 _READ_ONLY = {"enable_external_access": "false", "python_enable_replacements": "false", "lock_configuration": "true"}
 
 
@@ -47,7 +62,7 @@ class Sql:
                    Shorter: agent_0_x, _y, _z, _heading; dist_agents for "metrics.dist_agents"; seconds.
         episodes   one row per episode: task, scene, seed, policy, partner, length, seconds, info and the metrics S, SPS, ...
         events     episode_index, step, agent, kind, target, detail. Likewise skills, agents, bodies, inputs.
-    all        each has a column dataset (its path as you wrote it), so several datasets can be compared.
+    all        each has a column dataset (its path as you typed it), so that several datasets can be compared.
 
     Examples:
         h3data sql "select policy, avg(dist_agents) from steps join episodes using (dataset, episode_index) group by 1" a/ b/
@@ -61,11 +76,11 @@ class Sql:
     query: tyro.conf.Positional[str]
     """One SELECT (also FROM ..., WITH ..., DESCRIBE, SUMMARIZE, EXPLAIN) in DuckDB's SQL."""
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders or URIs (s3://bucket/ds) of datasets."""
+    """Datasets, as folders or URIs (s3://bucket/ds)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
     profile: ProfileName = "paper"
-    """Which definitions the metrics in episodes follow."""
+    """Definitions of the metrics in the view episodes."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -75,8 +90,8 @@ class Sql:
         if not self.datasets:
             raise InputError('Expected at least one dataset: h3data sql "select ..." DATASET')
         opened = {str(place(path)): open_recording(path) for path in self.datasets}
-        for path, found in opened.items():
-            if not isinstance(found, Dataset):
+        for path, recording in opened.items():
+            if not isinstance(recording, Dataset):
                 raise InputError(
                     f"Expected a dataset, this is one recording. Hint: h3data convert {path} DATASET: {path}"
                 )
@@ -84,22 +99,22 @@ class Sql:
             if self.out.suffix not in (".csv", ".parquet"):
                 raise InputError(f"Expected a file name that ends in .csv or .parquet, got {self.out.name!r}.")
             claim_file(self.out, force=self.force)
-        datasets = {path: found for path, found in opened.items() if isinstance(found, Dataset)}
+        datasets = {path: dataset for path, dataset in opened.items() if isinstance(dataset, Dataset)}
         connection = connect(datasets, profile=self.profile if "episodes" in self.query.lower() else None)
         with explained_errors(connection):
-            found = select(connection, self.query)
+            relation = select(connection, self.query)
             if self.out is None:
-                return (
-                    Outcome(text="", data=_data(found.to_arrow_table())) if self.json else Outcome(text=_text_of(found))
-                )
-            rows = _write(found, self.out)
+                if self.json:
+                    return Outcome(text="", data=_data(relation.to_arrow_table()))
+                return Outcome(text=_text_of(relation))
+            rows = _write(relation, self.out)
         return Outcome(text=f"{rows} rows in {self.out}", data={"rows": rows, "file": str(self.out)})
 
 
 def connect(datasets: dict[str, Dataset], *, profile: str | None = "paper") -> duckdb.DuckDBPyConnection:
-    """A DuckDB connection with the views over ``datasets`` (name to dataset) that can read nothing else and write nothing.
+    """A DuckDB connection with the views over ``datasets`` (by name), which can read nothing else and write nothing.
 
-    Without ``profile`` the metrics in ``episodes`` are left out: nothing is measured.
+    Without a ``profile`` the view ``episodes`` has no metrics, and nothing is measured.
 
     Raises:
         MissingExtraError: DuckDB is not installed.
@@ -130,8 +145,8 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
     """The result of one query, not yet computed.
 
     Raises:
-        InputError: it is not one statement that reads.
-        duckdb.Error: it is not SQL, or names what is not there; see `explained_errors`.
+        InputError: the query is not a single reading statement.
+        duckdb.Error: it is not SQL, or names a view or column that does not exist; see `explained_errors`.
     """
     import duckdb
 
@@ -144,7 +159,7 @@ def select(connection: duckdb.DuckDBPyConnection, query: str) -> duckdb.DuckDBPy
 
 @contextmanager
 def explained_errors(connection: duckdb.DuckDBPyConnection) -> Iterator[None]:
-    """DuckDB's errors as an `InputError`; where the query may name what is not there, with the views and their columns."""
+    """Turns DuckDB's errors into an `InputError`, with the views and their columns unless the query is no SQL at all."""
     import duckdb
 
     try:
@@ -156,7 +171,7 @@ def explained_errors(connection: duckdb.DuckDBPyConnection) -> Iterator[None]:
 
 
 def views(connection: duckdb.DuckDBPyConnection) -> str:
-    """Every view with its columns, a paragraph each."""
+    """Every view with its columns, one per line."""
     shown = []
     for view in ("steps", "episodes", *_RECORDS):
         columns = [column for column, *_ in connection.execute(f"DESCRIBE {view}").fetchall()]
@@ -167,7 +182,7 @@ def views(connection: duckdb.DuckDBPyConnection) -> str:
 
 # --- the views --------------------------------------------------------------------------------------------------------
 def _step_columns(dataset: Dataset) -> list[str]:
-    """All stored columns, lists without a fixed length (it differs between datasets), and shorter names for what is common."""
+    """SQL for all stored columns, as lists without a fixed length (it differs between datasets), and for short names."""
     from h3data.recording.parquet.tables import table_schema
 
     schema = table_schema(dataset)
@@ -184,8 +199,8 @@ def _step_columns(dataset: Dataset) -> list[str]:
         columns.append(f"{value} AS {name}")
     short = {"seconds": "time_ns / 1e9"}
     for name in schema.names:
-        if found := re.fullmatch(r"agent_(\d+)\.base_pose", name):
-            pose, agent = _name(name), f"agent_{found[1]}"
+        if match := re.fullmatch(r"agent_(\d+)\.base_pose", name):
+            pose, agent = _name(name), f"agent_{match[1]}"
             short |= {f"{agent}_{axis}": f"{pose}[{k}]" for k, axis in enumerate("xyz", 1)}
             x, y, z, w = (f"{pose}[{k}]" for k in range(4, 8))
             short[f"{agent}_heading"] = f"atan2(2 * ({y} * {w} - {x} * {z}), 1 - 2 * ({y} * {y} + {z} * {z}))"
@@ -195,51 +210,54 @@ def _step_columns(dataset: Dataset) -> list[str]:
 
 
 _SQL_TYPES = {
-    "bool": "BOOLEAN", "float": "FLOAT", "halffloat": "FLOAT", "double": "DOUBLE", "int8": "TINYINT", "int16": "SMALLINT",
-    "int32": "INTEGER", "int64": "BIGINT", "uint8": "UTINYINT", "uint16": "USMALLINT", "uint32": "UINTEGER",
-}  # fmt: skip
+    "bool": "BOOLEAN",
+    "float": "FLOAT",
+    "halffloat": "FLOAT",
+    "double": "DOUBLE",
+    "int8": "TINYINT",
+    "int16": "SMALLINT",
+    "int32": "INTEGER",
+    "int64": "BIGINT",
+    "uint8": "UTINYINT",
+    "uint16": "USMALLINT",
+    "uint32": "UINTEGER",
+}
+"""SQL type of each Arrow type that a column can have; uint64 is handled by `_unsigned`."""
 
 
 def _unsigned(value: str) -> str:
-    """The 64 bits of a whole number as UBIGINT."""
+    """SQL that reads the 64 bits of an integer as UBIGINT."""
     return f"({value}::HUGEINT & {2**64 - 1})::UBIGINT"
 
 
 def _episodes(name: str, dataset: Dataset, profile: str | None) -> pa.Table:
-    """One row per episode; policy and partner from its info, metrics measured now."""
+    """One row per episode, with policy and partner from its info, and its metrics measured now."""
     rows = []
     for row in dataset.rows:
         info = json.loads(row["info"])
         policy, partner = (info.get(key) if isinstance(info.get(key), str) else None for key in ("policy", "partner"))
-        rows.append(
-            {"dataset": name}
-            | {key: row[key] for key in ("episode_index", "episode_id", "uid", "task", "scene", "seed")}
-            | {"policy": policy, "partner": partner, "length": row["length"], "seconds": row["length"] * row["dt_ns"] / 1e9}
-            | {key: row[key] for key in ("created_by", "info")}
-        )  # fmt: skip
-    text, number, real = pa.string(), pa.int64(), pa.float64()
-    kinds = {"episode_index": number, "seed": number, "length": number, "seconds": real}
-    schema = pa.schema([(name, kinds.get(name, text)) for name in _EPISODE_COLUMNS])
-    table = pa.Table.from_pylist(rows, schema=schema)
+        seconds = row["length"] * row["dt_ns"] / 1e9
+        rows.append({**row, "dataset": name, "policy": policy, "partner": partner, "seconds": seconds})
+    table = pa.Table.from_pylist(rows, schema=_EPISODES)
     values = [] if profile is None else _metrics(dataset, profile)
     for metric in dict.fromkeys(metric for row in values for metric in row):
-        table = table.append_column(metric, pa.array([row.get(metric) for row in values], real))
+        table = table.append_column(metric, pa.array([row.get(metric) for row in values], _REAL))
     return table
 
 
 def _metrics(dataset: Dataset, profile: str) -> list[dict[str, float | None]]:
-    """The metrics of each episode by name; none where a profile does not fit the task or the recording."""
+    """The metrics of each episode by name; empty where the profile does not apply to the task or recording."""
     from h3data.metrics import measure
     from h3data.metrics.batch import recordings
 
-    found: list[dict[str, float | None]] = []
+    by_episode: list[dict[str, float | None]] = []
     for recording in recordings([dataset.root], profile):
         try:
             values = measure(recording, profile).values
         except InputError:
             values = {}
-        found.append({name: None if math.isnan(value) else value for name, value in values.items()})
-    return found
+        by_episode.append({name: None if math.isnan(value) else value for name, value in values.items()})
+    return by_episode
 
 
 def _named(table: pa.Table, dataset: str) -> pa.Table:
@@ -256,7 +274,7 @@ def _text(value: str) -> str:
 
 # --- the result -------------------------------------------------------------------------------------------------------
 def _text_of(relation: duckdb.DuckDBPyRelation) -> str:
-    """A table of the terminal's width; computes no more rows than DuckDB looks at for it."""
+    """A table as wide as the terminal; computes only the rows that DuckDB needs for it."""
     text = io.StringIO()
     with redirect_stdout(text):
         relation.show(max_width=shutil.get_terminal_size((120, 24)).columns, max_rows=_ROWS)
@@ -273,7 +291,7 @@ def _data(table: pa.Table) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold: sums of whole numbers are decimals in DuckDB, times and the like become text."""
+    """The value as JSON can hold it: DuckDB's sums of integers are decimals; times and the like become text."""
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, dict):
@@ -284,7 +302,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write(relation: duckdb.DuckDBPyRelation, path: Path) -> int:
-    """All rows into a file, as they come, through a second connection: that of the views may write nothing."""
+    """Writes all rows to a file as they come, through a second connection: that of the views may write nothing."""
     import duckdb
 
     writer = duckdb.connect()

@@ -1,4 +1,4 @@
-"""All commands by name, in the order of the first page of help."""
+"""All commands by name, in the order in which help lists them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``h3data validate``: what is wrong with recordings, as a table or as JSON."""
+"""``h3data validate``: faults of recordings, as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
 
 _SHOWN = 4
-"""Findings of one kind and recording in the text; all are in the JSON."""
+"""Findings per kind and recording in the text; JSON has all."""
 
 
 @dataclass(frozen=True)
 class Validate:
     """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets.
 
-    Errors are what no sound recording has; warnings what one should know of. Exit code 1 if a recording has errors.
+    An error means that the recording is wrong, a warning that something about it is unusual. Exit code 1 if a recording has
+    errors.
 
     Examples:
         h3data validate out/demo/episode.mcap
@@ -33,9 +34,9 @@ class Validate:
     paths: tyro.conf.Positional[tuple[Path, ...]]
     """.mcap files, datasets, single episodes (ds#3), and folders of these."""
     assets: tuple[Path, ...] = ()
-    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
+    """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     strict: bool = False
-    """Warnings count as errors."""
+    """Count warnings as errors."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -64,15 +65,14 @@ class Validate:
             recording = source.read()
             steps = len(recording)
             findings = validate_recording(recording, assets=library)
-        except H3DataError as fault:
-            if alone and not isinstance(fault, FormatError):
+        except H3DataError as error:
+            if alone and not isinstance(error, FormatError):
                 raise
-            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=str(fault))]
+            findings = [Finding(check="unreadable", severity="error", subject=source.name, text=str(error))]
         bad = bool(findings) if self.strict else any(f.severity == "error" for f in findings)
         verdict = "failed" if bad else "warnings" if findings else "sound"
-        return {
-            "recording": source.name, "steps": steps, "verdict": verdict, "findings": [asdict(f) for f in findings],
-        }  # fmt: skip
+        rows = [asdict(f) for f in findings]
+        return {"recording": source.name, "steps": steps, "verdict": verdict, "findings": rows}
 
 
 _SEVERITIES = ("error", "warning")
@@ -89,10 +89,10 @@ def _text(rows: list[dict[str, Any]], failed: int) -> str:
         kinds: dict[tuple[str, str], list[Finding]] = {}
         for values in row["findings"]:
             kinds.setdefault((values["severity"], values["check"]), []).append(Finding(**values))
-        for (severity, check), found in kinds.items():
-            lines += [f"  {finding}" for finding in found[:_SHOWN]]
-            if len(found) > _SHOWN:
-                lines.append(f"  {severity:<7} {check:<11} ... and {len(found) - _SHOWN} more; --json lists all")
+        for (severity, check), findings in kinds.items():
+            lines += [f"  {finding}" for finding in findings[:_SHOWN]]
+            if len(findings) > _SHOWN:
+                lines.append(f"  {severity:<7} {check:<11} ... and {len(findings) - _SHOWN} more; --json lists all")
     if len(rows) > 1:
         lines.append(f"{len(rows)} recordings, {failed} failed")
     return "\n".join(lines)
