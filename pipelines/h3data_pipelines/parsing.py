@@ -12,7 +12,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NoReturn, Union, cast, get_args, get_origin, get_type_hints
@@ -155,7 +155,7 @@ def _documented(command: type[Command]) -> Any:
     for name, kind in get_type_hints(command, include_extras=True).items():
         names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
         if names is not None:
-            kind = Annotated[kind, _text_of(names.names())]
+            kind = Annotated[kind, _shown(f"{{{','.join(names.names())}}}")]
         hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
         command.__annotations__[name] = Annotated[kind, hint]
     return command
@@ -268,28 +268,22 @@ _KINDS: dict[Any, tuple[str, Callable[[str], Any]]] = {
 }
 
 
-def _text_of(names: Iterable[str]) -> PrimitiveConstructorSpec[str]:
-    """A text whose help shows ``names``; what else it may be is for the command to judge."""
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=f"{{{','.join(names)}}}",
-        instance_from_str=lambda words: words[0],
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda value: [value],
-    )
-
-
 @_registry.primitive_rule
-def _value(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Names of value types in help; None is not among them, as it only means that the option is not given."""
+def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Numbers, texts and paths in help; None is not among them, as it only means that the option is not given."""
     kinds = [kind for kind in get_args(info.type) or (info.type,) if kind is not NoneType]
     if len(set(kinds)) != 1 or kinds[0] not in _KINDS:
         return None
     metavar, _ = _KINDS[kinds[0]]
+    return _shown(" ".join([metavar] * len(kinds)), count=len(kinds) if info.type_origin is tuple else 1)
+
+
+def _shown(metavar: str, *, count: int = 1) -> PrimitiveConstructorSpec[Any]:
+    """How help shows a value, where tyro reads none: `_read` does."""
     return PrimitiveConstructorSpec(
-        nargs=len(kinds) if info.type_origin is tuple else 1,
-        metavar=" ".join([metavar] * len(kinds)),
-        instance_from_str=lambda words: words,  # never called: `_read` reads values
+        nargs=count,
+        metavar=metavar,
+        instance_from_str=lambda words: words,
         is_instance=lambda value: True,
         str_from_instance=lambda value: [str(value)],
     )
