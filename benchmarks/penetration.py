@@ -28,10 +28,10 @@ from sim_kinematic.agents.penetration import penetrations
 from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, LINE_RADIUS_M
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.tasks.wander import simulate_wander
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.social_nav import SocialNav
+from sim_kinematic.tasks.wander import Wander
 
 Emit = Callable[[str, float, str], None]
 DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
@@ -110,17 +110,20 @@ def _social_nav() -> Iterator[Recording]:
     rules = SocialNavSpec(end_on_collision=False)
     for seed, scene, free in _homes():
         human = BODIES[seed % len(BODIES)]
-        yield simulate_social_nav(SocialNavWorld.create(scene, seed=seed, spec=rules, free=free, human=human))
+        yield simulate(SocialNav(), SocialNav().episode(scene, seed=seed, spec=rules, free=free, human=human))
 
 
 def _rearrange() -> Iterator[Recording]:
     for seed, scene, free in _homes():
         try:
-            yield simulate_rearrange(RearrangeWorld.create(scene, seed=seed, free=free), solo_steps=1)
+            yield simulate(Rearrange(), Rearrange().episode(scene, seed=seed, free=free))
         except SceneError:  # no room for the task in this home
             continue
 
 
 def _wander() -> Iterator[Recording]:
     for seed, scene, free in _homes():
-        yield simulate_wander(scene, WANDERERS, seed=seed, steps=WANDER_STEPS, free=free)
+        yield simulate(
+            Wander(),
+            Wander().episode(scene, seed=seed, spec=SocialNavSpec(max_steps=WANDER_STEPS), agents=WANDERERS, free=free),
+        )

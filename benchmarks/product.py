@@ -23,11 +23,12 @@ def _make_run(folder: Path, policy: str) -> Path:
     """A dataset of `REPORT_EPISODES` episodes: ten simulated ones over and over, under different names."""
     from h3data.recording import DatasetWriter
     from h3data.scene import HomeSpec, build_home
-    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+    from sim_kinematic.tasks.runner import simulate
+    from sim_kinematic.tasks.social_nav import SocialNav
 
     homes = [build_home(HomeSpec(preset="small", seed=seed)) for seed in range(2)]
-    worlds = [SocialNavWorld.create(homes[k % 2], seed=k) for k in range(10)]
-    recordings = [simulate_social_nav(world, policy=policy) for world in worlds]
+    worlds = [SocialNav().episode(homes[k % 2], seed=k) for k in range(10)]
+    recordings = [simulate(SocialNav(), world, {"robot": policy}) for world in worlds]
     with DatasetWriter(folder) as writer:
         for k in range(REPORT_EPISODES):
             recording = recordings[k % len(recordings)]

@@ -19,7 +19,8 @@ from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.outputs import Format, Target
 from h3data_pipelines.pictures.drawing import draw_files
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.social_nav import SocialNav
 
 Emit = Callable[[str, float, str], None]
 
@@ -29,8 +30,8 @@ OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "instance")
 
 def run(emit: Emit) -> None:
     """Emit all `render.rerender*` lines."""
-    world = SocialNavWorld.create(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=STEPS))
-    replay = Replay(simulate_social_nav(world))
+    world = SocialNav().episode(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=STEPS))
+    replay = Replay(simulate(SocialNav(), world))
     trailing = camera_track(replay, "third_person")
     camera = pinhole(640, 480, hfov_deg=trailing.camera.hfov_deg, name="bench")
     track = CameraTrack(camera=camera, poses=trailing.poses)

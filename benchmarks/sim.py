@@ -2,7 +2,7 @@
 
 ``sim.{robot,human,robot_robot,human_robot}.w{1,16}_depth_fps`` are cells of ``h3data bench sim`` (small home, two objects,
 nav, skinned): frames per second by the clock with the 16 worlds on all cores, and ``_cpu_ms`` the CPU time of a frame.
-``sim.social_nav.depth_frames_per_cpu_s`` is the episode of `simulate_social_nav` (expert, contact, recording) and then, step
+``sim.social_nav.depth_frames_per_cpu_s`` is a recorded episode (expert, contact, recording) and then, step
 by step, posing robot and skinned person and drawing the robot's arm camera: what a loop with a policy that sees would cost.
 """
 
@@ -24,7 +24,8 @@ from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_han
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots, walk_humans
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+from sim_kinematic.tasks.runner import simulate
+from sim_kinematic.tasks.social_nav import SocialNav
 
 Emit = Callable[[str, float, str], None]
 EPISODES, RUNS = 4, 3
@@ -43,9 +44,9 @@ def run(emit: Emit) -> None:
     emit("sim.arm.w1024_env_steps_per_cpu_s", 1024 * _arm_steps(worlds=1024, steps=50), "steps/s")
     # collisions do not end these episodes: all have the same number of steps
     spec = SocialNavSpec(end_on_collision=False)
-    worlds = [SocialNavWorld.create(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
-    recordings = [simulate_social_nav(world) for world in worlds]
-    seconds = median(cpu_s(lambda w=world: simulate_social_nav(w)) for world in worlds)
+    worlds = [SocialNav().episode(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
+    recordings = [simulate(SocialNav(), world) for world in worlds]
+    seconds = median(cpu_s(lambda w=world: simulate(SocialNav(), w)) for world in worlds)
     emit("sim.social_nav.steps_per_cpu_s", spec.max_steps / seconds, "steps/s")
     replay = Replay(recordings[0])
     track, steps = camera_track(replay, "robot_arm"), range(0, len(replay), 5)

@@ -14,13 +14,13 @@ from time import process_time
 
 import numpy as np
 
+import h3data
 from benchmarks.sim import cpu_s
-from sim_kinematic.envs.rearrange_env import RearrangeEnv
-from sim_kinematic.envs.social_nav_env import SocialNavEnv
-from sim_kinematic.envs.social_nav_observations import PAPER_OBSERVATIONS, STATE_OBSERVATIONS
-from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
+from sim_kinematic.envs.single import TaskEnv
+from sim_kinematic.envs.world_stepper import STATE_OBSERVATIONS
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, STATE_SENSES
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.social_nav import PAPER_OBSERVATIONS
 
 Emit = Callable[[str, float, str], None]
 HOME = "small:1"
@@ -29,7 +29,7 @@ RESETS = 1000
 
 def run(emit: Emit) -> None:
     """Emits ``sim.env.*`` and ``sim.reset_growth_mb``: how much more memory 1,000 resets have taken at most."""
-    single = SocialNavEnv(HOME)
+    single = h3data.make("social_nav", HOME)
     single.reset(seed=0)
     emit(
         "sim.env.single_steps_per_cpu_s", 1000 / median(cpu_s(lambda: _play(single, 1000)) for _ in range(5)), "steps/s"
@@ -57,13 +57,15 @@ def _rearrange(emit: Emit) -> None:
         ("depth_rgb_160x120", (*PAPER_SENSES, "arm_rgb"), (160, 120)),
         ("depth_rgb", (*PAPER_SENSES, "arm_rgb"), None),
     ):
-        env = RearrangeEnv(HOME, level="low", partner="both", observations=senses, spec=endless, rgb_size=size)
+        env = h3data.make(
+            "rearrange", HOME, level="low", partner="both", observations=senses, spec=endless, rgb_size=size
+        )
         env.reset(seed=0)
         actions = rng.uniform(-1, 1, (100, 10))
         seconds = median(cpu_s(lambda env=env, actions=actions: [env.step(a) for a in actions]) for _ in range(5))
         emit(f"sim.rearrange_env.low_{name}_steps_per_cpu_s", len(actions) / seconds, "steps/s")
     for name, senses in {"state": STATE_SENSES, "depth": PAPER_SENSES}.items():
-        env = RearrangeEnv(HOME, partner="both", observations=senses)
+        env = h3data.make("rearrange", HOME, partner="both", observations=senses)
         steps = choices = seconds = 0.0
         for seed in range(10):
             _, info = env.reset(seed=seed)
@@ -76,14 +78,14 @@ def _rearrange(emit: Emit) -> None:
                 steps, choices, over = steps + info["steps"], choices + 1, terminated or truncated
         emit(f"sim.rearrange_env.high_{name}_steps_per_cpu_s", steps / seconds, "steps/s")
         emit(f"sim.rearrange_env.high_{name}_choices_per_cpu_s", choices / seconds, "choices/s")
-    watched = RearrangeEnv(HOME, render_mode="rgb_array")
+    watched = h3data.make("rearrange", HOME, render_mode="rgb_array")
     watched.reset(seed=0)
     emit("sim.rearrange_env.render_ms", 1e3 * median(cpu_s(watched.render) for _ in range(20)), "ms")
     emit("sim.rearrange_env.reset_ms", 1e3 * median(cpu_s(watched.reset) for _ in range(20)), "ms")
 
 
 def _vector(worlds: int, steps: int, observations: tuple[str, ...]) -> float:
-    env = SocialNavVectorEnv(worlds, HOME, observations=observations)
+    env = h3data.make("social_nav", HOME, num_envs=worlds, observations=observations)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, worlds, 2))
 
@@ -95,7 +97,7 @@ def _vector(worlds: int, steps: int, observations: tuple[str, ...]) -> float:
     return worlds * steps / median(cpu_s(go) for _ in range(5))
 
 
-def _play(env: SocialNavEnv, steps: int) -> None:
+def _play(env: TaskEnv, steps: int) -> None:
     for action in np.random.default_rng(0).uniform(-1, 1, (steps, 2)):
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:

@@ -23,8 +23,9 @@ import numpy as np
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording, write_mcap
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.tasks.rearrange.episode import RearrangeSpec, RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.task import Rearrange
+from sim_kinematic.tasks.runner import simulate
 
 Emit = Callable[[str, float, str], None]
 SCENES = "h3-homes/test"
@@ -71,8 +72,8 @@ def play(job: tuple[str, int, int, str]) -> Run:
     """One episode: agents, home, seed, and the folder in which its recording is kept if it fails."""
     agents, home, seed, keep = job
     scene, free = _home(home)
-    world = RearrangeWorld.create(scene, seed=seed, free=free, agents=agents)
-    recording = simulate_rearrange(world, policy="complement", partner="both", solo_steps=1)
+    world = Rearrange().episode(scene, seed=seed, free=free, agents=agents)
+    recording = simulate(Rearrange(), world, {"robot": "complement", "human": "both"})
     ended, kinds = str(recording.episode.info["ended"]), [agent.kind for agent in recording.agents]
     if keep and ended != "success":
         Path(keep).mkdir(parents=True, exist_ok=True)

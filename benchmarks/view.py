@@ -24,11 +24,12 @@ def _recording(steps: int) -> Recording:
     """A simulated episode, repeated up to ``steps`` rows; 20 of its objects circle around their places."""
     from h3data.scene import HomeSpec, build_home
     from sim_kinematic.motion.spec import SocialNavSpec
-    from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
+    from sim_kinematic.tasks.runner import simulate
+    from sim_kinematic.tasks.social_nav import SocialNav
 
     home = build_home(HomeSpec(preset="small", seed=15))
     spec = SocialNavSpec(max_steps=STEPS, end_on_collision=False)
-    recording = simulate_social_nav(SocialNavWorld.create(home, seed=15, spec=spec))
+    recording = simulate(SocialNav(), SocialNav().episode(home, seed=15, spec=spec))
     rows = np.arange(steps) % len(recording)
     columns = {name: column[rows] for name, column in recording.columns.items()}
     columns["time_ns"] = np.arange(steps, dtype=np.int64) * recording.episode.dt_ns

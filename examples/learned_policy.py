@@ -13,7 +13,6 @@ from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from sim_kinematic.policies.learned import navigation_input
 from sim_kinematic.policies.network import from_torch, save_network
 from sim_kinematic.policies.social_nav import heuristic_expert
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
 
 FILE = sys.argv[1] if len(sys.argv) > 1 else "expert.npz"
 NAMES = ("humanoid_gps", "way")
@@ -31,7 +30,7 @@ def watched_expert(view, base):
 
 
 for seed in range(4):
-    simulate_social_nav(SocialNavWorld.create(home, seed=seed, spec=spec), policy=watched_expert)
+    h3data.simulate("social_nav", home, seed=seed, spec=spec, agents={"robot": watched_expert})
 x, y = np.array(seen), np.array(done, np.float32)
 mean, scale = x.mean(0), x.std(0)
 net = nn.Sequential(nn.Linear(x.shape[1], 32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, 2))
@@ -44,8 +43,6 @@ for _ in range(500):
     optimizer.step()
 save_network(from_torch(net, task="social_nav", observations=NAMES, mean=mean, scale=scale), FILE)
 
-world = SocialNavWorld.create(home, seed=9, spec=spec)
 for policy in ("stand_still", f"weights:{FILE}", "heuristic_expert"):
-    print(
-        f"{policy}: followed {measure(simulate_social_nav(world, policy=policy)).values['F']:.2f} of the possible steps"
-    )
+    recording = h3data.simulate("social_nav", home, seed=9, spec=spec, agents={"robot": policy})
+    print(f"{policy}: followed {measure(recording).values['F']:.2f} of the possible steps")

@@ -2,19 +2,19 @@
 
 import h3data
 from h3data.metrics import measure
-from h3data.scene import FreeSpace
-from sim_kinematic.tasks.rearrange.episode import RearrangeWorld
-from sim_kinematic.tasks.rearrange.simulate import simulate_rearrange, solo_steps_of
+from sim_kinematic.tasks.rearrange.task import Rearrange, solo_steps_of
+from sim_kinematic.tasks.runner import simulate
 
 home = h3data.build_home(h3data.HomeSpec(preset="small", seed=1))
-world = RearrangeWorld.create(home, seed=3, free=FreeSpace.from_scene(home))
-for target in world.targets:
+task = Rearrange()
+episode = task.episode(home, seed=3)
+for target in episode.targets:
     print(f"{target.name}: from {target.source} to {target.destination}")
-alone = solo_steps_of(world)
+alone = solo_steps_of(episode)
 print(f"\nthe person alone: {alone} steps")
 
 for policy in ("complement", "same_object", "still"):
-    recording = simulate_rearrange(world, policy=policy, partner="both", solo_steps=alone)
+    recording = simulate(task, episode, {"robot": policy, "human": "both"})
     values = measure(recording).values
     print(f"{policy}: {recording.episode.info['ended']} after {len(recording)} steps, RE {values['RE']:.0f} %")
     for span in recording.skills:

@@ -148,6 +148,11 @@ class SkillStepper:
         )
 
     @property
+    def last_steps(self) -> int:
+        """Simulated steps of the last `step`."""
+        return self._steps
+
+    @property
     def choosing(self) -> tuple[str, ...]:
         """Agents outside whose next action counts: the one that must choose, and those that will in this very step."""
         if self.play is None or self._turns is None or self._turns.asked is None:
@@ -215,7 +220,9 @@ class SkillStepper:
         return self.play
 
     def _chosen(self, agent: str, action: ArrayLike) -> Action:
-        """The choice that a row of actions [1, ...] means."""
+        """The choice that a row of actions [1, ...] means; an `Action` is taken as it is."""
+        if isinstance(action, Action):
+            return action
         if self._level == "low" and agent == "robot":
             row = np.asarray(action, object)
             command = checked_command(row[0] if row.ndim else action, self._robot)

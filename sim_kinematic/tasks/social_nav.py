@@ -41,6 +41,10 @@ TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 """The paper's rules for training: both start at least 3 m apart (appendix, social navigation)."""
 
 
+PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
+"""What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Starts:
     """Where robot and person begin."""

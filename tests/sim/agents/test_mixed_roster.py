@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim_kinematic.tasks.rearrange.simulate import minds_of
 
 from h3data.bodies import load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
@@ -26,8 +25,8 @@ from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
-from sim_kinematic.world import AgentWorlds
-from tests.simulated import rearrange_episode, simulate_rearrange, simulate_wander
+from tests.sim.steppers import AgentWorlds
+from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange, simulate_wander
 
 MIXES = ("robot", "human", "robot,robot", "human,male_1", "robot,human", "robot,lift_arm,human,female_2")
 CLOSE = SocialNavSpec(spawn_distance_m=1.2)
@@ -263,7 +262,7 @@ def test_everybody_needs_a_policy(drawn: RearrangeEpisode) -> None:
         simulate_rearrange(world, policy="complement,magic")
     with pytest.raises(InputError, match="one policy for each of 2"):
         RearrangePlay(world, [])
-    first, second = minds_of(("human", "human"), "", "both", seed=5)
+    first, second = REARRANGE.assign(world.played_by("human,male_1"), {"human": "both"})
     assert first.plan == second.plan == "both"
     assert first.policy is not second.policy
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from sim_kinematic.tasks.rearrange.simulate import minds_of
 
 from h3data.bodies import load_humanoid
 from h3data.geometry import ground_pose
@@ -25,8 +24,8 @@ from sim_kinematic.avoidance.yielding import NO_PATH, Seen, discs_of, in_the_way
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
-from sim_kinematic.tasks.rearrange.play import RearrangePlay
-from tests.simulated import rearrange_episode, simulate_rearrange
+from sim_kinematic.tasks.runner import run
+from tests.simulated import REARRANGE, rearrange_episode, simulate_rearrange
 
 
 @pytest.fixture(scope="module")
@@ -297,10 +296,9 @@ def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None
     narrow = inner[int(np.argmin(free.signed_distance(inner)))]
     places = world.starts.copy()
     places[1, :2] = narrow
-    world = replace(world, places=places)
-    minds = minds_of(("human",) * 3, "", "both,still,still", seed=world.seed)
-    play = RearrangePlay(world, [mind.policy for mind in minds])
-    assert play.run() == "success"
+    world = replace(world, starts=places)
+    play = REARRANGE.play(world, REARRANGE.assign(world, {"human": "both,still,still"}))
+    assert run(play) == "success"
     idle = np.stack(play.encounters.tracks[1])
     assert np.hypot(*(idle[-1] - narrow)) > 0.3  # she went out of the way
 

@@ -10,23 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_kinematic.envs.rearrange_env import RearrangeEnv
-from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
-from sim_kinematic.envs.social_nav_env import SocialNavEnv
-from sim_kinematic.envs.social_nav_observations import STATES, Observer
-from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
-from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
-from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
 
 import h3data
 from h3data.errors import InputError
 from h3data.render import look_at, pinhole
 from h3data.scene import HomeSpec, build_home
+from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.policies.rearrange_observations import HABITAT_SENSES, PAPER_SENSES, SENSES
 from sim_kinematic.sensing import watching
 from sim_kinematic.sensing.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.sensing.sensor import depth_with_noise, with_noise
+from sim_kinematic.sensing.table import SENSORS
 from sim_kinematic.tasks import describe as environment_words
+from tests.sim.steppers import PAIR, Batch, rearrange_env, social_nav_env
 
 HOME = "small:1"
 SIZES: dict[str, Any] = {"depth_size": (56, 43), "rgb_size": (40, 30)}
@@ -42,7 +38,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 # --- pictures -----------------------------------------------------------------------------------------------------------
 def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
     names = ("arm_depth", "arm_rgb", *DETECTORS, "front_left_depth", "front_left_rgb")
-    for env in (SocialNavEnv(HOME, observations=names), RearrangeEnv(HOME, observations=names)):
+    for env in (social_nav_env(HOME, observations=names), rearrange_env(HOME, observations=names)):
         seen, _ = env.reset(seed=4)
         assert {name: array.shape for name, array in seen.items()} == {
             "arm_depth": (171, 224, 1), "arm_rgb": (480, 640, 3), "humanoid_detector": (1,),
@@ -53,14 +49,13 @@ def test_pictures_have_the_sizes_of_the_papers_cameras() -> None:
         assert {seen[name].dtype for name in names if name.endswith("_rgb")} == {np.dtype(np.uint8)}
         assert 0 < seen["arm_depth"].max() <= 1
         assert seen["arm_rgb"].std() > 5
-    (robot, person) = env.session.play.world.cast  # type: ignore[union-attr]
+    (robot, person) = env.stepper.play.episode.roster  # type: ignore[union-attr]
     assert set(names) < set(picture_names(robot.body))
     assert picture_names(person.body) == ("head_depth", "head_rgb")
 
 
 def test_the_detectors_agree_and_see_the_person() -> None:
-    batch = SocialNavBatch(HOME)
-    observer = Observer(batch, tuple(DETECTORS))
+    batch = Batch(HOME, observations=tuple(DETECTORS))
     batch.begin(5, 0)
     (robot,), (person,), free = batch.state.robots, batch.state.people, batch.episodes[0].free
     rng, found = np.random.default_rng(2), []
@@ -73,7 +68,7 @@ def test_the_detectors_agree_and_see_the_person() -> None:
             continue
         robot.xz[0], person.xz[0] = a, b
         robot.heading[0] = np.arctan2(-(b - a)[1], (b - a)[0]) + 0.12 * len(found)
-        seen = {name: array[0] for name, array in observer.observe().items()}
+        seen = {name: array[0] for name, array in batch.observe().items()}
         mask, box = seen["humanoid_mask"], seen["humanoid_box"]
         found.append(seen["humanoid_detector"][0])
         assert found[-1] == (mask.sum() > 1000)
@@ -86,9 +81,9 @@ def test_the_detectors_agree_and_see_the_person() -> None:
 
 
 @pytest.fixture(scope="module")
-def holding() -> RearrangeEnv:
+def holding() -> TaskEnv:
     """The robot has taken the first object."""
-    env = RearrangeEnv(HOME, partner="still", observations=("arm_depth", "is_holding"), render_mode="rgb_array")
+    env = rearrange_env(HOME, partner="still", observations=("arm_depth", "is_holding"), render_mode="rgb_array")
     env.reset(seed=4)
     env.step(NAV_0)
     seen, _, _, _, info = env.step(PICK_0)
@@ -99,10 +94,10 @@ def holding() -> RearrangeEnv:
     return env
 
 
-def test_held_things_are_in_the_picture(holding: RearrangeEnv) -> None:
-    play = holding.session.play
+def test_held_things_are_in_the_picture(holding: TaskEnv) -> None:
+    play = holding.stepper.play
     assert play is not None
-    drawn, target = holding._stage.posed(), play.world.targets[0]
+    drawn, target = holding.stepper._stage.posed(holding.stepper.play), play.episode.targets[0]
     (number,) = [k for k, i in enumerate(drawn.scene.instances) if i.name == target.name]
     away = np.array([-0.5, 1.0, 0.5])
 
@@ -122,7 +117,7 @@ def test_held_things_are_in_the_picture(holding: RearrangeEnv) -> None:
 
 
 def test_a_moving_arm_moves_the_picture() -> None:
-    env = RearrangeEnv(HOME, level="low", partner="still", observations=("arm_depth", "arm_joints"), **SIZES)
+    env = rearrange_env(HOME, level="low", partner="still", observations=("arm_depth", "arm_joints"), **SIZES)
     before, _ = env.reset(seed=4)
     still = env.step(np.zeros(10))[0]
     np.testing.assert_array_equal(before["arm_depth"], still["arm_depth"])
@@ -133,9 +128,9 @@ def test_a_moving_arm_moves_the_picture() -> None:
     assert (np.abs(moved["arm_depth"] - still["arm_depth"]) > 1e-3).mean() > 0.1
 
 
-@pytest.mark.parametrize("env", [SocialNavParallelEnv, RearrangeParallelEnv])
+@pytest.mark.parametrize("env", [social_nav_env, rearrange_env])
 def test_each_of_two_has_its_own_pictures(env: Any) -> None:
-    both = env(HOME, observations=("humanoid_gps", "arm_depth", "arm_joints", "head_rgb"), **SIZES)
+    both = env(HOME, agents=PAIR, observations=("humanoid_gps", "arm_depth", "arm_joints", "head_rgb"), **SIZES)
     seen, _ = both.reset(seed=4)
     assert set(seen["robot"]) == {"humanoid_gps", "arm_depth", "arm_joints"}
     assert set(seen["human"]) == {"humanoid_gps", "head_rgb"}
@@ -146,7 +141,7 @@ def test_each_of_two_has_its_own_pictures(env: Any) -> None:
 def test_worlds_side_by_side_show_the_pictures_of_each() -> None:
     names = (*PAPER_SENSES, "arm_rgb")
     many = h3data.make("rearrange", scenes=HOME, num_envs=2, observations=names, render_mode="rgb_array", **SIZES)
-    one = RearrangeEnv(HOME, observations=names, **SIZES)
+    one = rearrange_env(HOME, observations=names, **SIZES)
     first, _ = many.reset(seed=3)
     second = many.step(np.array([8, 9]))[0]
     for w in range(2):
@@ -161,7 +156,7 @@ def test_both_tasks_have_the_sensors_of_the_list() -> None:
         "humanoid_gps", "egomotion", "arm_joints", "is_holding", "localization", "localization_in_start_frame",
         "humanoid_in_start_frame", "collision",
     }  # fmt: skip
-    assert common <= set(STATES) & set(SENSES)
+    assert common <= set(SENSORS) & set(SENSES)
     assert set(PAPER_SENSES) - {"arm_depth"} <= set(SENSES) >= set(HABITAT_SENSES) - {"arm_depth"}
 
 
@@ -208,7 +203,7 @@ def test_collisions_are_felt(task: str) -> None:
     felt = []
     for _ in range(90):
         seen, _, terminated, _, info = env.step(action)
-        contact = info["robot_contact"] if task == "social_nav" else env.session.play.state.robots[0].contact[0]
+        contact = info["robot_contact"] if task == "social_nav" else env.stepper.play.state.robots[0].contact[0]
         assert seen["collision"].tolist() == [contact, terminated]
         felt.append(contact)
         if terminated:
@@ -226,9 +221,9 @@ NOISY = (*NOISE, "localization")
 
 
 def test_noise_follows_from_seed_and_step() -> None:
-    exact = SocialNavVectorEnv(2, HOME, observations=NOISY, **SIZES)
-    noisy = SocialNavVectorEnv(2, HOME, observations=NOISY, noise=NOISE, **SIZES)
-    one = SocialNavEnv(HOME, observations=NOISY, noise=NOISE, **SIZES)
+    exact = social_nav_env(num_envs=2, scenes=HOME, observations=NOISY, **SIZES)
+    noisy = social_nav_env(num_envs=2, scenes=HOME, observations=NOISY, noise=NOISE, **SIZES)
+    one = social_nav_env(HOME, observations=NOISY, noise=NOISE, **SIZES)
     seen, blurred, single = exact.reset(seed=3)[0], noisy.reset(seed=3)[0], one.reset(seed=4)[0]
     for _ in range(3):
         assert noisy.observation_space.contains(blurred)
@@ -248,8 +243,8 @@ def test_noise_follows_from_seed_and_step() -> None:
 
 def test_noise_of_rearrangement_is_each_agents_own() -> None:
     names, noise = ("humanoid_gps", "arm_depth"), {"humanoid_gps": partial(with_noise, sigma=0.1)}
-    env = RearrangeParallelEnv(HOME, observations=names, noise=noise, **SIZES)
-    plain = RearrangeParallelEnv(HOME, observations=names, **SIZES)
+    env = rearrange_env(HOME, agents=PAIR, observations=names, noise=noise, **SIZES)
+    plain = rearrange_env(HOME, agents=PAIR, observations=names, **SIZES)
     (seen, _), (exact, _) = env.reset(seed=4), plain.reset(seed=4)
     (robots, hers) = (seen[a]["humanoid_gps"] - exact[a]["humanoid_gps"] for a in ("robot", "human"))
     assert robots[0] != hers[0]
@@ -288,9 +283,9 @@ def test_the_view_follows_the_agent_and_stays_on_its_side(options: dict[str, Any
 
 
 def test_the_view_shows_the_agent_wherever_it_is() -> None:
-    env = SocialNavEnv(HOME, render_mode="rgb_array")
+    env = social_nav_env(HOME, render_mode="rgb_array")
     env.reset(seed=4)
-    free, robot = env.batch.episodes[0].free, env.batch.state.robots[0]
+    free, robot = env.stepper.play.episodes[0].free, env.stepper.play.state.robots[0]
     for xz in free.sample(np.random.default_rng(0), 12):
         robot.xz[0] = xz
         env.render()
@@ -307,11 +302,11 @@ def test_the_view_shows_the_agent_wherever_it_is() -> None:
     [
         (
             {"task": "social_nav"},
-            "SocialNavEnv(social_nav, scene small:1, robot quad_arm beside human female_0, 1 world)",
+            "social_nav_env(social_nav, scene small:1, robot quad_arm beside human female_0, 1 world)",
         ),
         (
             {"task": "social_nav", "num_envs": 64, "scenes": "h3-homes/train"},
-            "SocialNavVectorEnv(social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds)",
+            "social_nav_env(num_envs=social_nav, scenes=37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds)",
         ),
         (
             {"task": "social_nav", "agents": ("robot", "human"), "scenes": ["small:1", "small:2"]},
@@ -319,7 +314,7 @@ def test_the_view_shows_the_agent_wherever_it_is() -> None:
         ),
         (
             {"task": "rearrange", "robot": "quad_arm", "human": "male_2"},
-            "RearrangeEnv(rearrange, scene small:1, robot quad_arm beside human male_2 (plan_pop_4), 1 world)",
+            "rearrange_env(rearrange, scene small:1, robot quad_arm beside human male_2 (plan_pop_4), 1 world)",
         ),
         (
             {"task": "rearrange", "agents": ("human",), "num_envs": 3, "scenes": "small"},

@@ -11,21 +11,22 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.test import parallel_api_test, parallel_seed_test
-from sim_kinematic.envs.rearrange_env import RearrangeEnv
-from sim_kinematic.envs.rearrange_parallel_env import RearrangeParallelEnv
-from sim_kinematic.tasks.rearrange.session import RearrangeSession
 
 import h3data
 from h3data.errors import InputError
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, Action, choices
+from sim_kinematic.envs.parallel import TaskParallelEnv
+from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.motion.state import NOBODY
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.rearrange import planner, robot_policy
 from sim_kinematic.policies.rearrange_observations import PAPER_SENSES, SENSES
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from tests.sim.steppers import PAIR, SkillSession
+from tests.sim.steppers import rearrange_env as make_env
 from tests.simulated import simulate_rearrange
 
 HOME = "small:1"
@@ -45,7 +46,7 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("options", [{}, {"level": "low"}, {"agent": "human"}], ids=str)
 def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
-    name, names = "sim_kinematic.envs.rearrange_env:h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
+    name, names = "h3data/Rearrange-v0", OF_PERSON if "agent" in options else OF_ROBOT
     env = gymnasium.make(name, scenes=HOME, observations=names, render_mode="rgb_array", **SIZES, **options)
     check_env(env.unwrapped)
 
@@ -53,29 +54,29 @@ def test_gymnasium_accepts_the_environment(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("level", ["high", "low"])
 def test_pettingzoo_accepts_the_environment(level: str) -> None:
     names = dict.fromkeys((*OF_ROBOT, *OF_PERSON))
-    parallel_api_test(RearrangeParallelEnv(HOME, level=level, observations=tuple(names), **SIZES), num_cycles=25)  # type: ignore[arg-type]
+    parallel_api_test(make_env(HOME, agents=PAIR, level=level, observations=tuple(names), **SIZES), num_cycles=25)  # type: ignore[arg-type]
 
 
 def test_pettingzoo_finds_the_same_seeds() -> None:
-    parallel_seed_test(lambda: RearrangeParallelEnv(HOME), num_cycles=8)
+    parallel_seed_test(lambda: make_env(HOME, agents=PAIR), num_cycles=8)
 
 
 # --- the same episodes everywhere ---------------------------------------------------------------------------------------
 def test_it_is_the_episode_that_the_simulator_plays() -> None:
-    session = RearrangeSession(HOME, partner="both", interrupts_when_close=False)
+    session = SkillSession(HOME, partner="both", interrupts_when_close=False)
     session.begin(4, 0)
     assert session.play is not None
     greedy, rewards = robot_policy("greedy_nearest"), 0.0
     heights = []
     while not session.ended:
-        action = greedy.choose(session.view("robot"))
+        action = greedy.act(session.view("robot"))
         session.step({"robot": action})
         rewards += session.reward
         heights.append(session.play.steps)
 
     never = robot_policy("greedy_nearest")
     never.interrupts = lambda view: ""  # outside, nobody has second thoughts
-    recording = simulate_rearrange(session.play.world, policy=never, partner="both", solo_steps=1)
+    recording = simulate_rearrange(session.play.episode, policy=never, partner="both", solo_steps=1)
     assert recording.episode.info["ended"] == session.ended
     assert len(recording) == session.play.steps == heights[-1]
     np.testing.assert_array_equal(recording.columns["object_pose"][-1], session.play.objects.poses.astype(np.float32))
@@ -85,26 +86,26 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
 
 def test_two_outside_play_the_planners_episode() -> None:
     """Both agents outside, each told by the policy that would have moved it: the same bits."""
-    session = RearrangeSession(HOME, agents=("robot", "human"), interrupts_when_close=False)
+    session = SkillSession(HOME, agents=("robot", "human"), interrupts_when_close=False)
     session.begin(4, 0)
     assert session.play is not None
-    seed = session.play.world.seed
+    seed = session.play.episode.seed
     policies = {"robot": robot_policy("same_object"), "human": planner("object_1", seed)}
-    alone = RearrangeSession(HOME, partner=lambda seed: planner("object_1", seed), interrupts_when_close=False)
+    alone = SkillSession(HOME, partner=lambda seed: planner("object_1", seed), interrupts_when_close=False)
     alone.begin(4, 0)
     assert alone.play is not None
     other = robot_policy("same_object")
     while not session.ended:
-        session.step({name: policies[name].choose(session.view(name)) for name in session.choosing})
+        session.step({name: policies[name].act(session.view(name)) for name in session.choosing})
     while not alone.ended:
-        alone.step({"robot": other.choose(alone.view("robot"))})
+        alone.step({"robot": other.act(alone.view("robot"))})
     assert (session.ended, session.play.steps) == (alone.ended, alone.play.steps)
     np.testing.assert_array_equal(session.play.objects.poses, alone.play.objects.poses)
     np.testing.assert_array_equal(session.play.paid, alone.play.paid)
 
 
 def test_seeds_decide_everything() -> None:
-    a, b = RearrangeEnv(HOME), RearrangeEnv(HOME)
+    a, b = make_env(HOME), make_env(HOME)
     a.reset(seed=1)
     assert_same(a.reset(seed=9)[0], b.reset(seed=9)[0])
     second, same = a.reset(), b.reset()
@@ -114,9 +115,9 @@ def test_seeds_decide_everything() -> None:
 
 # --- rules --------------------------------------------------------------------------------------------------------------
 def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
-    env = RearrangeEnv(HOME, partner="still", observations=(*PAPER_SENSES, "last_done", "holds"))
+    env = make_env(HOME, partner="still", observations=(*PAPER_SENSES, "last_done", "holds"))
     seen, info = env.reset(seed=4)
-    assert env.session.choosing == ("robot",)
+    assert env.stepper.choosing == ("robot",)
     assert info["action_mask"].tolist() == [1] * 6 + [0, 0] + [1] * 5
     for bad, reason in ((PICK_0, "out_of_reach"), (PLACE_0, "not_held")):
         seen, reward, _, _, info = env.step(bad)
@@ -142,7 +143,7 @@ def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
 
 
 def test_time_runs_out() -> None:
-    env = RearrangeEnv(HOME, partner="still")
+    env = make_env(HOME, partner="still")
     env.reset(seed=2)
     steps = [env.step(WAIT) for _ in range(150)]
     assert [s[3] for s in steps] == [False] * 149 + [True]
@@ -154,8 +155,8 @@ def test_time_runs_out() -> None:
 
 def test_who_is_close_may_choose_again_and_go_on() -> None:
     """A robot that always wants the same is not held up by being asked."""
-    calm = RearrangeEnv(HOME, partner="still", interrupts_when_close=False)
-    asked = RearrangeEnv(HOME, partner="still", spec=RearrangeSpec(near_m=(50.0, 50.0)))
+    calm = make_env(HOME, partner="still", interrupts_when_close=False)
+    asked = make_env(HOME, partner="still", spec=RearrangeSpec(near_m=(50.0, 50.0)))
     took = []
     for env in (calm, asked):
         env.reset(seed=4)
@@ -172,7 +173,7 @@ def test_who_is_close_may_choose_again_and_go_on() -> None:
 
 def test_the_lower_layer_takes_and_carries() -> None:
     """By hand to an object with the skills' own inverse kinematics; then it is gripped, carried and let go."""
-    session = RearrangeSession(HOME, partner="still", interrupts_when_close=False)
+    session = SkillSession(HOME, partner="still", interrupts_when_close=False)
     session.begin(4, 0)
     session.step({"robot": Action("nav_to_object", 0)})
     play = session.play
@@ -203,7 +204,7 @@ def test_the_lower_layer_takes_and_carries() -> None:
 
 
 def test_of_two_only_who_chooses_is_heard() -> None:
-    env = RearrangeParallelEnv(HOME, interrupts_when_close=False)
+    env = make_env(HOME, agents=PAIR, interrupts_when_close=False)
     _, infos = env.reset(seed=4)
     assert infos["robot"]["choosing"]
     assert infos["human"]["choosing"]
@@ -211,9 +212,9 @@ def test_of_two_only_who_chooses_is_heard() -> None:
     assert rewards["robot"] == rewards["human"]
     assert infos["robot"]["choosing"]
     assert not infos["human"]["choosing"]
-    before = env.session.runner("human").action
+    before = env.stepper.play.runner(1).action
     env.step({"robot": WAIT, "human": NAV_1})
-    assert env.session.runner("human").action == before == choices(2, robot=False)[NAV_0]
+    assert env.stepper.play.runner(1).action == before == choices(2, robot=False)[NAV_0]
 
 
 # --- anything goes ------------------------------------------------------------------------------------------------------
@@ -230,20 +231,20 @@ configurations = st.fixed_dictionaries(
 )
 
 
-def make(c: dict[str, Any]) -> RearrangeParallelEnv | RearrangeEnv:
+def make(c: dict[str, Any]) -> TaskParallelEnv | TaskEnv:
     common: dict[str, Any] = {"interrupts_when_close": c["close"], **SIZES}
     robots, hers = (names if c["pictures"] else [n for n in names if n in SENSES] for names in (OF_ROBOT, OF_PERSON))
     if c["agents"] == "both":
-        return RearrangeParallelEnv(c["scene"], level=c["level"], observations=[*robots, *hers], **common)
+        return make_env(c["scene"], agents=PAIR, level=c["level"], observations=[*robots, *hers], **common)
     level = c["level"] if c["agents"] == "robot" else "high"
     names = robots if c["agents"] == "robot" else hers
-    return RearrangeEnv(c["scene"], agent=c["agents"], level=level, observations=names, **common)
+    return make_env(c["scene"], agent=c["agents"], level=level, observations=names, **common)
 
 
 def play_at_random(c: dict[str, Any], *, actions: int) -> None:
     """Random actions, half of the time only feasible ones: nothing breaks, and bases stay out of obstacles."""
     env, rng = make(c), np.random.default_rng(c["seed"])
-    single = isinstance(env, RearrangeEnv)
+    single = isinstance(env, TaskEnv)
     spaces = {"": (env.action_space, env.observation_space)} if single else {
         a: (env.action_space(a), env.observation_space(a)) for a in env.possible_agents
     }  # fmt: skip
@@ -266,12 +267,12 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
             over = not env.agents
         assert np.isfinite(list(np.atleast_1d(reward) if single else reward.values())).all()
         assert all(spaces[a][1].contains(seen[a]) for a in seen)
-        play = env.session.play
+        play = env.stepper.play
         assert play is not None
         assert all(np.isfinite(array).all() for array in play.state.arrays())
         base, free = play.world.spec.robot, play.world.free
         grid, offsets = (free.sdf, free.origin, free.cell_m), np.array(base.disc_offsets_m)
-        robot, person = (env.session.runner(a).actor for a in ("robot", "human"))
+        robot, person = (env.stepper.play.runner(k).actor for k in (0, 1))
         clearance = least_clearance(*grid, *robot.xz, robot.heading, offsets)
         assert clearance >= base.disc_radius_m - 2e-3 - 1e-9
         assert np.hypot(*(free.snap(person.xz) - person.xz)) <= 2e-3
@@ -296,19 +297,19 @@ def test_many_random_actions_do_no_harm(c: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("action", [-1, 13, 0.5, "pick", None, [1], np.nan], ids=str)
 def test_what_is_no_action_moves_nothing(action: Any) -> None:
-    env = RearrangeEnv(HOME)
+    env = make_env(HOME)
     env.reset(seed=1)
-    assert env.session.play is not None
-    before = env.session.play.state.copy()
+    assert env.stepper.play is not None
+    before = env.stepper.play.state.copy()
     with pytest.raises(InputError, match="0 to 12"):
         env.step(action)
-    for a, b in zip(before.arrays(), env.session.play.state.arrays(), strict=True):
+    for a, b in zip(before.arrays(), env.stepper.play.state.arrays(), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("action", [np.zeros(9), [np.nan] * 10, "drive", np.full(10, np.inf)], ids=str)
 def test_what_is_no_command_moves_nothing(action: Any) -> None:
-    env = RearrangeEnv(HOME, level="low")
+    env = make_env(HOME, level="low")
     env.reset(seed=1)
     with pytest.raises(InputError, match="10 finite numbers"):
         env.step(action)
@@ -339,13 +340,13 @@ def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], mes
 
 
 def test_make_finds_the_task() -> None:
-    assert isinstance(h3data.make("rearrange", scenes=HOME), RearrangeEnv)
-    assert isinstance(h3data.make("rearrange", scenes=HOME, agents=("robot", "human")), RearrangeParallelEnv)
+    assert isinstance(h3data.make("rearrange", scenes=HOME), TaskEnv)
+    assert isinstance(h3data.make("rearrange", scenes=HOME, agents=("robot", "human")), TaskParallelEnv)
     many = h3data.make("rearrange", scenes=HOME, num_envs=2)
     assert isinstance(many, gymnasium.vector.VectorEnv)
     seen, _ = many.reset(seed=3)
     assert seen["holds"].shape == (2, 2)
-    one = RearrangeEnv(HOME)
+    one = make_env(HOME)
     for w in range(2):
         assert_same(one.reset(seed=3 + w)[0], {name: array[w] for name, array in seen.items()})
     many.step(many.action_space.sample())

@@ -13,39 +13,42 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.test import parallel_api_test, parallel_seed_test
-from sim_kinematic.envs.social_nav_env import SocialNavEnv
-from sim_kinematic.envs.social_nav_observations import STATES, Observer
-from sim_kinematic.envs.social_nav_parallel_env import SocialNavParallelEnv
-from sim_kinematic.envs.social_nav_vector_env import SocialNavVectorEnv
-from sim_kinematic.tasks.social_nav_batch import SocialNavBatch
 
 import h3data
 from h3data.errors import InputError, MissingExtraError, SceneError
+from sim_kinematic.envs.parallel import TaskParallelEnv
+from sim_kinematic.envs.single import TaskEnv
+from sim_kinematic.envs.vector import TaskVectorEnv
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
-from sim_kinematic.policies.social_nav import Command, View, heuristic_expert
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.social_nav import View, heuristic_expert
 from sim_kinematic.sensing.agent_pictures import DETECTORS
+from sim_kinematic.sensing.table import SENSORS
+from sim_kinematic.tasks.play import WorldPlay
+from tests.sim.steppers import PAIR, Batch
+from tests.sim.steppers import social_nav_env as make
 from tests.simulated import simulate_social_nav
 
 HOME = "small:1"
 SHORT = SocialNavSpec(max_steps=40, spawn_distance_m=3.0)
-EVERYTHING = (*STATES, "arm_depth", "arm_rgb", *DETECTORS)
+EVERYTHING = (*SENSORS, "arm_depth", "arm_rgb", *DETECTORS)
 SIZES: dict[str, Any] = {"depth_size": (48, 36), "rgb_size": (32, 20)}
 
 
-def expert(batch: SocialNavBatch, w: int = 0) -> np.ndarray:
+def expert(play: WorldPlay, w: int = 0) -> np.ndarray:
     """What the expert does in one world, float32 [2]."""
-    (robot,), (person,) = batch.state.robots, batch.state.people
-    episode = batch.episodes[w]
-    view = View(episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(batch.geodesic[w]), False)
-    return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
+    (robot,), (person,) = play.world.state.robots, play.world.state.people
+    episode = play.episodes[w]
+    view = View(episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(play.memory.geodesic[w]), False)
+    return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
 
 
-def ram(batch: SocialNavBatch) -> np.ndarray:
+def ram(play: WorldPlay) -> np.ndarray:
     """Drives at the person until they touch."""
-    (robot,), (person,) = batch.state.robots, batch.state.people
-    view = View(batch.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
-    return np.array(heuristic_expert(view, batch.spec.robot)[:2], np.float32)
+    (robot,), (person,) = play.world.state.robots, play.world.state.people
+    view = View(play.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
+    return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
 
 
 def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
@@ -56,16 +59,12 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 
 # --- the checkers of others ---------------------------------------------------------------------------------------------
 def test_gymnasium_accepts_the_environment() -> None:
-    env = gymnasium.make(
-        "sim_kinematic.envs.social_nav_env:h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES
-    )
+    env = gymnasium.make("h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES)
     check_env(env.unwrapped)
 
 
 def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
-    env = gymnasium.make_vec(
-        "sim_kinematic.envs.social_nav_env:h3data/SocialNav-v0", num_envs=3, scenes=HOME, spec=SHORT
-    )
+    env = gymnasium.make_vec("h3data/SocialNav-v0", num_envs=3, scenes=HOME, spec=SHORT)
     env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
     env.reset(seed=1)
     env.action_space.seed(1)
@@ -75,28 +74,28 @@ def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
 
 
 def test_pettingzoo_accepts_the_environment() -> None:
-    parallel_api_test(SocialNavParallelEnv(HOME, spec=SHORT, observations=EVERYTHING, **SIZES), num_cycles=100)
-    parallel_seed_test(lambda: SocialNavParallelEnv(HOME, spec=SHORT), num_cycles=30)
+    parallel_api_test(make(agents=PAIR, scenes=HOME, spec=SHORT, observations=EVERYTHING, **SIZES), num_cycles=100)
+    parallel_seed_test(lambda: make(agents=PAIR, scenes=HOME, spec=SHORT), num_cycles=30)
 
 
 # --- the same episodes everywhere ---------------------------------------------------------------------------------------
 def test_it_is_the_episode_that_the_simulator_plays() -> None:
-    env = SocialNavEnv(HOME, spec=SocialNavSpec(max_steps=200, spawn_distance_m=3.0))
+    env = make(scenes=HOME, spec=SocialNavSpec(max_steps=200, spawn_distance_m=3.0))
     _, info = env.reset(seed=4)
     played: list[np.ndarray] = []
 
-    def again(view: View, spec: BaseSpec) -> Command:
+    def again(view: View, spec: BaseSpec) -> Velocity:
         del spec
-        return Command(float(played[view.step][0]), float(played[view.step][1]), "find")
+        return Velocity(float(played[view.step][0]), float(played[view.step][1]), "find")
 
     track, ended = [], ""
     while not ended:
-        played.append(expert(env.batch))
+        played.append(expert(env.stepper.play))
         _, _, terminated, truncated, info = env.step(played[-1])
-        s = env.batch.state
+        s = env.stepper.play.world.state
         track.append([*s.robots[0].xz[0], *s.people[0].xz[0], info["geodesic_m"]])
         ended = "collision" if terminated else "max_steps" if truncated else ""
-    recording = simulate_social_nav(env.batch.episodes[0], policy=again)
+    recording = simulate_social_nav(env.stepper.play.episodes[0], policy=again)
     assert recording.episode.info["ended"] == ended
     columns = recording.columns
     robot, human = columns["agent_0.base_pose"][:, [0, 2]], columns["agent_1.base_pose"][:, [0, 2]]
@@ -107,14 +106,14 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
 
 def test_a_world_of_many_is_a_world_alone() -> None:
     scenes, worlds = [HOME, "small:2"], 64
-    many = SocialNavVectorEnv(worlds, scenes, spec=SHORT)
+    many = make(num_envs=worlds, scenes=scenes, spec=SHORT)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1.3, 1.3, (95, worlds, 2)).astype(np.float32)  # two autoresets
     first, told = many.reset(seed=7)
     assert len(set(told["scene"])) == 2
     steps = [many.step(a) for a in actions]
     for w in (0, 1, 17, 63):
-        one = SocialNavEnv(scenes, spec=SHORT)
+        one = make(scenes=scenes, spec=SHORT)
         seen, info = one.reset(seed=7 + w)
         assert (info["scene"], info["episode_seed"]) == (told["scene"][w], told["episode_seed"][w])
         assert_same(seen, {k: v[w] for k, v in first.items()})
@@ -131,13 +130,13 @@ def test_a_world_of_many_is_a_world_alone() -> None:
 
 
 def test_pictures_of_many_worlds_are_those_of_each() -> None:
-    many = SocialNavVectorEnv(3, HOME, observations=EVERYTHING, **SIZES)
+    many = make(num_envs=3, scenes=HOME, observations=EVERYTHING, **SIZES)
     seen = [many.reset(seed=2)[0]]
     actions = np.random.default_rng(1).uniform(-1, 1, (6, 3, 2)).astype(np.float32)
     seen += [many.step(a)[0] for a in actions]
-    mixed = SocialNavVectorEnv(3, [HOME, HOME], observations=EVERYTHING, **SIZES)  # drawn world by world
+    mixed = make(num_envs=3, scenes=[HOME, HOME], observations=EVERYTHING, **SIZES)  # drawn world by world
     again = [mixed.reset(seed=2)[0], *(mixed.step(a)[0] for a in actions)]
-    one = SocialNavEnv(HOME, observations=EVERYTHING, **SIZES)
+    one = make(scenes=HOME, observations=EVERYTHING, **SIZES)
     alone = [one.reset(seed=4)[0], *(one.step(a[2])[0] for a in actions)]
     for k, all_seen in enumerate(seen):
         assert_same({n: v[2] for n, v in all_seen.items()}, alone[k])
@@ -146,29 +145,29 @@ def test_pictures_of_many_worlds_are_those_of_each() -> None:
 
 
 def test_seeds_decide_everything() -> None:
-    a, b = SocialNavEnv(HOME, spec=SHORT), SocialNavEnv(HOME, spec=SHORT)
+    a, b = make(scenes=HOME, spec=SHORT), make(scenes=HOME, spec=SHORT)
     a.reset(seed=1)  # episodes before a seed do not matter
     a.reset()
     assert_same(a.reset(seed=9)[0], b.reset(seed=9)[0])
     second, same = a.reset(), b.reset()
     assert_same(second[0], same[0])
     assert second[1]["episode_seed"] == same[1]["episode_seed"] != a.reset(seed=9)[1]["episode_seed"]
-    c = SocialNavEnv(HOME, spec=SHORT)
-    assert c.reset()[1]["episode_seed"] != SocialNavEnv(HOME, spec=SHORT).reset()[1]["episode_seed"]
-    vector = SocialNavVectorEnv(2, HOME, spec=SHORT)
+    c = make(scenes=HOME, spec=SHORT)
+    assert c.reset()[1]["episode_seed"] != make(scenes=HOME, spec=SHORT).reset()[1]["episode_seed"]
+    vector = make(num_envs=2, scenes=HOME, spec=SHORT)
     told = vector.reset(seed=[9, 9])[1]["episode_seed"]
     assert told[0] == told[1] == a.reset(seed=9)[1]["episode_seed"]
 
 
 # --- rules --------------------------------------------------------------------------------------------------------------
 def test_touching_terminates_and_time_truncates() -> None:
-    env = SocialNavEnv(HOME, spec=SocialNavSpec(max_steps=900, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=0.8)))
+    env = make(scenes=HOME, spec=SocialNavSpec(max_steps=900, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=0.8)))
     env.reset(seed=3)
-    result = next(r for r in iter(lambda: env.step(ram(env.batch)), None) if r[2] or r[3])
+    result = next(r for r in iter(lambda: env.step(ram(env.stepper.play)), None) if r[2] or r[3])
     assert result[2]
     assert result[4]["collides"]
     assert not result[3]
-    env = SocialNavEnv(HOME, spec=SHORT)
+    env = make(scenes=HOME, spec=SHORT)
     env.reset(seed=3)
     ends = [env.step(np.zeros(2))[2:4] for _ in range(40)]
     assert ends == [(False, False)] * 39 + [(False, True)]
@@ -176,11 +175,11 @@ def test_touching_terminates_and_time_truncates() -> None:
 
 def test_following_long_enough_is_success() -> None:
     spec = SocialNavSpec(max_steps=1500, spawn_distance_m=3.0, human=WalkerSpec(speed_mps=0.5))
-    env = SocialNavEnv(HOME, spec=spec, end_on_success=True)
+    env = make(scenes=HOME, spec=spec, end_on_success=True)
     env.reset(seed=1)
     rewards = []
     for _ in range(1500):
-        _, reward, terminated, _, info = env.step(expert(env.batch))
+        _, reward, terminated, _, info = env.step(expert(env.stepper.play))
         rewards.append(reward)
         if terminated:
             break
@@ -192,19 +191,19 @@ def test_following_long_enough_is_success() -> None:
 
 
 def test_far_away_the_reward_is_the_way_gained() -> None:
-    env = SocialNavEnv(HOME, spec=SocialNavSpec(spawn_distance_m=6.0))
+    env = make(scenes=HOME, spec=SocialNavSpec(spawn_distance_m=6.0))
     _, info = env.reset(seed=5)
     for _ in range(15):
         before = info["geodesic_m"]
-        _, reward, _, _, info = env.step(expert(env.batch))
+        _, reward, _, _, info = env.step(expert(env.stepper.play))
         assert reward == pytest.approx(before - info["geodesic_m"] - 0.1)
 
 
 def test_observations_are_of_the_state() -> None:
-    env = SocialNavEnv(HOME, observations=EVERYTHING)
+    env = make(scenes=HOME, observations=EVERYTHING)
     env.reset(seed=5)
-    s = env.batch.state
-    free = env.batch.episodes[0].free
+    s = env.stepper.play.world.state
+    free = env.stepper.play.episodes[0].free
     rng = np.random.default_rng(2)
     while True:  # a person 2.5 m ahead in plain sight, about to stand there: the camera sees her
         a, b = free.sample(rng, 2)
@@ -228,20 +227,20 @@ def test_observations_are_of_the_state() -> None:
 
 
 def test_a_picture_from_above() -> None:
-    env = SocialNavEnv(HOME, render_mode="rgb_array")
+    env = make(scenes=HOME, render_mode="rgb_array")
     env.reset(seed=5)
     picture = env.render()
     assert picture is not None
     assert picture.shape == (480, 640, 3)
     assert picture.std() > 20
-    assert SocialNavEnv(HOME).render() is None
+    assert make(scenes=HOME).render() is None
 
 
 # --- two agents ---------------------------------------------------------------------------------------------------------
 def test_a_driven_person_walks_where_she_can() -> None:
-    env = SocialNavParallelEnv(HOME, spec=SocialNavSpec(max_steps=400, end_on_collision=False))
+    env = make(agents=PAIR, scenes=HOME, spec=SocialNavSpec(max_steps=400, end_on_collision=False))
     env.reset(seed=1)
-    s, free = env.batch.state, env.batch.episodes[0].free
+    s, free = env.stepper.play.world.state, env.stepper.play.episodes[0].free
     rng = np.random.default_rng(3)
     turns = np.repeat(rng.uniform(-1, 1, 20), 20)
     for turn in turns:
@@ -256,7 +255,7 @@ def test_a_driven_person_walks_where_she_can() -> None:
     env.reset(seed=1)
     for _ in range(10):
         env.step({"robot": np.zeros(2), "human": np.array([-1.0, 0.0])})
-    np.testing.assert_array_equal(s.people[0].xz[0], env.batch.episodes[0].starts.human_xz)
+    np.testing.assert_array_equal(s.people[0].xz[0], env.stepper.play.episodes[0].starts[1, :2])
     assert s.people[0].blend[0] == s.people[0].distance[0] == 0
     assert not np.array_equal(still, s.people[0].xz[0])
 
@@ -286,31 +285,31 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
         robot=BaseSpec(max_lateral_mps=c["lateral"]),
     )  # fmt: skip
     robot, human = c["body"]
-    batch = SocialNavBatch(
-        c["scenes"], worlds=c["worlds"], spec=spec, reward=c["profile"], driven_human=c["driven"], robot=robot,
-        human=human,
-    )  # fmt: skip
     seen = EVERYTHING if c["pictures"] else ("humanoid_gps", "egomotion", "localization")
-    observer = Observer(batch, seen, depth_size=(16, 12))
-    space = gymnasium.vector.utils.batch_space(observer.space(), c["worlds"])
+    batch = Batch(
+        c["scenes"], worlds=c["worlds"], spec=spec, reward=c["profile"], driven=c["driven"], robot=robot, human=human,
+        observations=seen, depth_size=(16, 12),
+    )  # fmt: skip
+    space = gymnasium.vector.utils.batch_space(batch.space(), c["worlds"])
+    width = batch.stepper.action_space("robot").shape[0]
     rng = np.random.default_rng(c["seed"])
     index, over, ended = np.zeros(c["worlds"], int), np.ones(c["worlds"], bool), 0
     offsets = np.array(spec.robot.disc_offsets_m)
     while ended < episodes:
         batch.begin(c["seed"] + np.arange(c["worlds"], dtype=object), index, where=over)
-        actions = rng.uniform(-2, 2, (c["worlds"], batch.action_width)) + c["habit"]  # some of them always turn or push
-        worth = batch.step(actions, rng.uniform(-2, 2, (c["worlds"], 2)) + c["habit"] if c["driven"] else None)
+        actions = rng.uniform(-2, 2, (c["worlds"], width)) + c["habit"]  # some of them always turn or push
+        reward = batch.step(actions, rng.uniform(-2, 2, (c["worlds"], 2)) + c["habit"] if c["driven"] else None)
         s = batch.state
         assert all(np.isfinite(array).all() for array in s.arrays())
-        assert np.isfinite(worth.reward).all()
-        assert space.contains(observer.observe())
+        assert np.isfinite(reward).all()
+        assert space.contains(batch.observe())
         for w, episode in enumerate(batch.episodes):
             free = episode.free
             grid = free.sdf, free.origin, free.cell_m
             clearance = least_clearance(*grid, *s.robots[0].xz[w], s.robots[0].heading[w], offsets)
             assert clearance >= spec.robot.disc_radius_m - 2e-3 - 1e-9
             assert np.hypot(*(free.snap(s.people[0].xz[w]) - s.people[0].xz[w])) <= 2e-3
-        over = worth.ends | batch.out_of_time
+        over = batch.ends | batch.play.out_of_time
         index, ended = index + over, ended + int(over.sum())
     return ended
 
@@ -338,21 +337,21 @@ def test_a_thousand_random_episodes_do_no_harm() -> None:
 # --- bad input ----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("action", [[0.0], [[0.0, 0.0]], 0.0, [0.0, np.nan], [np.inf, 0.0], ["a", "b"], [[1], [2, 3]]])
 def test_bad_actions_move_nothing(action: Any) -> None:
-    env = SocialNavEnv(HOME, spec=SHORT)
+    env = make(scenes=HOME, spec=SHORT)
     env.reset(seed=1)
-    before = env.batch.state.copy()
+    before = env.stepper.play.world.state.copy()
     with pytest.raises(InputError, match=r"[Aa]ctions"):
         env.step(action)
-    for was, now in zip(before.arrays(), env.batch.state.arrays(), strict=True):
+    for was, now in zip(before.arrays(), env.stepper.play.world.state.arrays(), strict=True):
         np.testing.assert_array_equal(was, now)
-    vector = SocialNavVectorEnv(2, HOME, spec=SHORT)
+    vector = make(num_envs=2, scenes=HOME, spec=SHORT)
     vector.reset(seed=1)
     with pytest.raises(InputError, match=r"[Aa]ctions"):
         vector.step([action, action])
 
 
 def test_actions_are_clipped() -> None:
-    a, b = SocialNavEnv(HOME, spec=SHORT), SocialNavEnv(HOME, spec=SHORT)
+    a, b = make(scenes=HOME, spec=SHORT), make(scenes=HOME, spec=SHORT)
     a.reset(seed=1)
     b.reset(seed=1)
     assert_same(a.step(np.array([5.0, -7.0]))[0], b.step(np.array([1.0, -1.0]))[0])
@@ -384,28 +383,28 @@ def test_what_does_not_exist_is_told_with_what_does(options: dict[str, Any], mes
 
 def test_reset_and_agents_come_first() -> None:
     with pytest.raises(InputError, match="reset"):
-        SocialNavEnv(HOME).step(np.zeros(2))
+        make(scenes=HOME).step(np.zeros(2))
     with pytest.raises(InputError, match="reset"):
-        SocialNavEnv(HOME, render_mode="rgb_array").render()
-    pair = SocialNavParallelEnv(HOME)
+        make(scenes=HOME, render_mode="rgb_array").render()
+    pair = make(agents=PAIR, scenes=HOME)
     with pytest.raises(InputError, match="reset"):
         pair.step({"robot": np.zeros(2), "human": np.zeros(2)})
     pair.reset(seed=1)
     with pytest.raises(InputError, match="robot, human"):
         pair.step({"robot": np.zeros(2)})
     with pytest.raises(InputError, match="each of 3 worlds"):
-        SocialNavVectorEnv(3, HOME).reset(seed=[1, 2])
+        make(num_envs=3, scenes=HOME).reset(seed=[1, 2])
     with pytest.raises(SceneError, match="farthest"):
-        SocialNavEnv(HOME, spec=SocialNavSpec(spawn_distance_m=500.0)).reset(seed=1)
+        make(scenes=HOME, spec=SocialNavSpec(spawn_distance_m=500.0)).reset(seed=1)
 
 
 # --- make ---------------------------------------------------------------------------------------------------------------
 def test_make_finds_tasks_without_knowing_them() -> None:
-    assert isinstance(h3data.make("social_nav", scenes=HOME), SocialNavEnv)
+    assert isinstance(h3data.make("social_nav", scenes=HOME), TaskEnv)
     vector = h3data.make("social_nav", scenes=HOME, num_envs=3)
-    assert isinstance(vector, SocialNavVectorEnv)
+    assert isinstance(vector, TaskVectorEnv)
     assert vector.num_envs == 3
-    assert isinstance(h3data.make("social_nav", scenes=HOME, agents=("robot", "human")), SocialNavParallelEnv)
+    assert isinstance(h3data.make("social_nav", scenes=HOME, agents=("robot", "human")), TaskParallelEnv)
     code = "import sys, h3data; assert callable(h3data.make); print([m for m in sys.modules if 'sim_kin' in m or 'gymn' in m])"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "[]"

@@ -12,9 +12,6 @@ from tests.render.gpu_emulator import COMPILER, EmulatedRenderer
 
 torch = pytest.importorskip("torch")
 
-from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
-from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
-
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.render.gpu import GpuRenderer  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
@@ -23,9 +20,11 @@ from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.motion.state import WorldState  # noqa: E402
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer  # noqa: E402
 from sim_kinematic.sensing.sensor import HUMAN_ID  # noqa: E402
+from sim_kinematic.tasks.social_nav import TRAINING  # noqa: E402
 from sim_kinematic.torch import cameras as torch_cameras  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
+from tests.sim.steppers import Batch  # noqa: E402
 
 SIZE = (64, 48)
 RULES = replace(TRAINING, max_steps=20)
@@ -86,11 +85,10 @@ def test_the_environment_shows_the_arms_picture(device: Any, monkeypatch: pytest
     env = SocialNavTorchEnv(2, device=name, observations=shown, spec=RULES, episodes=bank, depth_size=SIZE)
     seen, info = env.reset(seed=1)
     seen = {key: value.cpu().numpy() for key, value in seen.items()}
-    batch = SocialNavBatch("small:1", worlds=2, spec=RULES)
+    batch = Batch("small:1", worlds=2, spec=RULES, observations=shown, depth_size=SIZE)
     batch.begin(5, info["episode"].cpu().numpy())
-    observer = Observer(batch, shown, depth_size=SIZE)
-    want = observer.observe()
-    assert env.single_observation_space == observer.space()
+    want = batch.observe()
+    assert env.single_observation_space == batch.space()
     assert seen["arm_depth"].shape == (2, SIZE[1], SIZE[0], 1)
     assert (np.abs(seen["arm_depth"] - want["arm_depth"]) > 2e-4).mean() < 1e-3
     np.testing.assert_array_equal(seen["humanoid_detector"], want["humanoid_detector"])

@@ -13,9 +13,6 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("shapely")
 pytest.importorskip("fcl")
 
-from sim_kinematic.envs.social_nav_observations import Observer  # noqa: E402
-from sim_kinematic.tasks.social_nav_batch import TRAINING, SocialNavBatch  # noqa: E402
-
 import h3data  # noqa: E402
 from h3data.bodies import load_humanoid, load_robot  # noqa: E402
 from h3data.errors import InputError  # noqa: E402
@@ -24,6 +21,7 @@ from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
 from sim_kinematic.tasks.rewards import Encounter, SocialNavReward  # noqa: E402
+from sim_kinematic.tasks.social_nav import TRAINING  # noqa: E402
 from sim_kinematic.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402
 from sim_kinematic.torch.geodesic import Lattices, shortest_way  # noqa: E402
@@ -31,6 +29,7 @@ from sim_kinematic.torch.graph import fused  # noqa: E402
 from sim_kinematic.torch.social_nav import Play, SocialNavTensors  # noqa: E402
 from sim_kinematic.torch.state import HumanTensors, RobotTensors  # noqa: E402
 from sim_kinematic.torch.step import Grids  # noqa: E402
+from tests.sim.steppers import Batch  # noqa: E402
 
 HOMES = ["small:1", "small:2"]
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
@@ -63,9 +62,8 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> None:
     worlds, rng = 8, np.random.default_rng(1)
     index = np.arange(worlds) % len(bank)
-    batch = SocialNavBatch(HOMES, worlds=worlds, spec=RULES)
+    batch = Batch(HOMES, worlds=worlds, spec=RULES, observations=OBSERVED)
     batch.begin(SEED, index)
-    observer = Observer(batch, OBSERVED)
     seen, shown = [], []
     sim = SocialNavTensors(bank, device="cpu", spec=RULES)
     play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(worlds, 2))
@@ -89,21 +87,21 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
         np.testing.assert_array_equal(play.robot.contact, robots.contact)
         for name, mine in play.human._asdict().items():
             np.testing.assert_allclose(mine, getattr(people, name), rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(play.steps, batch.steps)
+        np.testing.assert_array_equal(play.steps, batch.play.steps)
         np.testing.assert_array_equal(play.episode, index)
         clear = sim.touch.gap(play.robot, play.human).abs().numpy() > TOLERANCE_M
-        np.testing.assert_array_equal(play.collides.numpy()[clear], batch.collides[clear])
-        np.testing.assert_allclose(play.geodesic, batch.geodesic, rtol=0.1, atol=0.05)
-        seen.append(observer.observe())
+        np.testing.assert_array_equal(play.collides.numpy()[clear], batch.memory.collides[clear])
+        np.testing.assert_allclose(play.geodesic, batch.memory.geodesic, rtol=0.1, atol=0.05)
+        seen.append(batch.observe())
         shown.append({name: sim.observation(name, play).numpy() for name in OBSERVED})
         worth = rewards.step(met())  # the CPU's reward of what the device saw
         if ended.any():
             rewards.reset(met(), where=ended)
         np.testing.assert_allclose(play.reward, np.where(ended, 0, worth.reward), rtol=0, atol=1e-9)
         np.testing.assert_array_equal(play.followed, rewards.followed)
-        ended = ~ended & batch.out_of_time
+        ended = ~ended & batch.play.out_of_time
         np.testing.assert_array_equal(play.truncated, ended)
-        touches += batch.collides.sum()
+        touches += batch.memory.collides.sum()
         follows += rewards.followed.sum()
     assert touches > 5
     assert follows > 100
