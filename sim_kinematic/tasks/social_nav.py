@@ -29,11 +29,11 @@ from sim_kinematic.policies.policy import AssignedPolicy
 from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, View
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.oracle import oracle_min_steps
 from sim_kinematic.tasks.play import Play, WorldPlay
-from sim_kinematic.tasks.predicates import is_found
 from sim_kinematic.tasks.recorder import scene_attachment
-from sim_kinematic.tasks.rewards import Encounter, SocialNavReward
+from sim_kinematic.tasks.rules.oracle import oracle_min_steps
+from sim_kinematic.tasks.rules.predicates import is_found
+from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward
 from sim_kinematic.tasks.task import MAX_STEPS, Episode, Outcome, Task, agent_base, agent_floor
 
 HUMAN_SKILLS = ("walk", "turn")

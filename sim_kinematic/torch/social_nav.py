@@ -21,7 +21,7 @@ from h3data.errors import InputError
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.sensing.sensor import FAR_M, RANGE_M, RANGE_STRIDES, RANGES
-from sim_kinematic.tasks.rewards import PaperReward
+from sim_kinematic.tasks.rules.rewards import PaperReward
 from sim_kinematic.torch.contact import TouchTest
 from sim_kinematic.torch.episodes import EpisodeBank
 from sim_kinematic.torch.geodesic import Lattices, shortest_way
@@ -186,7 +186,7 @@ class SocialNavTensors:
         )  # fmt: skip
 
     def _judged(self, before: Play, now: Play) -> Play:
-        """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rewards.SocialNavReward`)."""
+        """With what the step was worth: the paper's reward (`sim_kinematic.tasks.rules.rewards.SocialNavReward`)."""
         rules, worth, going = self.spec, self.paper, ~before.ended
         gap = now.human.xz - now.robot.xz
         straight = torch.hypot(gap[:, 0], gap[:, 1])

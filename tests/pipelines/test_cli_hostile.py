@@ -31,7 +31,7 @@ from h3data.recording.mcap import part as mcap_part
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import remove_dataset, uninterrupted
 from h3data_pipelines.commands import generate
-from h3data_pipelines.jobs import episode_jobs
+from h3data_pipelines.jobs import running as episode_jobs
 
 STANDING = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (3, 1))
 SHORT = ("generate", "social_nav", "--homes", "1", "--seed", "7", "--max-steps", "20", "-o")

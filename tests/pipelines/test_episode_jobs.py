@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
+from h3data_pipelines.jobs.episode_jobs import Changes
 
 from h3data.bodies import humanoid_names
 from h3data_pipelines.commands.generate import Generate
-from h3data_pipelines.jobs.episode_jobs import Changes
 
 
 def test_any_body_is_drawn_by_the_episodes_seed() -> None:

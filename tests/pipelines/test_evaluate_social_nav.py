@@ -17,7 +17,9 @@ from h3data.metrics.set_up import set_up_differences
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
-from h3data_pipelines.jobs.social_nav_evaluating import METRICS, policy_table
+from h3data_pipelines.jobs.policy_table import policy_table
+
+METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 from sim_kinematic.policies.network import Network, save_network
 
 RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
@@ -106,7 +108,7 @@ def test_failed_episodes_are_tried_again(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_without_results_there_is_no_table_and_no_paper() -> None:
-    for table in (policy_table([]), cross_play_table([])):
+    for table in (policy_table("social_nav", []), cross_play_table([])):
         assert table.to_text() == "No episode could be played: there is no table."
 
 

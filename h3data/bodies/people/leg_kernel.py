@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.bodies.people.tuple_math import (
+from h3data.bodies.tuple_math import (
     cross,
     dot,
     from_axes,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.bodies.people.leg_kernel import KNEES_OUT, solve_leg
 from h3data.bodies.people.legs import LEG_MAX
 from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.bodies.people.tuple_math import (
+from h3data.bodies.tuple_math import (
     cross,
     dot,
     from_axes,

@@ -27,7 +27,7 @@ from sim_kinematic.agents.waypoint_walker import sharp_corners
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from sim_kinematic.tasks.social_nav import Starts, sample_pair_starts
 from sim_kinematic.tasks.task import Episode
 
@@ -71,7 +71,7 @@ class RearrangeSpec:
     """Speed of the robot's arm joints; infinite: objects are in the hand at once, as with Habitat's oracle skills."""
     end_on_collision: bool = True
     reward: str = "paper"
-    """Which of `sim_kinematic.tasks.rewards.REARRANGE_REWARDS`."""
+    """Which of `sim_kinematic.tasks.rules.rewards.REARRANGE_REWARDS`."""
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41
     robot: BaseSpec = field(default_factory=BaseSpec)

@@ -31,7 +31,7 @@ from sim_kinematic.policies.policy import AssignedPolicy
 from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
 from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
-from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 
 Row = dict[str, Any]
 DTYPES: dict[str, type] = {

@@ -18,9 +18,8 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import Avoided, keep_clear
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.motion.spec import BaseSpec
-from sim_kinematic.tasks.social_nav import SocialNavWorld, simulate_social_nav
-from sim_kinematic.tasks.wander import simulate_wander
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart
+from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +136,7 @@ def test_a_cart_wanders_and_follows_by_its_own_discs(
 ) -> None:
     base = base_of(cart, BaseSpec())
     recording = simulate_wander(home, f"robot:{cart_file},human", seed=3, steps=240, free=free)
-    world = SocialNavWorld.create(home, seed=2, free=free, robot=str(cart_file))
+    world = social_nav_episode(home, seed=2, free=free, robot=str(cart_file))
     followed = simulate_social_nav(world, policy="heuristic_expert")
     for made in (recording, followed):
         track = made.columns["agent_0.base_pose"].astype(np.float64)

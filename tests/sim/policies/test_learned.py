@@ -15,7 +15,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sim_kinematic.envs.social_nav_env import SocialNavEnv
 from torch import nn
 
 import h3data
@@ -27,10 +26,12 @@ from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
 from sim_kinematic.policies.learned import NAVIGATION_INPUTS, LearnedNavigation, navigation_input, network_of, stamped
 from sim_kinematic.policies.learned_chooser import chooser_input
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
+from sim_kinematic.policies.policy import Velocity
 from sim_kinematic.policies.rearrange import Chooser, TaskView, robot_policy
-from sim_kinematic.policies.social_nav import Command, View, policy_by_name
+from sim_kinematic.policies.social_nav import View, policy_by_name
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import verify
+from tests.sim.steppers import social_nav_env
 from tests.simulated import rearrange_episode, simulate_rearrange, simulate_social_nav, social_nav_episode
 
 NAMES = ("humanoid_gps", "egomotion")
@@ -190,12 +191,12 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, we
 def test_it_is_shown_what_the_training_environment_shows() -> None:
     names = tuple(NAVIGATION_INPUTS)
     spec = SocialNavSpec(max_steps=25, spawn_distance_m=3.0)
-    env = SocialNavEnv("small:1", spec=spec, observations=names)
+    env = social_nav_env("small:1", spec=spec, observations=names)
     seen = [env.reset(seed=3)[0]]
     network = small_network()
     policy = LearnedNavigation(network)
 
-    def watched(view: View, base: BaseSpec) -> Command:
+    def watched(view: View, base: BaseSpec) -> Velocity:
         shown.append(navigation_input(view, base, names))
         return policy(view, base)
 
@@ -203,7 +204,7 @@ def test_it_is_shown_what_the_training_environment_shows() -> None:
         x = np.concatenate([seen[-1][name] for name in NAMES])
         seen.append(env.step(np.clip(network(x), -1, 1))[0])
     shown: list[np.ndarray] = []
-    simulate_social_nav(env.batch.episodes[0], policy=watched)
+    simulate_social_nav(env.stepper.play.episodes[0], policy=watched)
     np.testing.assert_array_equal(shown, [np.concatenate([o[n] for n in names]) for o in seen[: len(shown)]])
     assert len(shown) > 5
 
@@ -286,7 +287,7 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
 
     class Watched(Chooser):
         def choose(self, view: TaskView) -> Action:
-            action = super().choose(view)
+            action = super().act(view)
             if action in known:
                 rows.append((chooser_input(view, CHOOSER_INPUTS), known.index(action)))
             return action

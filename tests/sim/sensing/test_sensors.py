@@ -17,7 +17,7 @@ from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT
 from sim_kinematic.motion.step import integrate
 from sim_kinematic.sensing import sensor as sensors
-from sim_kinematic.tasks import predicates
+from sim_kinematic.tasks.rules import predicates
 from tests.paths import REAL
 
 GOLDEN = REAL / "habitat-lab" / "reference" / "rearrange" / "predicates_sensors.json"

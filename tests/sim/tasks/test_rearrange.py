@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from sim_kinematic.tasks.rearrange.simulate import solo_steps_of
 
 from h3data.bodies import load_humanoid, load_robot, solve_ik
 from h3data.bodies.people.reach import hand_points, reach
@@ -34,7 +33,8 @@ from sim_kinematic.policies.rearrange import (
     robot_policy,
 )
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
-from sim_kinematic.tasks.rewards import REARRANGE_REWARDS
+from sim_kinematic.tasks.rearrange.task import solo_steps_of
+from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
 from tests.simulated import rearrange_episode, simulate_rearrange
 
 
@@ -67,7 +67,7 @@ class Scripted:
     when: Callable[[TaskView], str] = lambda view: ""
     ended: list[str] = field(default_factory=list)
 
-    def choose(self, view: TaskView) -> Action:
+    def act(self, view: TaskView) -> Action:
         if view.last is not None:
             self.ended.append(view.last.reason or view.last.outcome)
         return self.actions.pop(0) if self.actions else Action("wait")

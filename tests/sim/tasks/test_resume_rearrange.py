@@ -175,7 +175,7 @@ def test_others_take_over(episode: Recording) -> None:
 class Mine:
     """A policy without a name: it turns for ever."""
 
-    def choose(self, view: TaskView) -> Action:
+    def act(self, view: TaskView) -> Action:
         return Action("turn_left")
 
     def interrupts(self, view: TaskView) -> str:

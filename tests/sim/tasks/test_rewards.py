@@ -10,7 +10,13 @@ import pytest
 
 from h3data.errors import InputError
 from h3data.metrics.habitat.config import HabitatConfig
-from sim_kinematic.tasks.rewards import REARRANGE_REWARDS, Encounter, PaperReward, RearrangeReward, SocialNavReward
+from sim_kinematic.tasks.rules.rewards import (
+    REARRANGE_REWARDS,
+    Encounter,
+    PaperReward,
+    RearrangeReward,
+    SocialNavReward,
+)
 from tests.paths import REAL
 
 GOLDEN = REAL / "habitat-lab" / "reference"

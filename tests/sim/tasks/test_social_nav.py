@@ -17,8 +17,9 @@ from sim_kinematic.agents.waypoint_walker import human_plan, sharp_corners
 from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
-from sim_kinematic.policies.social_nav import Command, View, heuristic_expert, policy_by_name
-from sim_kinematic.tasks.oracle import oracle_min_steps, steps_to_find
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.social_nav import View, heuristic_expert, policy_by_name
+from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
 from sim_kinematic.tasks.social_nav import sample_pair_starts as draw_starts
 from sim_kinematic.tasks.task import Episode
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -38,10 +39,10 @@ def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> Epi
     return social_nav_episode(home, seed=seed, spec=SocialNavSpec(**{"max_steps": 150, **changes}), free=free)  # type: ignore[arg-type]
 
 
-def ram(view: View, spec: BaseSpec) -> Command:
+def ram(view: View, spec: BaseSpec) -> Velocity:
     """Drives straight into the person."""
     command = heuristic_expert(view._replace(geodesic_m=100.0), spec)
-    return Command(command.forward, command.turn, "follow")
+    return Velocity(command.forward, command.turn, "follow")
 
 
 def test_starts_keep_their_distance(free: FreeSpace) -> None:

@@ -24,7 +24,7 @@ from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRu
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_of, rules_of, set_episode, world_of
+from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_from, rules_of, set_episode, stored_episode
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 HOME = HomeSpec(seed=1)
@@ -93,7 +93,7 @@ def test_all_episodes_of_the_eval_splits_can_be_played(split: str) -> None:
         entry, index = scenes.place(i)
         episode = set_episode(scenes, entry, index)
         free = open_free_space(entry.source, 0.25, 1.41)
-        world = world_of(episode, open_scene(entry.source), free=free)
+        world = episode_from(episode, open_scene(entry.source), free=free)
         assert free.geodesic(world.starts[0, :2], world.starts[1, :2]) >= 5.0
         start, goals = world.starts, world.goals
         track = human_plan(free, start.human_xz, start.human_heading, world.seed, WalkerSpec(), 1500, goals).xz
@@ -108,8 +108,8 @@ def test_a_stored_episode_plays_like_the_drawn_one() -> None:
     spec = SocialNavSpec(max_steps=200)
     free = open_free_space(HOME, spec.agent_radius_m, spec.agent_height_m)
     drawn = social_nav_episode(open_scene(HOME), seed=5, spec=spec, free=free)
-    stored = world_of(episode_of(drawn), drawn.scene, free=free)
-    assert episode_of(stored) == episode_of(drawn)
+    stored = episode_from(stored_episode(drawn), drawn.scene, free=free)
+    assert stored_episode(stored) == stored_episode(drawn)
     a, b = simulate_social_nav(drawn), simulate_social_nav(stored)
     for name, column in a.columns.items():
         np.testing.assert_array_equal(column, b.columns[name], err_msg=name)
@@ -121,7 +121,7 @@ def test_the_person_goes_where_the_episode_says() -> None:
     """Not where its seed would have sent her; after the last stored goal she goes on by herself."""
     episode = drawn_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=400))
     told = msgspec.structs.replace(episode, human_goals=episode.human_goals[2:0:-1], goals_complete=False)
-    world = world_of(told, open_scene(HOME), spec=SocialNavSpec(max_steps=400, end_on_collision=False))
+    world = episode_from(told, open_scene(HOME), spec=SocialNavSpec(max_steps=400, end_on_collision=False))
     recording = simulate_social_nav(world, policy="stand_still")
     walked = recording.episode.info["human_goals"]
     assert walked[:2] == [list(g) for g in told.human_goals]
@@ -129,7 +129,7 @@ def test_the_person_goes_where_the_episode_says() -> None:
     person = recording.columns["agent_1.base_pose"][:, [0, 2]]
     for goal in walked[:2]:
         assert np.hypot(*(person - goal).T).min() < 0.002
-    uids = {simulate_social_nav(world_of(e, open_scene(HOME), spec=SocialNavSpec(max_steps=2))).episode.uid
+    uids = {simulate_social_nav(episode_from(e, open_scene(HOME), spec=SocialNavSpec(max_steps=2))).episode.uid
             for e in (episode, told)}  # fmt: skip
     assert len(uids) == 2
 
@@ -139,13 +139,13 @@ def test_rules_come_with_the_episode() -> None:
     assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
     assert rules_of(bare) == SocialNavSpec(max_steps=77, human=WalkerSpec())  # as in the paper
-    assert world_of(bare, open_scene(HOME)).human_name == "female_0"
-    assert world_of(episode, open_scene(HOME), human="male_0").human_name == "male_0"
+    assert episode_from(bare, open_scene(HOME)).human_name == "female_0"
+    assert episode_from(episode, open_scene(HOME), human="male_0").human_name == "male_0"
     for rules in ({"near_m": "x"}, {"max_steps": 0}, {"human": {"speed_mps": -1}}, {"human": {"speed_mps": 1e9}}):
         with pytest.raises(InputError, match="rules of the episode"):
             rules_of(msgspec.structs.replace(episode, rules=rules))
     with pytest.raises(InputError, match="yeti"):
-        world_of(msgspec.structs.replace(episode, human="humanoid/yeti"), open_scene(HOME))
+        episode_from(msgspec.structs.replace(episode, human="humanoid/yeti"), open_scene(HOME))
 
 
 def test_an_episode_of_another_home_is_refused() -> None:
@@ -153,11 +153,11 @@ def test_an_episode_of_another_home_is_refused() -> None:
     rounded = msgspec.structs.replace(
         episode, human_goals=tuple((round(x, 2), round(z, 2)) for x, z in episode.human_goals)
     )  # fmt: skip
-    world = world_of(rounded, open_scene(HOME))
+    world = episode_from(rounded, open_scene(HOME))
     assert world.free.is_navigable(np.array(world.goals)).all()
     for change in ({"robot_start": (99.0, 0.0, 0.0)}, {"human_goals": ((1e9, 0.0),)}):
         with pytest.raises(SceneError, match=f"{next(iter(change))}.*free floor of this scene"):
-            world_of(msgspec.structs.replace(episode, **change), open_scene(HOME))
+            episode_from(msgspec.structs.replace(episode, **change), open_scene(HOME))
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ def test_a_home_that_is_built_differently_now_is_taken_from_its_files(
     changed: SocialNavEpisode = msgspec.structs.replace(nav, scene_sha256="0" * 64)
     source = scene_of_episode(episode, changed, path.parent)
     assert isinstance(source, SceneFile)
-    assert world_of(nav, open_scene(source)).goals  # its free floor is that of the home, to a few centimetres
+    assert episode_from(nav, open_scene(source)).goals  # its free floor is that of the home, to a few centimetres
     with pytest.raises(SceneError, match=r"another home from its specification.*no file scenes/a"):
         scene_of_episode(episode, changed, tmp_path / "elsewhere")
 

@@ -20,7 +20,7 @@ from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
 from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
-from sim_kinematic.tasks.rewards import Encounter, SocialNavReward  # noqa: E402
+from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward  # noqa: E402
 from sim_kinematic.tasks.social_nav import TRAINING  # noqa: E402
 from sim_kinematic.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
 from sim_kinematic.torch.episodes import EpisodeBank  # noqa: E402

@@ -18,7 +18,7 @@ from h3data.kernels import kernel
 from h3data.metrics.habitat.config import HabitatConfig
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.predicates import is_found
+from sim_kinematic.tasks.rules.predicates import is_found
 
 RewardProfile = Literal["paper", "habitat"]
 

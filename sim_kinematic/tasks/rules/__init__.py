@@ -1,0 +1,1 @@
+"""Rewards, predicates and the oracle of the built-in tasks."""
