@@ -18,10 +18,9 @@ from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
 from h3data_pipelines.jobs.policy_table import policy_table
-
-METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 from sim_kinematic.policies.network import Network, save_network
 
+METRICS = ("S", "SPS", "F", "CR", "BYR", "TD", "FD")
 RULES = ("--scenes", "h3-homes/val#1", "--max-steps", "150", "--json")
 
 
@@ -108,7 +107,7 @@ def test_failed_episodes_are_tried_again(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_without_results_there_is_no_table_and_no_paper() -> None:
-    for table in (policy_table("social_nav", []), cross_play_table([])):
+    for table in (policy_table("social_nav", [], METRICS), cross_play_table([])):
         assert table.to_text() == "No episode could be played: there is no table."
 
 
@@ -133,7 +132,7 @@ def test_what_is_undefined_does_not_count() -> None:
     rows: list[dict[str, Any]] = [
         {"policy": "p", "values": dict.fromkeys(METRICS, value) | {"FD": fd}} for value, fd in ((1.0, None), (0.0, 1.5))
     ]
-    cells = policy_table(rows).cells
+    cells = policy_table("social_nav", rows, METRICS).cells
     assert cells["p", "FD"].count == 1
     assert cells["p", "FD"].mean == 1.5
     assert cells["p", "CR"].mean == 0.5
