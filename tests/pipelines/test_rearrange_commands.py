@@ -54,7 +54,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
             raise RuntimeError("boom")
         return planners.Planner(())
 
-    monkeypatch.setattr("sim_kinematic.tasks.rearrange.simulate.robot_policy", first_breaks)
+    monkeypatch.setattr("sim_kinematic.tasks.rearrange.task.robot_policy", first_breaks)
     result = run_json(capsys, *args, tmp_path / "broken", code=1)
     assert len(result["failed"]) == 1
     assert "RuntimeError: boom" in result["failed"][0]
@@ -99,9 +99,9 @@ def test_two_people_are_resumed_only_as_two(tmp_path: Path, capsys: pytest.Captu
     assert "agents was human,male_1, is human,human,human" in other["error"]
 
 
-def test_social_nav_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_social_nav_has_no_planners(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     args = ("generate", "social_nav", "--partner", "both", "--json", "-o", tmp_path / "x")
-    assert "rearrange" in run_json(capsys, *args, code=2)["error"]
+    assert "waypoints" in run_json(capsys, *args, code=2)["error"]
 
 
 def test_one_command_prints_every_robot_with_every_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

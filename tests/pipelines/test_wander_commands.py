@@ -77,7 +77,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fine = run_json(capsys, *WANDER, tmp_path / "fine", "--episodes", "3")
-    played, calls = wander.wander, []
+    played, calls = wander.Wander.sample_starts, []
 
     def breaks(*args: Any) -> Any:
         calls.append(args)
@@ -85,7 +85,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
             raise RuntimeError("boom")
         return played(*args)
 
-    monkeypatch.setattr(wander, "wander", breaks)
+    monkeypatch.setattr(wander.Wander, "sample_starts", breaks)
     for broken in ({1}, {1, 2}, {3}):
         calls.clear()
         out = tmp_path / str(len(list(tmp_path.iterdir())))
@@ -107,8 +107,8 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--policy", "random"), "--policy is for social_nav or rearrange"),
-        (("--partner", "both"), "--partner is for social_nav or rearrange"),
+        (("--policy", "random"), "Unknown policy 'random'"),
+        (("--partner", "both"), "Unknown partner 'both'"),
         (("--agents", "robot,humen"), "Did you mean 'human'?"),
         (("--agents", ""), "at least one agent"),
         (("--human", "femal_1"), "Did you mean 'female_1'?"),

@@ -61,6 +61,8 @@ class Job:
         out."""
         apart = ("stored", "origin", "task")
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in apart}
+        if self.agents is not None and not self.found_task.bodies_in_agents:
+            values["agents"] = ",".join(self.agents)
         return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
 
     @cached_property

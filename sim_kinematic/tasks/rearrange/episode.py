@@ -110,6 +110,16 @@ class RearrangeEpisode(Episode):
     pair_starts: Starts
     """Starts of those two."""
 
+    @property
+    def robot(self) -> Robot:
+        """Body of the robot for which it was sampled."""
+        return load_robot(self.pair[0])
+
+    @property
+    def human(self) -> Humanoid:
+        """Body of the person for whom it was sampled."""
+        return load_humanoid(self.pair[1])
+
     def only(self, *numbers: int) -> RearrangeEpisode:
         """The same episode with some of its agents."""
         return replace(self, roster=tuple(self.roster[k] for k in numbers), starts=self.starts[list(numbers)])

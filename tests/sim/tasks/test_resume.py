@@ -29,7 +29,8 @@ def simulated(seed: int, *, policy: str = "heuristic_expert", steps: int = 150, 
     world = social_nav_episode(SCENE, seed=seed, spec=spec, free=FreeSpace.from_scene(SCENE, radius_m=0.25))
     if told:  # goals that do not follow from the seed
         rng = np.random.default_rng(0)
-        world = replace(world, goals=tuple((float(x), float(z)) for x, z in world.free.sample(rng, GOALS)))
+        goals = [[float(x), float(z)] for x, z in world.free.sample(rng, GOALS)]
+        world = replace(world, extra={"human_goals": goals})
     return simulate_social_nav(world, policy=policy)
 
 
