@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Humanoid, Robot
+from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
