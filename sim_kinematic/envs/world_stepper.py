@@ -104,6 +104,8 @@ class WorldStepper:
     # --- episodes -----------------------------------------------------------------------------------------------------
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
         rows = np.flatnonzero(where) if self.play.episodes else np.arange(self.worlds)
+        if not len(rows):
+            return
         runs = [(int(seeds[w]), int(indices[w])) for w in rows.tolist()]
         self.source.prepare(runs)
         episodes = [self.source.sample(*run) for run in runs]  # all of them first: if one fails, no world has changed
