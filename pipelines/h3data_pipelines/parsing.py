@@ -151,14 +151,16 @@ def _unread(command: type[Command]) -> Any:
 
 @functools.cache
 def _documented(command: type[Command]) -> Any:
-    """The command, whose help shows only defaults that mean something."""
+    """A subclass of the command whose help shows only defaults that mean something."""
+    annotations = {}
     for name, kind in get_type_hints(command, include_extras=True).items():
         names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
         if names is not None:
             kind = Annotated[kind, _shown(f"{{{','.join(names.names())}}}")]
         hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
-        command.__annotations__[name] = Annotated[kind, hint]
-    return command
+        annotations[name] = Annotated[kind, hint]
+    members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
+    return type(command.__name__, (command,), members)
 
 
 def _refuse_option(unknown: list[str], options: tuple[_Option, ...], see: str) -> NoReturn:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
-from h3data_pipelines.commands.doctor import Doctor
+from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.table import COMMANDS
-from h3data_pipelines.parsing import parse
 
 HELP = [
     *((name,) for name in COMMANDS),
@@ -86,8 +87,18 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("h3data ")
 
 
-def test_parsing_again_leaves_a_command_as_it_is() -> None:
-    parse(["doctor"], COMMANDS, about="")
-    before = dict(Doctor.__annotations__)
-    parse(["doctor"], COMMANDS, about="")
-    assert before == Doctor.__annotations__
+def test_help_before_parsing_changes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    before = dict(Export.__annotations__)
+    with pytest.raises(SystemExit):
+        main(["export", "--help"])
+    assert before == Export.__annotations__
+    script = """
+from contextlib import suppress
+from h3data_pipelines.cli import main
+with suppress(SystemExit):
+    main(["export", "--help"])
+raise SystemExit(main(["export", "a", "--to", "b", "-o", "c"]))
+"""
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert said.returncode == 2
+    assert "Cannot export to 'b'." in said.stderr
