@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import posixpath
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,13 @@ from h3data.errors import InputError
 def size_text(count: int) -> str:
     """A number of bytes for people: ``1.2 MB``, ``3.4 kB``."""
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+def path_inside(name: str) -> str | None:
+    """A relative path that a file names, normalised with forward slashes; None if it leads out of the file's folder."""
+    clean = posixpath.normpath(name.replace("\\", "/"))
+    outside = clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]  # C:/
+    return None if outside else clean
 
 
 def cache_folder(kind: str) -> Path | None:

@@ -17,7 +17,7 @@ from h3data.export.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
-from h3data.mesh.glb import FLOAT32, GlbChunk, pack_glb
+from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb
 from h3data.mesh.glb_write import Influences, mesh_lists
 from h3data.mesh.records import Mesh
 from h3data.recording.records import Recording
@@ -212,10 +212,7 @@ class _Writer:
         """The bytes of the file."""
         meshes = mesh_lists(self.chunk, self.meshes, self.influences) if self.meshes else {}
         animation = {"name": "recording", "channels": self.channels, "samplers": self.samplers}
-        document = {
-            "asset": {"version": "2.0", "generator": "h3data", "extras": extras},
-            "scene": 0,
-            "scenes": [{"nodes": self.roots} if self.roots else {}],
+        members = {
             "nodes": self.nodes,
             "skins": self.skins,
             "cameras": self.cameras,
@@ -223,7 +220,9 @@ class _Writer:
             **meshes,
             **(self.chunk.lists() if self.chunk.size else {}),
         }
-        return pack_glb({name: value for name, value in document.items() if value != []}, self.chunk)
+        members = {name: value for name, value in members.items() if value != []}
+        shown = {"nodes": self.roots} if self.roots else {}
+        return pack_glb(gltf_document(shown, about=extras, **members), self.chunk)
 
 
 def _held(poses: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from h3data.export.posed_parts import Skeleton
-from h3data.geometry import Array, normalized, pose_from_matrix, pose_to_matrix
-from h3data.mesh.glb import FLOAT32, GlbChunk, pack_glb
+from h3data.geometry import Array, pose_from_matrix, pose_to_matrix
+from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb, placement
 from h3data.mesh.glb_write import mesh_lists
 from h3data.mesh.records import Mesh
 
@@ -23,15 +23,9 @@ def skinned_glb_bytes(mesh: Mesh, skeleton: Skeleton) -> bytes:
     rest[:, :3, :3] /= np.linalg.norm(rest[:, :3, :3], axis=1, keepdims=True)
     nodes: list[Node] = [{"name": "body", "mesh": 0, "skin": 0}]
     roots = add_joints(nodes, skeleton, local_poses(pose_from_matrix(rest)[None], skeleton.parents)[0])
-    document = {
-        "asset": {"version": "2.0", "generator": "h3data"},
-        "scene": 0,
-        "scenes": [{"nodes": [0, *roots]}],
-        "nodes": nodes,
-        "skins": [skin_record(chunk, skeleton, first=1)],
-        **mesh_lists(chunk, [mesh], {0: skeleton.influences}),
-        **chunk.lists(),
-    }
+    skins = [skin_record(chunk, skeleton, first=1)]
+    lists = mesh_lists(chunk, [mesh], {0: skeleton.influences})
+    document = gltf_document({"nodes": [0, *roots]}, nodes=nodes, skins=skins, **lists, **chunk.lists())
     return pack_glb(document, chunk)
 
 
@@ -69,7 +63,7 @@ def local_poses(world: Array, parents: Sequence[int]) -> Array:
 
 def trs(pose: Array, scale: Array | None = None) -> Node:
     """Translation and rotation of a node, and its scale if it is not 1."""
-    node = {"translation": pose[:3].tolist(), "rotation": np.clip(normalized(pose[3:]), -1, 1).tolist()}
-    if scale is not None and (scale != 1).any():
-        node["scale"] = scale.tolist()
+    node = placement(pose, np.ones(3) if scale is None else scale)
+    if scale is None or (scale == 1).all():
+        del node["scale"]
     return node

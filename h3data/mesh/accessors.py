@@ -1,6 +1,6 @@
-"""Arrays of a glTF document: its accessors over buffer views, checked against the bytes that are there (glTF 2.0, 3.6).
+"""Arrays of a glTF document: accessors over buffer views, checked against the bytes available (glTF 2.0, 3.6).
 
-Faults raise `ValueError` with the key (``accessors[3].count``); whoever knows the file's name adds it.
+Faults raise `ValueError` with the key (``accessors[3].count``); callers add the file's name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MAX_ZEROS = 1 << 20
-"""Elements of an accessor without a buffer view, which is all zeros: no file of some bytes may ask for gigabytes."""
+"""Limit of elements of an accessor without a buffer view, which is all zeros: a tiny file must not allocate gigabytes."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class GltfArrays:
 
     document: dict[str, Any]
     buffer: Callable[[int], bytes | memoryview]
-    """All bytes of a buffer by index; may raise `ValueError`."""
+    """Returns all bytes of a buffer by index; may raise `ValueError`."""
 
     def accessor(self, index: object) -> NDArray[Any]:
-        """The elements as they are stored, [count] or [count, width]; a view of the file's bytes where that is possible."""
+        """The elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
         record, where = entry(self.document, "accessors", index), f"accessors[{index}]"
         if record.get("type") not in _WIDTHS:
             raise ValueError(f"{where}.type is {record.get('type')!r}, not one of {', '.join(_WIDTHS)}")
@@ -45,7 +45,7 @@ class GltfArrays:
         return array[:, 0] if width == 1 else array
 
     def floats(self, index: object) -> NDArray[Any]:
-        """The elements as numbers: float32 as stored, normalised integers as float32 in 0..1 or -1..1."""
+        """The elements as float32; normalised integers become 0..1 or -1..1."""
         array = self.accessor(index)
         if array.dtype.kind == "f" or not entry(self.document, "accessors", index).get("normalized"):
             return array.astype(np.float32, copy=False)
@@ -109,10 +109,10 @@ def entry(document: dict[str, Any], key: str, index: object) -> dict[str, Any]:
 
 
 def natural(record: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
-    """A whole number from 0 up."""
+    """The non-negative integer ``record[key]``."""
     value = record.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{where}.{key} is {value!r}, not a whole number from 0 up")
+        raise ValueError(f"{where}.{key} is {value!r}, not a non-negative integer")
     return value
 
 

@@ -1,4 +1,4 @@
-"""The frame of a GLB file (glTF 2.0 binary): its JSON, its binary chunk, and the arrays in it."""
+"""GLB containers (glTF 2.0 binary): the JSON document, the binary chunk, and records that all writers share."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.geometry import Array, normalized
+from h3data.mesh.png import png_bytes
 
 FLOAT32, UINT32, UINT16, INT16, UINT8 = 5126, 5125, 5123, 5122, 5121
-"""Kinds of component."""
+"""``componentType`` of an accessor."""
 VERTICES, INDICES = 34962, 34963
-"""What a buffer view is for."""
+"""``target`` of a buffer view."""
 
+_INDEX_TYPES = {UINT16: "<u2", UINT32: "<u4"}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
 
 
 class GlbChunk:
-    """The binary chunk that is being filled, with its buffer views and accessors."""
+    """A binary chunk under construction, with its buffer views and accessors."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -29,7 +33,7 @@ class GlbChunk:
         self.accessors: list[dict[str, Any]] = []
 
     def view(self, data: bytes, **more: Any) -> int:
-        """Appends bytes and gives the index of their view."""
+        """Appends bytes; returns the index of their view."""
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **more})
         padded = data + bytes(-len(data) % 4)
         self.parts.append(padded)
@@ -37,20 +41,34 @@ class GlbChunk:
         return len(self.views) - 1
 
     def array(self, values: NDArray[Any], kind: str, component: int, target: int | None = None, **more: Any) -> int:
-        """Appends one accessor (``kind`` as ``VEC3``) and gives its index."""
+        """Appends an array as one accessor (``kind`` such as ``VEC3``); returns its index."""
         view = self.view(values.tobytes(), **({} if target is None else {"target": target}))
         self.accessors.append(
             {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
         )
         return len(self.accessors) - 1
 
+    def vectors(self, values: NDArray[Any], *, limits: bool = False) -> int:
+        """Appends float32 vectors per vertex, shape [V, 2..4]; returns their accessor. glTF wants ``limits`` of positions."""
+        values = values.astype("<f4")
+        more = {"min": values.min(0).tolist(), "max": values.max(0).tolist()} if limits else {}
+        return self.array(values, f"VEC{values.shape[1]}", FLOAT32, VERTICES, **more)
+
+    def triangles(self, faces: NDArray[Any], component: int = UINT32) -> int:
+        """Appends vertex indices of triangles; returns their accessor."""
+        return self.array(faces.astype(_INDEX_TYPES[component]).ravel(), "SCALAR", component, INDICES)
+
+    def image(self, pixels: NDArray[np.uint8], name: str, *, gray: bool) -> dict[str, Any]:
+        """Appends texels [H, W, 4] as PNG; returns the image's record."""
+        return {"bufferView": self.view(png_bytes(pixels, gray=gray)), "mimeType": "image/png", "name": name}
+
     def part(self, index: int, start: int, count: int) -> int:
-        """Appends an accessor of some elements of another one, which holds 32-bit scalars, and gives its index."""
+        """Appends an accessor to some elements of another one, which holds 32-bit scalars; returns its index."""
         self.accessors.append({**self.accessors[index], "byteOffset": 4 * start, "count": count})
         return len(self.accessors) - 1
 
     def lists(self) -> dict[str, Any]:
-        """The members of the document that describe what is in the chunk."""
+        """Members of the document that describe the contents of the chunk."""
         return {
             "accessors": self.accessors,
             "bufferViews": self.views,
@@ -58,8 +76,33 @@ class GlbChunk:
         }
 
 
+def gltf_document(
+    scene: Mapping[str, Any], *, about: Mapping[str, Any] | None = None, **members: Any
+) -> dict[str, Any]:
+    """A glTF document of one scene; ``about`` becomes ``asset.extras``."""
+    asset = {"version": "2.0", "generator": "h3data", **({} if about is None else {"extras": about})}
+    return {"asset": asset, "scene": 0, "scenes": [scene], **members}
+
+
+def placement(pose: Array, scale: Array) -> dict[str, Any]:
+    """Members of a node that place it: pose7 and scale, both float64."""
+    rotation = np.clip(normalized(pose[3:]), -1, 1)  # validators refuse 1.0000000000000002
+    return {"translation": pose[:3].tolist(), "rotation": rotation.tolist(), "scale": scale.tolist()}
+
+
+def matte(texture: int | None = None, **more: Any) -> dict[str, Any]:
+    """A material's ``pbrMetallicRoughness`` without gloss, with a base colour texture if one is given."""
+    base = {} if texture is None else {"baseColorTexture": {"index": texture}}
+    return {**base, "metallicFactor": 0.0, "roughnessFactor": 1.0, **more}
+
+
+def cutout(pixels: NDArray[np.uint8]) -> dict[str, Any]:
+    """Members of a material whose texture [H, W, 4] is not opaque everywhere."""
+    return {} if (pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
+
+
 def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
-    """The bytes of a GLB; ``document`` is its JSON, with the chunk's views and accessors already in it.
+    """The bytes of a GLB; ``document`` already holds the chunk's views and accessors.
 
     Raises:
         TypeError, ValueError: the document is not plain JSON, or has numbers that are not finite.
@@ -73,10 +116,15 @@ def pack_glb(document: Mapping[str, Any], chunk: GlbChunk) -> bytes:
 
 
 def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[str, Any], memoryview]:
-    """JSON document and binary chunk (a view of ``data``, maybe empty); ``what`` and ``where`` are for messages.
+    """JSON document and binary chunk (a view of ``data``, maybe empty) of a GLB.
+
+    Args:
+        data: the bytes of the file.
+        where: path of the file, for error texts.
+        what: what was expected, for error texts.
 
     Raises:
-        FormatError: it is something else, cut off or damaged.
+        FormatError: the bytes are something else, truncated or damaged.
     """
     if data[:4] != _MAGIC:
         raise FormatError(f"Expected {what} (first bytes 'glTF'), got {data[:4]!r}. File: {where}")

@@ -1,8 +1,9 @@
-"""Meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim draws.
+"""Writes meshes as GLB (glTF 2.0 binary) with colours in materials, which every viewer and habitat-sim shows.
 
-`h3data.scene.save_scene` keeps scenes exactly, with vertex colours; many programs drop those of meshes that have a
-material (habitat-sim's PBR shader among them), so what is meant for others comes from here: colours of triangles without
-a texture lie in a small palette image, triangles with a texture have a material for each pair of texture and colour.
+`h3data.scene.save_scene` keeps scenes exactly, with vertex colours. Many programs, habitat-sim's PBR shader among them,
+drop vertex colours of meshes that have a material; files for other programs are therefore written here: colours of
+triangles without a texture go into a small palette image, triangles with a texture get one material per pair of texture
+and colour.
 """
 
 from __future__ import annotations
@@ -15,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
-from h3data.geometry import IDENTITY_POSE, normalized
-from h3data.mesh.glb import FLOAT32, INDICES, UINT8, UINT32, VERTICES, GlbChunk, pack_glb
+from h3data.geometry import IDENTITY_POSE
+from h3data.mesh.glb import UINT8, VERTICES, GlbChunk, cutout, gltf_document, matte, pack_glb, placement
 from h3data.mesh.meshes import face_texture_indices
-from h3data.mesh.png import png_bytes
 from h3data.mesh.records import Mesh, Texture
 from h3data.srgb import bytes_to_linear
 
@@ -27,10 +27,10 @@ _PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}
 _SMOOTH = {"magFilter": 9729, "minFilter": 9987}
 """Sampler: linear with mipmaps, repeated."""
 _BLOCK_PX = 4
-"""Side of the square of one colour in the palette: the first two mipmaps of a viewer that makes some are still clean."""
+"""Side of the square of one colour in the palette: viewers that make mipmaps get two levels without bleeding."""
 
 MAX_LOOKS = 32
-"""Pairs of texture and colour of one mesh."""
+"""Pairs of texture and colour that one mesh may have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class GlbNode:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Influences:
-    """Which joints of a skin move the vertices of a mesh."""
+    """The joints of a skin that move each vertex of a mesh, and their weights."""
 
     joints: NDArray[np.uint8]
     """Indices into the joints of the skin, shape [V, 4]."""
@@ -60,30 +60,36 @@ class Influences:
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
     """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
-    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has one; a triangle whose
-    corners differ gets their mean. A mesh that has its textures in more than `MAX_LOOKS` colours, as a floor of boards
-    may, has similar ones drawn in their mean: every pair of texture and colour is one more thing to draw.
+    Positions, texture coordinates and textures are exact. Colours are exact where a triangle has a single one; a triangle
+    whose corners differ gets their mean. If a mesh shows its textures in more than `MAX_LOOKS` colours, as a floor of
+    boards may, similar colours are replaced by their mean: every pair of texture and colour costs a draw call.
     """
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
     chunk = GlbChunk()
-    document = {
-        "asset": {"version": "2.0", "generator": "h3data"},
-        "scene": 0,
-        "scenes": [{"nodes": list(range(len(nodes)))}],
-        "nodes": [_node(node) for node in nodes],
-        **mesh_lists(chunk, meshes),
-        **chunk.lists(),
-    }
+    records = [
+        {
+            "name": n.name,
+            "mesh": n.mesh,
+            **placement(n.pose, n.scale),
+            **({"extras": dict(n.extras)} if n.extras else {}),
+        }
+        for n in nodes
+    ]
+    lists = mesh_lists(chunk, meshes)
+    document = gltf_document({"nodes": list(range(len(nodes)))}, nodes=records, **lists, **chunk.lists())
     return pack_glb(document, chunk)
 
 
 def mesh_lists(
     chunk: GlbChunk, meshes: Sequence[Mesh], influences: Mapping[int, Influences] | None = None
 ) -> dict[str, Any]:
-    """The members of a glTF document that hold these meshes and their looks; their arrays go into ``chunk``.
+    """Members of a glTF document that hold meshes and their materials; their arrays go into ``chunk``.
 
-    ``influences``: of the meshes that follow a skin, by index.
+    Args:
+        chunk: the chunk of the file.
+        meshes: at least one.
+        influences: those of the meshes that follow a skin, by index.
     """
     split = [_one_color_per_triangle(_checked(mesh)) for mesh in meshes]
     materials = _Materials(chunk, _plain_colors([mesh for mesh, _ in split]))
@@ -115,36 +121,30 @@ class _Materials:
         self.images: list[dict[str, Any]] = []
         if len(palette):
             image = self._image("palette", _palette_pixels(palette, self._side), sampler=0)
-            self.materials.append({"name": "palette", "pbrMetallicRoughness": _matte(image)})
+            self.materials.append({"name": "palette", "pbrMetallicRoughness": matte(image)})
 
     def palette_uv(self, colors: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Where the palette, which is material 0, has each colour; shape [V, 2]."""
+        """Texture coordinates [V, 2] of colours in the palette, which is material 0."""
         index = np.searchsorted(_codes(self._palette), _codes(colors))  # np.unique sorts rows as the codes do
         return (np.stack([index % self._side + 0.5, index // self._side + 0.5], -1) / self._side).astype(np.float32)
 
     def pair(self, texture: Texture, color: NDArray[np.uint8]) -> int:
-        """The material that shows a texture in an sRGB colour [3]."""
+        """Index of the material that shows a texture in an sRGB colour [3]."""
         key = (id(texture), int(_codes(color)))
         if key not in self._pairs:
             if id(texture) not in self._images:
                 self._images[id(texture)] = self._image(texture.name, texture.pixels, sampler=1)
             factor = [*bytes_to_linear(color).tolist(), 1.0]
-            clear = {} if (texture.pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
-            look = {**_matte(self._images[id(texture)]), "baseColorFactor": factor}
+            look = matte(self._images[id(texture)], baseColorFactor=factor)
             name = f"{texture.name or 'texture'} #{bytes(color.tolist()).hex()}"
             self._pairs[key] = len(self.materials)
-            self.materials.append({"name": name, "pbrMetallicRoughness": look, **clear})
+            self.materials.append({"name": name, "pbrMetallicRoughness": look, **cutout(texture.pixels)})
         return self._pairs[key]
 
     def _image(self, name: str, pixels: NDArray[np.uint8], *, sampler: int) -> int:
-        view = self._chunk.view(png_bytes(pixels, gray=False))
-        self.images.append({"bufferView": view, "mimeType": "image/png", "name": name})
+        self.images.append(self._chunk.image(pixels, name, gray=False))
         self.textures.append({"sampler": sampler, "source": len(self.images) - 1})
         return len(self.textures) - 1
-
-
-def _matte(texture: int) -> dict[str, Any]:
-    return {"baseColorTexture": {"index": texture}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
 
 
 def _primitives(
@@ -162,15 +162,14 @@ def _primitives(
         primitive = _primitive(chunk, mesh, used, corners, uv, material)
         if influences is not None:
             joints = np.where(influences.weights[used] > 0, influences.joints[used], 0).astype(np.uint8)
-            weights = influences.weights[used].astype("<f4")
             primitive["attributes"]["JOINTS_0"] = chunk.array(joints, "VEC4", UINT8, VERTICES)
-            primitive["attributes"]["WEIGHTS_0"] = chunk.array(weights, "VEC4", FLOAT32, VERTICES)
+            primitive["attributes"]["WEIGHTS_0"] = chunk.vectors(influences.weights[used])
         primitives.append(primitive)
     return primitives
 
 
 def _looks(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.uint8], NDArray[np.int32]]]:
-    """Texture (-1: none), its sRGB colour and the triangles of each look of a mesh; at most `MAX_LOOKS` with textures."""
+    """Texture (-1: none), sRGB colour and triangles of each look of a mesh; at most `MAX_LOOKS` looks have a texture."""
     kinds = face_texture_indices(mesh).astype(np.int64)
     colors = np.where(kinds[:, None] < 0, 0, mesh.colors[mesh.faces[:, 0]])
     step = 1
@@ -193,29 +192,15 @@ def _primitive(
     uv: NDArray[np.float32],
     material: int,
 ) -> dict[str, Any]:
-    points = mesh.vertices[used].astype("<f4")
-    low, high = points.min(0).tolist(), points.max(0).tolist()
-    attributes = {"POSITION": chunk.array(points, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+    attributes = {"POSITION": chunk.vectors(mesh.vertices[used], limits=True)}
     if mesh.normals is not None:
-        attributes["NORMAL"] = chunk.array(mesh.normals[used].astype("<f4"), "VEC3", FLOAT32, VERTICES)
-    attributes["TEXCOORD_0"] = chunk.array(uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
-    faces = chunk.array(corners.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
-    return {"attributes": attributes, "indices": faces, "material": material, "mode": 4}
-
-
-def _node(node: GlbNode) -> dict[str, Any]:
-    record = {
-        "name": node.name,
-        "mesh": node.mesh,
-        "translation": np.asarray(node.pose[:3], np.float64).tolist(),
-        "rotation": np.clip(normalized(np.asarray(node.pose[3:], np.float64)), -1, 1).tolist(),
-        "scale": np.asarray(node.scale, np.float64).tolist(),
-    }
-    return {**record, "extras": dict(node.extras)} if node.extras else record
+        attributes["NORMAL"] = chunk.vectors(mesh.normals[used])
+    attributes["TEXCOORD_0"] = chunk.vectors(uv)
+    return {"attributes": attributes, "indices": chunk.triangles(corners), "material": material, "mode": 4}
 
 
 def _plain_colors(meshes: Sequence[Mesh]) -> NDArray[np.uint8]:
-    """The colours of all triangles without a texture, each once, shape [K, 3]."""
+    """Distinct colours of all triangles without a texture, shape [K, 3]."""
     colors = [m.colors[m.faces[face_texture_indices(m) < 0].ravel()] for m in meshes]
     return np.unique(np.concatenate(colors), axis=0)
 
@@ -231,8 +216,10 @@ def _codes(colors: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def _one_color_per_triangle(mesh: Mesh) -> tuple[Mesh, NDArray[np.integer]]:
-    """The mesh with corners of their own for triangles whose corners differ in colour, in the mean colour; and the
-    vertex of ``mesh`` that each of its vertices was."""
+    """The mesh with a single colour, the mean, for each triangle whose corners differ, and the source of each vertex.
+
+    Such triangles get corners of their own; the second value is the index into the vertices of ``mesh``.
+    """
     corners = mesh.colors[mesh.faces]
     mixed = (corners != corners[:, :1]).any((1, 2))
     source = np.arange(len(mesh.vertices))

@@ -1,8 +1,7 @@
-"""glTF 2.0 files (GLB, or JSON with files beside it) as meshes: accessors, primitives and the node graph.
+"""Reads glTF 2.0 files (GLB, or JSON with files beside it): buffers, node graph and primitives.
 
-Triangles, strips and fans; triangles with a corner twice are dropped, as strips have them by design, all others stay as
-they are. Skins are left in their rest shape (`h3data.habitat.skinned_meshes` poses them), and so are morph targets; points
-and lines are left out.
+Triangles, strips and fans are read. Triangles that repeat a corner, which strips contain by design, are dropped. Skins and
+morph targets keep their rest shape (`h3data.habitat.skinned_meshes` poses skins); points and lines are ignored.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import base64
 import json
 import logging
-import posixpath
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
+from h3data.files import path_inside
 from h3data.geometry import normalized, quat_to_matrix
 from h3data.mesh.accessors import GltfArrays, entry
 from h3data.mesh.glb import unpack_glb
@@ -29,10 +28,16 @@ from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, read_primitive
 
 _log = logging.getLogger(__name__)
 _KNOWN_EXTENSIONS = {
-    "KHR_draco_mesh_compression", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit",
-    "KHR_texture_basisu", "KHR_texture_ktx", "EXT_texture_webp", "KHR_mesh_quantization",
-}  # fmt: skip
-"""Read, or without effect on what is drawn. Quantised vertices are plain accessors of whole numbers."""
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_texture_basisu",
+    "KHR_texture_ktx",
+    "KHR_texture_transform",
+}
+"""Extensions that are read or do not change the picture. Quantised vertices are plain accessors of integers."""
 
 
 class GltfFile:
@@ -66,14 +71,14 @@ class GltfFile:
         return self._buffers[index]
 
     def _resource(self, uri: Any) -> bytes:
-        """What a ``data:`` uri holds, or a file in the folder of this one or below; never one outside."""
+        """Content of a ``data:`` uri, or of a file in the folder of this one or below; never of one outside."""
         if not isinstance(uri, str) or not uri:
             raise SceneError("it has neither a bufferView nor a uri")
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             return base64.b64decode(unquote(body)) if head.endswith(";base64") else unquote_to_bytes(body)
-        name = posixpath.normpath(unquote(uri).replace("\\", "/"))
-        if name.startswith(("/", "../")) or name == ".." or ":" in name.split("/")[0]:
+        name = path_inside(unquote(uri))
+        if name is None:
             raise ValueError(f"the uri {uri[:200]!r} leads out of the file's folder, which is not followed")
         file = self.path.parent / name
         if not file.is_file():
@@ -85,24 +90,24 @@ class GltfFile:
     def nodes(self) -> list[tuple[int, int, NDArray[np.float64]]]:
         """Nodes of the scene, parents before children: index, position of the parent in this list (-1: none), matrix.
 
-        The matrix [4, 4] is to the file's frame. Raises `ValueError` if a node has two parents or is its own ancestor.
+        The matrix [4, 4] maps to the file's frame. Raises `ValueError` if a node has two parents or is its own ancestor.
         """
-        found: list[tuple[int, int, NDArray[np.float64]]] = []
-        seen: set[int] = set()
+        ordered: list[tuple[int, int, NDArray[np.float64]]] = []
+        visited: set[int] = set()
         waiting = [(index, -1) for index in reversed(self._roots())]
         while waiting:
             index, parent = waiting.pop()
             record = entry(self.document, "nodes", index)
-            if index in seen:
+            if index in visited:
                 raise ValueError(f"nodes[{index}] has two parents or is its own ancestor")
-            seen.add(index)
+            visited.add(index)
             matrix = local_matrix(record, f"nodes[{index}]")
-            found.append((index, parent, found[parent][2] @ matrix if parent >= 0 else matrix))
-            waiting += [(child, len(found) - 1) for child in reversed(record.get("children", []))]
-        return found
+            ordered.append((index, parent, ordered[parent][2] @ matrix if parent >= 0 else matrix))
+            waiting += [(child, len(ordered) - 1) for child in reversed(record.get("children", []))]
+        return ordered
 
     def _roots(self) -> list[int]:
-        """Root nodes of the default scene; without scenes, all nodes that are nobody's children."""
+        """Root nodes of the default scene; without scenes, all nodes without a parent."""
         if self.document.get("scenes"):
             return entry(self.document, "scenes", self.document.get("scene", 0)).get("nodes", [])
         nodes = self.document.get("nodes", [])
@@ -110,7 +115,7 @@ class GltfFile:
         return [index for index in range(len(nodes)) if index not in children]
 
     def _placed_meshes(self) -> list[tuple[int, NDArray[np.float64], object]]:
-        """Index, 4x4 matrix and skin of every mesh that the scene shows; a file without nodes shows each once."""
+        """Index, 4x4 matrix and skin of every mesh in the scene; a file without nodes shows each mesh once."""
         if not self.document.get("nodes"):
             return [(index, np.eye(4), None) for index in range(len(self.document.get("meshes", [])))]
         placed = [(self.node(index), matrix) for index, _, matrix in self.nodes]
@@ -122,7 +127,7 @@ class GltfFile:
 
     # --- triangles ----------------------------------------------------------------------------------------------------
     def mesh(self, index: int) -> list[PlainMesh]:
-        """The primitives of ``meshes[index]`` that have triangles, in its own frame; read once."""
+        """Primitives of ``meshes[index]`` that have triangles, in the mesh's own frame; read once."""
         if index not in self._meshes:
             self._meshes[index] = [read_primitive(self.arrays, self.materials, *p) for p in self._primitives(index)]
         return self._meshes[index]
@@ -133,34 +138,34 @@ class GltfFile:
                 yield primitive, f"meshes[{mesh}].primitives[{k}]"
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
-        """Every primitive that the scene shows, once per node, with its 4x4 matrix to the file's frame."""
+        """Every primitive in the scene, once per node, with its 4x4 matrix to the file's frame."""
         yield from ((part, matrix) for part, matrix, _ in self.skinned_parts())
 
     def skinned_parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64], object]]:
-        """The same with the index of the node's skin; None if it has none."""
+        """Every primitive in the scene, once per node, with its 4x4 matrix and the node's skin (None: no skin)."""
         placed = self._placed_meshes()
         counts = {mesh: sum(triangle_count(self.arrays, *p) for p in self._primitives(mesh)) for mesh, _, _ in placed}
         total = sum(counts[mesh] for mesh, _, _ in placed)
         if total > MAX_TRIANGLES:
-            raise ValueError(f"its nodes show {total} triangles, the most that are read are {MAX_TRIANGLES}")
+            raise ValueError(f"its nodes show {total} triangles, the limit is {MAX_TRIANGLES}")
         for mesh, matrix, skin in placed:
             yield from ((part, matrix, skin) for part in self.mesh(mesh))
 
 
 def _check_extensions(required: Any, path: Path) -> None:
-    """Refuse or tell of what a reader must know to show the file rightly."""
+    """Refuses required extensions that change the geometry; warns about others that are not supported."""
     if not isinstance(required, list):
         raise ValueError(f"extensionsRequired is not a list but {type(required).__name__}")
     unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
     packed = [name for name in unknown if "compression" in name]
     if packed:
-        raise SceneError(f"its triangles are compressed ({packed[0]}), which is not read")
+        raise SceneError(f"its triangles are compressed ({packed[0]}), which is not supported")
     if unknown:
-        _log.warning("It needs glTF extensions that are not read, and may look different: %s: %s", unknown, path)
+        _log.warning("It needs glTF extensions that are not supported, and may look different: %s: %s", unknown, path)
 
 
 def local_matrix(node: dict[str, Any], where: str) -> NDArray[np.float64]:
-    """4x4 matrix of a node in its parent's frame."""
+    """Matrix [4, 4] of a node in its parent's frame."""
     if "matrix" in node:
         return _numbers(node, "matrix", 16, where).reshape(4, 4).T
     matrix = np.eye(4)

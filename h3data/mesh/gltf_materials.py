@@ -1,4 +1,4 @@
-"""Materials of a glTF document: base colour factor, texture and which texture coordinates it takes."""
+"""Materials of a glTF document: base colour factor, texture and texture coordinates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _IMAGE_EXTENSIONS = ("EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_ktx"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
-    """What one material does to the triangles that have it."""
+    """Appearance of the triangles of one material."""
 
     factor: NDArray[np.float64]
     """Linear base colour, shape [3]."""
@@ -31,11 +31,11 @@ class Look:
     uv_set: int = 0
     """The n of ``TEXCOORD_n``."""
     uv_transform: NDArray[np.float64] | None = None
-    """2x3 matrix from the file's texture coordinates to those that count; None leaves them."""
+    """Matrix [2, 3] applied to the file's texture coordinates; None leaves them."""
 
 
 class GltfMaterials:
-    """The materials of one document. Images that cannot be had are warned of once; their materials keep the factor."""
+    """The materials of one document. If images cannot be read, one warning says so; their materials keep the factor."""
 
     def __init__(self, arrays: GltfArrays, resource: Callable[[str], bytes], where: str) -> None:
         self._arrays, self._document, self._resource, self._where = arrays, arrays.document, resource, where
@@ -73,10 +73,9 @@ class GltfMaterials:
         for index in self._sources(info):
             try:
                 data = self._image(index)
-                return image_texture(
-                    data, name=str(entry(self._document, "images", index).get("name", "")), side=self._largest_side(),
-                    alpha=alpha, cutoff=cutoff, opacity=opacity,
-                )  # fmt: skip
+                name = str(entry(self._document, "images", index).get("name", ""))
+                side = self._largest_side()
+                return image_texture(data, name=name, side=side, alpha=alpha, cutoff=cutoff, opacity=opacity)
             except SceneError as reason:
                 fault = f"images[{index}]: {reason}"
         if not self._warned:
@@ -87,7 +86,7 @@ class GltfMaterials:
         return None
 
     def _sources(self, info: dict[str, Any]) -> list[int]:
-        """Images that a texture can be had from, the plain one first."""
+        """Images that hold a texture, the plain one first."""
         texture = entry(self._document, "textures", info.get("index"))
         extensions = texture.get("extensions", {})
         records = [texture, *(extensions[name] for name in _IMAGE_EXTENSIONS if name in extensions)]
@@ -104,7 +103,7 @@ class GltfMaterials:
         return self._images[index]
 
     def _largest_side(self) -> int:
-        """The side to which images are reduced, so that all that are used as base colours fit into memory."""
+        """Largest side [px] of images, chosen so that all base colour textures fit into memory."""
         if self._side is None:
             wanted = set()
             for material in self._document.get("materials", []):
@@ -115,13 +114,13 @@ class GltfMaterials:
                 try:
                     sizes.append(image_size(self._image(index)))
                 except SceneError:
-                    continue  # told when the image is needed
+                    continue  # reported when the image is needed
             self._side = largest_side(sizes)
         return self._side
 
 
 def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str, Any] | None]:
-    """Factor and texture of a material, metallic or of the older specular kind."""
+    """Factor and texture of a material, metallic-roughness or the older specular-glossiness."""
     older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     if older is not None:
         return older.get("diffuseFactor"), older.get("diffuseTexture")
@@ -130,13 +129,13 @@ def _base_color(material: dict[str, Any]) -> tuple[list[float] | None, dict[str,
 
 
 def _uv_transform(moved: dict[str, Any], where: str) -> NDArray[np.float64] | None:
-    """KHR_texture_transform: scaled, turned counter-clockwise as seen on the image, moved."""
+    """Matrix [2, 3] of KHR_texture_transform: scale, rotate counter-clockwise as seen on the image, translate."""
     if not {"offset", "rotation", "scale"} & set(moved):
         return None
     offset = np.array(moved.get("offset", (0, 0)), np.float64)
     scale = np.array(moved.get("scale", (1, 1)), np.float64)
     angle = float(moved.get("rotation", 0))
     if offset.shape != (2,) or scale.shape != (2,) or not np.isfinite([*offset, *scale, angle]).all():
-        raise ValueError(f"{where} has a KHR_texture_transform that is none: {moved!r}")
+        raise ValueError(f"{where} has a KHR_texture_transform that is not one: {moved!r}")
     cos, sin = np.cos(angle), np.sin(angle)
     return np.column_stack([np.array([[cos, sin], [-sin, cos]]) * scale, offset])

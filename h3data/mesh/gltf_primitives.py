@@ -1,4 +1,4 @@
-"""Primitives of glTF files: triangles, colours and texture coordinates of one accessor set, in the mesh's own frame."""
+"""Primitives of glTF files as triangles with colours and texture coordinates, in the mesh's own frame."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from h3data.mesh.records import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (204, 204, 204)
-"""sRGB of a surface whose file says nothing about its colour."""
+"""sRGB of surfaces without a colour in their file."""
 MAX_TRIANGLES = 30_000_000
-"""Triangles of one file, copies by its nodes counted; larger files are refused before anything is read."""
+"""Limit of triangles per file, instances counted; larger files are refused before anything is read."""
 
 _STRIP, _FAN = 5, 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlainMesh:
-    """The triangles of one primitive; only vertices that they use."""
+    """The triangles of one primitive, and the vertices that they use."""
 
     vertices: NDArray[Any]
     """Shape [V, 3]."""
@@ -41,7 +41,7 @@ class PlainMesh:
 
 
 def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) -> int:
-    """At most how many triangles a primitive has, from the counts alone."""
+    """Upper bound of the triangles of a primitive, from the accessors' counts alone."""
     attributes = _object(primitive, "attributes", where)
     index = primitive.get("indices", attributes.get("POSITION"))
     count = natural(entry(arrays.document, "accessors", index), "count", f"accessors[{index}]")
@@ -49,10 +49,10 @@ def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) ->
 
 
 def read_primitive(arrays: GltfArrays, materials: GltfMaterials, primitive: dict[str, Any], where: str) -> PlainMesh:
-    """The triangles of ``primitive``, which stands at ``where`` in the document.
+    """Reads the triangles of ``primitive``, found at ``where`` in the document.
 
     Raises:
-        ValueError: something in it is not glTF; the message names the key.
+        ValueError: the primitive is not valid glTF; the message names the key.
     """
     packed = _object(primitive, "extensions", where).get("KHR_draco_mesh_compression")
     accessors = _object(primitive, "attributes", where)
@@ -91,11 +91,11 @@ def _influences(attributes: Mapping[str, NDArray[Any]], where: str) -> tuple[NDA
 
 
 def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) -> NDArray[np.int64]:
-    """Vertex indices [F, 3] of the primitive, without triangles that have a corner twice."""
+    """Vertex indices [F, 3] of the primitive, without triangles that repeat a corner."""
     if order is None:
         order = np.arange(count)
     if order.ndim != 1 or order.dtype.kind not in "ui":
-        raise ValueError(f"{where}.indices is not an accessor of whole numbers")
+        raise ValueError(f"{where}.indices is not an accessor of integers")
     order = order.astype(np.int64)
     if len(order) and (order.max() >= count or order.min() < 0):
         raise ValueError(f"{where}.indices go from {order.min()} to {order.max()}, there are {count} vertices")
@@ -112,7 +112,7 @@ def _triangles(order: NDArray[Any] | None, count: int, mode: int, where: str) ->
 
 
 def _compact(faces: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int32]]:
-    """The vertices that are used, and the faces between them. Costs no more than the larger of the two."""
+    """The vertices in use, and the faces between them. Takes time linear in the larger of the two."""
     if faces.size * 4 < count:  # a small part of a large accessor that primitives share
         used, faces = np.unique(faces, return_inverse=True)
         return used, faces.reshape(-1, 3).astype(np.int32)
@@ -145,13 +145,18 @@ def _painted(
     if texture is None:
         uv = None
     return PlainMesh(
-        vertices=position, faces=faces, colors=_colors(color, look, len(position)), normals=normals, uv=uv,
-        texture=None if uv is None else texture, influences=_influences(attributes, where),
-    )  # fmt: skip
+        vertices=position,
+        faces=faces,
+        colors=_colors(color, look, len(position)),
+        normals=normals,
+        uv=uv,
+        texture=None if uv is None else texture,
+        influences=_influences(attributes, where),
+    )
 
 
 def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArray[np.uint8]:
-    """sRGB [V, 3] of linear vertex colours times the material's."""
+    """sRGB [V, 3] of linear vertex colours times the material's factor."""
     if linear is None:
         color = DEFAULT_COLOR if look is None else linear_to_bytes(look.factor)
         return np.full((count, 3), color, np.uint8)
@@ -160,7 +165,7 @@ def _colors(linear: NDArray[Any] | None, look: Look | None, count: int) -> NDArr
 
 
 def nearest_texels(texture: Texture, uv: NDArray[Any]) -> NDArray[np.uint8]:
-    """The texels [V, 4] at texture coordinates [V, 2], repeated outside 0..1."""
+    """Texels [V, 4] at texture coordinates [V, 2], which repeat outside 0..1."""
     height, width = texture.pixels.shape[:2]
     column = np.minimum((uv[:, 0] % 1.0 * width).astype(int), width - 1)
     row = np.minimum((uv[:, 1] % 1.0 * height).astype(int), height - 1)
@@ -170,7 +175,7 @@ def nearest_texels(texture: Texture, uv: NDArray[Any]) -> NDArray[np.uint8]:
 def _unpacked(
     arrays: GltfArrays, packed: dict[str, Any], accessors: Mapping[str, int]
 ) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
-    """Attributes and indices of a primitive that Draco compressed; ``accessors`` say which integers are normalised."""
+    """Attributes and indices of a Draco-compressed primitive; ``accessors`` say which integers are normalised."""
     try:
         import DracoPy
     except ModuleNotFoundError:

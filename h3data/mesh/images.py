@@ -1,6 +1,6 @@
-"""Images of mesh files as texels: PNG, JPEG, WebP and whatever else Pillow reads, and KTX2 with Basis Universal.
+"""Decodes images of mesh files: PNG, JPEG, WebP and whatever else Pillow reads, and KTX2 with Basis Universal.
 
-The size is read from the header before anything is decoded, and no image takes more than it may.
+The size is read from the header and checked before anything is decoded.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from h3data.mesh.records import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MAX_SIDE_PX = 2048
-"""Larger images are reduced by 2, 4, ... until they fit: what a picture of a room can show, and 16 MiB each."""
+"""Larger images are reduced by 2, 4, ... until they fit: more detail than a picture of a room shows, at 16 MiB each."""
 MAX_FILE_PX = 1 << 27
-"""Texels of all images of one file (512 MiB): if there are more, the largest are reduced until they fit."""
+"""Limit of texels in all images of one file (512 MiB): beyond it, the largest are reduced until they fit."""
 _BAND_PX = 1 << 20
 
 _KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]
-"""What an image's fourth channel means, as glTF's ``alphaMode``."""
+"""Meaning of an image's fourth channel, as glTF's ``alphaMode``."""
 
 _textures: WeakValueDictionary[tuple[Any, ...], Texture] = WeakValueDictionary()
-"""Textures in use by their content, so that files which hold the same image share it."""
+"""Textures in use, by content: files with the same image share one."""
 
 
 def image_size(data: bytes | memoryview) -> tuple[int, int]:
-    """Width and height [px] from an image's header. Raises `SceneError` if it is none that we read."""
+    """Width and height [px] from an image's header. Raises `SceneError` if it cannot be read."""
     if data[:12] == _KTX2:
         if len(data) < 80:
             raise SceneError("it is cut off")
@@ -46,7 +46,7 @@ def image_size(data: bytes | memoryview) -> tuple[int, int]:
 
 
 def largest_side(sizes: list[tuple[int, int]]) -> int:
-    """Side [px], at most `MAX_SIDE_PX`, to which images of one file must be reduced so that they take `MAX_FILE_PX`."""
+    """Largest side [px], at most `MAX_SIDE_PX`, with which all images of one file fit into `MAX_FILE_PX`."""
     side = MAX_SIDE_PX
     while side > 1 and sum(np.prod(reduced_size(w, h, side), dtype=np.int64) for w, h in sizes) > MAX_FILE_PX:
         side //= 2
@@ -54,7 +54,7 @@ def largest_side(sizes: list[tuple[int, int]]) -> int:
 
 
 def reduced_size(width: int, height: int, side: int) -> tuple[int, int]:
-    """The size of an image after it was divided by the least power of two that makes it fit into ``side``."""
+    """Size of an image divided by the least power of two that makes it fit into ``side``."""
     divisor = 1
     while max(width, height) > side * divisor:
         divisor *= 2
@@ -62,33 +62,41 @@ def reduced_size(width: int, height: int, side: int) -> tuple[int, int]:
 
 
 def image_texture(
-    data: bytes | memoryview, *, name: str = "", side: int = MAX_SIDE_PX, alpha: Alpha = "BLEND", cutoff: float = 0.5,
+    data: bytes | memoryview,
+    *,
+    name: str = "",
+    side: int = MAX_SIDE_PX,
+    alpha: Alpha = "BLEND",
+    cutoff: float = 0.5,
     opacity: float = 1.0,
-) -> Texture:  # fmt: skip
-    """The texture of an encoded image, reduced to fit into ``side`` x ``side``; the same content gives the same object.
+) -> Texture:
+    """Decodes an image, reduced to fit into ``side`` x ``side``; equal content gives the same object.
 
-    ``OPAQUE`` makes every texel opaque, ``MASK`` those whose opacity reaches ``cutoff`` and all others clear; before that
-    all are made less opaque by the factor ``opacity``.
-    Raises `SceneError` (the reason alone) if it cannot be read.
+    The opacity of every texel is first multiplied by ``opacity``. ``OPAQUE`` then makes all texels opaque; ``MASK`` makes
+    those opaque that reach ``cutoff``, and all others clear.
+
+    Raises:
+        SceneError: the image cannot be read; the message is the reason alone.
     """
     key = (hashlib.sha256(data).digest(), side, alpha)
     key += (cutoff if alpha == "MASK" else 0.0, opacity if alpha != "OPAQUE" else 1.0)
-    found = _textures.get(key)
-    if found is None:
+    texture = _textures.get(key)
+    if texture is None:
         pixels = _ktx2_pixels(data, side) if data[:12] == _KTX2 else _pixels(_opened(data), side)
-        found = _textures[key] = Texture(pixels=_with_alpha(reduced(pixels, side), alpha, cutoff, opacity), name=name)
-    return found
+        texture = Texture(pixels=_with_alpha(reduced(pixels, side), alpha, cutoff, opacity), name=name)
+        _textures[key] = texture
+    return texture
 
 
 def picture_texture(picture: Any, *, name: str = "", side: int = MAX_SIDE_PX) -> Texture:
-    """The opaque texture of an open Pillow image, as `image_texture`."""
+    """The opaque texture of an open Pillow image; see `image_texture`."""
     _acceptable(*picture.size)
     pixels = reduced(_pixels(picture, side), side)
     key = (hashlib.sha256(pixels.tobytes()).digest(), pixels.shape, "picture")
-    found = _textures.get(key)
-    if found is None:
-        found = _textures[key] = Texture(pixels=_with_alpha(pixels, "OPAQUE"), name=name)
-    return found
+    texture = _textures.get(key)
+    if texture is None:
+        texture = _textures[key] = Texture(pixels=_with_alpha(pixels, "OPAQUE"), name=name)
+    return texture
 
 
 def reduced(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
@@ -121,24 +129,24 @@ def _linear_table() -> NDArray[np.float32]:
 
 def _acceptable(width: int, height: int) -> tuple[int, int]:
     if not 0 < width * height <= MAX_PX:
-        raise SceneError(f"{width} x {height} texels, the most that is read are {MAX_PX}")
+        raise SceneError(f"{width} x {height} texels, the limit is {MAX_PX}")
     return width, height
 
 
 def _opened(data: bytes | memoryview) -> Any:
-    """The image as Pillow opens it: its size is known, its texels are not decoded."""
+    """The image opened by Pillow: its size is known, its texels are not decoded yet."""
     from PIL import Image
 
     try:
         picture = Image.open(io.BytesIO(data))
-    except Exception as fault:  # whatever its many readers raise
-        raise SceneError("it is no image that can be read" if not len(data) else _reason(fault)) from None
+    except Exception as fault:  # Pillow's readers raise many types
+        raise SceneError("it is empty" if not len(data) else _reason(fault)) from None
     _acceptable(*picture.size)
     return picture
 
 
 def _pixels(picture: Any, side: int) -> NDArray[np.uint8]:
-    """RGBA texels [H, W, 4] of a Pillow image; a JPEG comes reduced if it would be reduced afterwards."""
+    """RGBA texels [H, W, 4] of a Pillow image; a JPEG that is too large is reduced while it is decoded."""
     try:
         width, height = picture.size
         picture.draft("RGB", reduced_size(width, height, side))

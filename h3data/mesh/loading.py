@@ -1,10 +1,11 @@
-"""Meshes from files: GLB and glTF, OBJ, PLY and STL, in our frame and metres, with their colours and textures."""
+"""Loads meshes from GLB, glTF, OBJ, PLY and STL files: +Y up, metres, with colours and textures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,8 @@ from h3data.mesh.trimesh_files import read_with_trimesh
 __all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+_READABLE = (*MESH_SUFFIXES, ".dae")
+"""Collada, which some robots have, needs the package pycollada."""
 _GLTF_SUFFIXES = (".glb", ".gltf")
 
 Vector3 = tuple[float, float, float]
@@ -32,7 +35,7 @@ def load_mesh(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> Mesh:
-    """The triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
+    """Loads the triangles of a file as one mesh, +Y up, -Z forward, metres; its scene graph is flattened.
 
     ``up`` and ``front`` are the axes *of the file* that point up and forward, as in Habitat's ``frame``
     (spec/habitat.md 5.1): YCB files have up +Z, front +Y.
@@ -40,30 +43,28 @@ def load_mesh(
     Colours are sRGB per vertex: the file's vertex colours times the material's base colour, in linear light. Base
     colour textures are kept (PNG, JPEG, WebP; KTX2 with Basis Universal if ``h3data[gltf]`` is installed), equal
     images as one `Texture`, reduced to at most 2048 texels a side; samplers that clamp or mirror repeat instead. Where
-    every triangle sees a single texel, as with a palette, that is its colour and the texture is left out. If an image
-    cannot be had, its surfaces keep the material's colour and one warning per file says why. Normals are kept if the
-    file has them; else None, which shades flat.
+    every triangle shows a single texel, as with a palette, it takes the texel's colour and the texture is dropped. If an
+    image cannot be read, its surfaces keep the material's colour, and one warning per file says why. Without normals in
+    the file, `Mesh.normals` is None, which shades flat.
 
     The result is cached per file, time stamp and frame: do not write to it.
 
     Raises:
         MissingAssetError: there is no such file.
-        SceneError: it is damaged, of another kind, compressed in a way that is not read, has no triangles or vertices
-            that are not finite, or names files outside its folder.
+        SceneError: the file is damaged, of another kind, compressed in an unsupported way, has no triangles or has
+            vertices that are not finite, or names files outside its folder.
     """
     path = Path(path)
     if not is_file(path):
         raise MissingAssetError(f"There is no such mesh file. Hint: check the asset roots. {path}")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise SceneError(
-            f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(MESH_SUFFIXES)}: {path}"
-        )
+    if path.suffix.lower() not in _READABLE:
+        raise SceneError(f"Cannot read a mesh of type {path.suffix!r}. Expected one of {', '.join(_READABLE)}: {path}")
     up3, front3 = _vector3(up), _vector3(front)
     return _load_cached(str(path), path.stat().st_mtime_ns, up3, front3, float(units_m))
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; also for paths that others wrote down, which may be too long for the file system."""
+    """Whether a file exists; False also for recorded paths that are too long for the file system."""
     try:
         return path.is_file()
     except OSError:
@@ -77,27 +78,27 @@ def node_box(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Smallest and largest corner [2, 3] [m] of a file's contents as habitat-sim computes them, in our frame.
+    """Bounding box of a file's contents as habitat-sim computes it, corners [2, 3] [m] in our frame.
 
-    Each node's box encloses its mesh's box and the *boxes* of its children, turned into its frame; so the result is
-    larger than the mesh where nodes are turned. Its middle is where Habitat puts the origin of an object
+    Each node's box encloses its mesh's box and the *boxes* of its children, rotated into its frame; so the result is
+    larger than the mesh where nodes are rotated. Habitat puts the origin of an object at its centre
     (habitat-findings, "what habitat-sim itself does" 2).
     """
     path = Path(path)
     rotation = frame_rotation(_vector3(up), _vector3(front))
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
-            found = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # such values are refused below
+            box = _node_box(GltfFile(path)) if _is_gltf(path) else load_mesh(path).bounds.astype(np.float64)
     except Exception as fault:
         raise unreadable(fault, path) from None
-    if not len(found) or not np.isfinite(found).all():
+    if not len(box) or not np.isfinite(box).all():
         raise SceneError(f"A mesh file without triangles: {path}")
-    turned = _corners(found) @ rotation.T * units_m
+    turned = _corners(box) @ rotation.T * units_m
     return np.stack([turned.min(0), turned.max(0)])
 
 
 def _node_box(file: GltfFile) -> NDArray[np.float64]:
-    """The box of the root, [2, 3] or [0, 3] if nothing is in it."""
+    """Box of the root, [2, 3], or [0, 3] if the file is empty."""
     nothing = np.zeros((0, 3))
     if not file.nodes:
         return _box_around([_bounds(part) for part, _ in file.parts()])
@@ -131,7 +132,7 @@ def _corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def frame_rotation(up: ArrayLike, front: ArrayLike) -> NDArray[np.float64]:
-    """3x3 rotation from a file's frame to ours: ``up`` goes to +Y, ``front`` to -Z (spec/habitat.md 5.1)."""
+    """Rotation [3, 3] from a file's frame to ours: ``up`` becomes +Y, ``front`` -Z (spec/habitat.md 5.1)."""
     u, f = np.asarray(up, np.float64), np.asarray(front, np.float64)
     lengths = np.linalg.norm(u), np.linalg.norm(f)
     perpendicular = u.shape == f.shape == (3,) and abs(u @ f) < 1e-3 * lengths[0] * lengths[1]  # False for NaN and zero
@@ -157,12 +158,12 @@ def load_parts(
     front: Sequence[float] = (0.0, 0.0, -1.0),
     units_m: float = 1.0,
 ) -> list[Mesh]:
-    """What `load_mesh` joins: a mesh for each primitive of each node. Not cached; fails as `load_mesh` does."""
+    """Loads the parts that `load_mesh` joins: one mesh per primitive and node. Not cached; raises as `load_mesh` does."""
     path, rotation = Path(path), frame_rotation(_vector3(up), _vector3(front))
     to_metres = np.eye(4)
     to_metres[:3, :3] = rotation * units_m
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # such values are refused below
             if _is_gltf(path):
                 parts = [
                     _placed(part, to_metres @ matrix) for part, matrix in GltfFile(path).parts() if len(part.faces)
@@ -188,7 +189,7 @@ def _load_cached(path: str, mtime_ns: int, up: Vector3, front: Vector3, units_m:
 
 
 def unreadable(fault: Exception, path: Path) -> SceneError:
-    """What the reader of a file met, with the file's name."""
+    """The error for a file whose reader failed with ``fault``."""
     if str(path) in str(fault):
         return SceneError(str(fault))
     plain = isinstance(fault, ValueError | SceneError) and str(fault)
@@ -199,19 +200,24 @@ def unreadable(fault: Exception, path: Path) -> SceneError:
 def _placed(part: Mesh | PlainMesh, matrix: NDArray[np.float64]) -> Mesh:
     """A part moved by a 4x4 matrix; a mirrored one is turned right side out again."""
     linear, faces = matrix[:3, :3], part.faces
-    if np.linalg.det(linear) < 0:
+    mirrored = np.linalg.det(linear) < 0
+    if mirrored:
         faces = faces[:, ::-1]
-    normals = None
-    if part.normals is not None:
-        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])  # also of flat matrices, which have no inverse
-        sign = -1 if np.linalg.det(linear) < 0 else 1
-        normals = normalized(np.nan_to_num(part.normals.astype(np.float64)) @ (sign * cofactors).T).astype(np.float32)
     textures = part.textures if isinstance(part, Mesh) else (() if part.texture is None else (part.texture,))
     return Mesh(
         vertices=(part.vertices.astype(np.float64) @ linear.T + matrix[:3, 3]).astype(np.float32),
         faces=np.ascontiguousarray(faces),
         colors=part.colors,
-        normals=normals,
+        normals=None if part.normals is None else _turned(part.normals, linear, mirrored),
         uv=part.uv,
         textures=textures,
     )
+
+
+def _turned(normals: NDArray[Any], linear: NDArray[np.float64], mirrored: bool) -> NDArray[np.float32]:
+    """Unit normals [V, 3] of a surface moved by a 3x3 matrix."""
+    if (linear == np.eye(3)).all() and np.abs((normals * normals).sum(1) - 1).max() < 1e-6:
+        return normals.astype(np.float32, copy=False)  # dividing by the length again would change their last bits
+    cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])  # also of flat matrices, which have no inverse
+    sign = -1 if mirrored else 1
+    return normalized(np.nan_to_num(normals.astype(np.float64)) @ (sign * cofactors).T).astype(np.float32)

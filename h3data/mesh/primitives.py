@@ -1,4 +1,4 @@
-"""Meshes of Magnum's primitives, which Habitat recordings name instead of a file (``cylinderSolid_rings_1_...``)."""
+"""Meshes of simple solids, and of Magnum's primitives, which Habitat recordings name (``cylinderSolid_rings_1_...``)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import SceneError
+from h3data.geometry import Array, normalized
 from h3data.mesh.loading import DEFAULT_COLOR
 from h3data.mesh.records import Mesh
 
 _FINEST = 256
-"""Rings and segments are cut off here: a name in a file must not decide how much memory is taken."""
+"""Limit of rings and segments: a name in a file must not decide how much memory is allocated."""
 
 _LONGEST = 1e6
 
@@ -22,13 +23,13 @@ _NAME = re.compile(r"^(cube|capsule3D|cylinder|cone|uvSphere|icosphere)(Solid|Wi
 
 
 def is_primitive(name: str) -> bool:
-    """Whether a recorded asset name is one of Magnum's primitives (no file stands behind it)."""
+    """Whether a recorded asset name is one of Magnum's primitives, not a file."""
     return _NAME.match(name) is not None
 
 
 @lru_cache(maxsize=256)
 def primitive_mesh(name: str) -> Mesh:
-    """The primitive that habitat-sim draws under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
+    """The primitive that habitat-sim shows under this name, e.g. ``capsule3DSolid_hemiRings_4_..._halfLen_0.75_...``.
 
     All have radius (or half edge) 1 and the y axis as their axis; ``halfLen`` is half the length of the straight part.
     Segments start at +Z, as Magnum's do. Wireframes are lines: they become a mesh without triangles.
@@ -67,7 +68,7 @@ def primitive_mesh(name: str) -> Mesh:
 def box_mesh(
     half_extents: Sequence[float], *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR
 ) -> Mesh:
-    """An axis-aligned box with flat faces."""
+    """An axis-aligned box, shaded flat."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
@@ -75,7 +76,7 @@ def box_mesh(
 
 
 def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequence[int] = DEFAULT_COLOR) -> Mesh:
-    """All points within ``radius`` of the segment from ``start`` to ``end``, as a mesh with 12 segments."""
+    """A capsule around the line segment from ``start`` to ``end``, with 12 segments."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length if length > 0 else np.array([0.0, 1.0, 0.0])
@@ -90,6 +91,31 @@ def capsule_mesh(start: ArrayLike, end: ArrayLike, radius: float, *, color: Sequ
         colors=np.broadcast_to(np.asarray(color, np.uint8), unit.vertices.shape).copy(),
         normals=(unit.normals @ rotation.T).astype(np.float32),
     )
+
+
+def round_mesh(
+    radius: float, length: float, color: tuple[int, int, int], *, caps: bool, segments: int = 20, rings: int = 6
+) -> Mesh:
+    """A capsule (``caps``) or a cylinder along z, centred at the origin, smooth; a capsule of length 0 is a sphere."""
+    half = length / 2
+    if caps:
+        angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * rings)
+        profile = np.stack([radius * np.cos(angle), radius * np.sin(angle) + np.where(angle > 0, half, -half)], axis=1)
+        slope = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    else:  # rim vertices twice: once for the flat end, once for the side
+        profile = np.array([[0, -half], [radius, -half], [radius, -half], [radius, half], [radius, half], [0, half]])
+        slope = np.array([[0, -1], [0, -1], [1, 0], [1, 0], [0, 1], [0, 1.0]])
+    turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+    def swept(rows: Array) -> Array:
+        flat = rows[:, None, :1] * ring
+        return np.concatenate([flat, np.broadcast_to(rows[:, None, 1:], (*flat.shape[:2], 1))], axis=2).reshape(-1, 3)
+
+    i, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(segments), indexing="ij")
+    a, b = i * segments + j, i * segments + (j + 1) % segments
+    quads = np.stack([np.stack([a, b, b + segments], -1), np.stack([a, b + segments, a + segments], -1)])
+    return _mesh(swept(profile), quads.reshape(-1, 3), normals=normalized(swept(slope)), color=color)
 
 
 def _count(name: str, key: str, default: int, *, least: int = 1) -> int:
@@ -114,7 +140,7 @@ def _mesh(
 
 
 def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], segments: int, *, smooth: bool) -> Mesh:
-    """A profile (bottom to top) turned about the y axis; ``smooth`` adds the normals of a sphere-ended profile."""
+    """A profile (bottom to top) revolved about the y axis; ``smooth`` adds the normals of a sphere-ended profile."""
     angle = np.arange(segments) * 2 * np.pi / segments
     circle = np.stack([np.sin(angle), np.zeros(segments), np.cos(angle)], -1)
     ring = radii[:, None, None] * circle + heights[:, None, None] * np.array([0, 1.0, 0])
@@ -133,7 +159,7 @@ def _lathe(radii: NDArray[np.float64], heights: NDArray[np.float64], segments: i
 
 
 def _icosphere(subdivisions: int) -> Mesh:
-    """Magnum's icosahedron, each triangle split in four ``subdivisions`` times and pushed out to radius 1."""
+    """Magnum's icosahedron, each triangle split into four ``subdivisions`` times and pushed out to radius 1."""
     from scipy.spatial import ConvexHull
 
     s, l = 0.525731112119133606, 0.850650808352039932

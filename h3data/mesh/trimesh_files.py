@@ -1,9 +1,8 @@
-"""OBJ, PLY and STL files as meshes, through trimesh: colours of vertices, faces and materials, and textures."""
+"""Reads OBJ, PLY, STL and Collada files through trimesh: colours of vertices, faces and materials, and textures."""
 
 from __future__ import annotations
 
 import logging
-import posixpath
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
+from h3data.files import path_inside
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.images import picture_texture
 from h3data.mesh.records import Mesh, Texture
@@ -19,16 +19,16 @@ _log = logging.getLogger(__name__)
 
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
-    """The meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
+    """Reads the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
 
-    Material files and images that the file names are read from its folder or below; `SceneError` if they lie outside,
-    one warning if they are not there.
+    Material files and images that the file names are read from its folder or below: `SceneError` if they lie outside,
+    one warning if they are missing.
     """
     import trimesh
 
     beside = _Beside(path.parent)
     resolver: Any = beside
-    with path.open("rb") as file, np.errstate(all="ignore"):  # of values that are refused afterwards
+    with path.open("rb") as file, np.errstate(all="ignore"):  # such values are refused afterwards
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
     if beside.outside:
         raise SceneError(f"the name {beside.outside[0]!r} leads out of the file's folder, which is not followed")
@@ -39,7 +39,7 @@ def read_with_trimesh(path: Path) -> list[Mesh]:
 
 
 class _Beside:
-    """Gives trimesh the files that a mesh file names, and keeps the names of those that it may not or cannot have."""
+    """Gives trimesh the files that a mesh file names; keeps the names of those that lie outside or are missing."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -48,8 +48,8 @@ class _Beside:
 
     def get(self, name: Any) -> bytes:
         text = (name.decode(errors="replace") if isinstance(name, bytes) else str(name)).strip()
-        clean = posixpath.normpath(text.replace("\\", "/"))
-        if clean.startswith(("/", "../")) or clean == ".." or ":" in clean.split("/")[0]:
+        clean = path_inside(text)
+        if clean is None:
             self.outside.append(text[:200])
             raise FileNotFoundError(text)
         try:
@@ -74,17 +74,15 @@ def _mesh(geometry: Any, path: Path) -> Mesh:
         colors = np.repeat(np.asarray(visual.face_colors)[:, :3].astype(np.uint8), 3, axis=0)
         corners = faces.ravel()
         faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-        return Mesh(
-            vertices=vertices[corners], faces=faces, colors=colors,
-            normals=None if normals is None else normals[corners],
-        )  # fmt: skip
+        normals = None if normals is None else normals[corners]
+        return Mesh(vertices=vertices[corners], faces=faces, colors=colors, normals=normals)
     if visual.kind == "vertex":
         colors = np.ascontiguousarray(np.asarray(visual.vertex_colors)[:, :3].astype(np.uint8))
         return Mesh(vertices=vertices, faces=faces, colors=colors, normals=normals)
     material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
     image = _first(material, "image", "baseColorTexture")
     if image is not None and getattr(image, "format", None) is None:
-        material = image = None  # trimesh's stand-in for a material that is not there
+        material = image = None  # trimesh's stand-in for a missing material
     texture = None if image is None or uv is None or len(uv) != len(vertices) else _texture(image, material, path)
     if texture is None:
         factor = _first(material, "diffuse", "baseColorFactor")

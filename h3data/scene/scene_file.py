@@ -22,15 +22,26 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.files import part_file
-from h3data.geometry import normalized
 from h3data.mesh.accessors import GltfArrays, entry
-from h3data.mesh.glb import FLOAT32, INDICES, INT16, UINT16, UINT32, VERTICES, GlbChunk, pack_glb, unpack_glb
-from h3data.mesh.png import png_bytes, png_pixels
+from h3data.mesh.glb import (
+    FLOAT32,
+    INT16,
+    UINT16,
+    UINT32,
+    VERTICES,
+    GlbChunk,
+    cutout,
+    gltf_document,
+    matte,
+    pack_glb,
+    placement,
+    unpack_glb,
+)
+from h3data.mesh.png import png_pixels
 from h3data.mesh.records import Mesh, Texture
 from h3data.scene.records import Asset, Instance, Scene
 from h3data.scene.scene_json import (
     asset_record,
-    floats,
     instance_record,
     light_record,
     read_asset,
@@ -69,19 +80,15 @@ class _Textures:
         self._chunk = chunk
         self._place: dict[int, int] = {}
         self.images: list[dict[str, Any]] = []
-        self.materials: list[dict[str, Any]] = [
-            {"name": "vertex colours", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
-        ]
+        self.materials: list[dict[str, Any]] = [{"name": "vertex colours", "pbrMetallicRoughness": matte()}]
 
     def index(self, texture: Texture) -> int:
         """Index of the texture in the file; its material has the next index, since material 0 has no texture."""
         if id(texture) not in self._place:
             place = self._place[id(texture)] = len(self.images)
-            view = self._chunk.view(png_bytes(texture.pixels))
-            self.images.append({"bufferView": view, "mimeType": "image/png", "name": texture.name})
-            base = {"baseColorTexture": {"index": place}, "metallicFactor": 0.0, "roughnessFactor": 1.0}
-            clear = {} if (texture.pixels[..., 3] == 255).all() else {"alphaMode": "MASK"}
-            self.materials.append({"name": texture.name, "pbrMetallicRoughness": base, **clear})
+            self.images.append(self._chunk.image(texture.pixels, texture.name, gray=True))
+            look = {"pbrMetallicRoughness": matte(place), **cutout(texture.pixels)}
+            self.materials.append({"name": texture.name, **look})
         return self._place[id(texture)]
 
     def records(self) -> dict[str, Any]:
@@ -104,19 +111,17 @@ def _add_mesh(chunk: GlbChunk, asset: Asset, textures: _Textures) -> dict[str, A
     for what, values in (("vertices", mesh.vertices), ("normals", mesh.normals), ("uv", mesh.uv)):
         if values is not None and not np.isfinite(values).all():
             raise SceneError(f"Asset {asset.name!r} has {what} that are not finite; a scene file cannot store them.")
-    low, high = mesh.bounds.tolist()
-    vertices = mesh.vertices.astype("<f4")
-    out: dict[str, Any] = {"POSITION": chunk.array(vertices, "VEC3", FLOAT32, VERTICES, min=low, max=high)}
+    out: dict[str, Any] = {"POSITION": chunk.vectors(mesh.vertices, limits=True)}
     if mesh.normals is not None:
-        out["NORMAL"] = chunk.array(mesh.normals.astype("<f4"), "VEC3", FLOAT32, VERTICES)
-    rgba = np.full((len(vertices), 4), 65535, "<u2")  # a fourth component keeps every vertex aligned to 4 bytes
+        out["NORMAL"] = chunk.vectors(mesh.normals)
+    rgba = np.full((len(mesh.vertices), 4), 65535, "<u2")  # a fourth component keeps every vertex aligned to 4 bytes
     rgba[:, :3] = _linear_of_srgb()[mesh.colors]
     out["COLOR_0"] = chunk.array(rgba, "VEC4", UINT16, VERTICES, normalized=True)
     if mesh.uv is not None:
-        out["TEXCOORD_0"] = chunk.array(mesh.uv.astype("<f4"), "VEC2", FLOAT32, VERTICES)
+        out["TEXCOORD_0"] = chunk.vectors(mesh.uv)
     if len(mesh.faces):
         faces = mesh.faces if mesh.face_textures is None else mesh.faces[_by_texture(mesh.face_textures)]
-        out["indices"] = chunk.array(faces.astype("<u4").ravel(), "SCALAR", UINT32, INDICES)
+        out["indices"] = chunk.triangles(faces)
     if mesh.textures:
         out["textures"] = [textures.index(t) for t in mesh.textures]
     if mesh.face_textures is not None:
@@ -145,13 +150,7 @@ def _primitives(chunk: GlbChunk, mesh: Mesh, accessors: dict[str, Any]) -> list[
 
 
 def _node(instance: Instance, mesh: int | None) -> dict[str, Any]:
-    rotation = normalized(instance.pose[3:])
-    node: dict[str, Any] = {
-        "name": instance.name,
-        "translation": floats(instance.pose[:3]),
-        "rotation": [float(np.clip(v, -1, 1)) for v in rotation],
-        "scale": floats(instance.scale),
-    }
+    node = {"name": instance.name, **placement(instance.pose, instance.scale)}
     return node if mesh is None else {**node, "mesh": mesh}
 
 
@@ -170,24 +169,18 @@ def scene_bytes(scene: Scene) -> bytes:
             mesh_of[key] = len(meshes)
             meshes.append({"name": asset.name, "primitives": _primitives(chunk, asset.mesh, accessors)})
     nodes = [_node(i, mesh_of.get(i.asset)) for i in scene.instances]
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "h3data"},
-        "scene": 0,
-        "scenes": [{"name": scene.name, "nodes": list(range(len(nodes)))} if nodes else {"name": scene.name}],
-        "extras": {
-            "h3data": {
-                "format": FORMAT_NAME,
-                "version": list(FORMAT_VERSION),
-                "name": scene.name,
-                "source": dict(scene.source),
-                "rooms": [room_record(r) for r in scene.rooms],
-                "assets": records,
-                "instances": [instance_record(i) for i in scene.instances],
-                **({} if scene.lights is None else {"lights": [light_record(light) for light in scene.lights]}),
-            }
-        },
+    extras = {
+        "format": FORMAT_NAME,
+        "version": list(FORMAT_VERSION),
+        "name": scene.name,
+        "source": dict(scene.source),
+        "rooms": [room_record(r) for r in scene.rooms],
+        "assets": records,
+        "instances": [instance_record(i) for i in scene.instances],
+        **({} if scene.lights is None else {"lights": [light_record(light) for light in scene.lights]}),
     }
-    more = {
+    shown = {"name": scene.name, **({"nodes": list(range(len(nodes)))} if nodes else {})}
+    lists = {
         "nodes": nodes,
         "meshes": meshes,
         **(textures.records() if meshes or textures.images else {}),
@@ -195,9 +188,9 @@ def scene_bytes(scene: Scene) -> bytes:
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": chunk.size}] if chunk.size else [],
     }
-    document |= {name: value for name, value in more.items() if value}
+    lists = {name: value for name, value in lists.items() if value}
     try:
-        return pack_glb(document, chunk)
+        return pack_glb(gltf_document(shown, extras={"h3data": extras}, **lists), chunk)
     except (TypeError, ValueError) as error:
         raise SceneError(
             f"Scene {scene.name!r} cannot be written: {error}. Poses, shapes and `source` must be finite and plain JSON."

@@ -16,8 +16,9 @@ from h3data.bodies.robots.robot_files import RobotFiles, find_robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
 from h3data.geometry import normalized, pose_from_matrix
-from h3data.mesh.link_meshes import DEFAULT_COLOR, box_mesh, load_mesh, moved, round_mesh
-from h3data.mesh.meshes import joined
+from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
+from h3data.mesh.meshes import flat_shaded, joined, moved, painted
+from h3data.mesh.primitives import box_mesh, round_mesh
 from h3data.mesh.records import Mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
@@ -132,6 +133,8 @@ def _parents_first(urdf: Urdf) -> list[UrdfLink]:
 
 def _robot_link(link: UrdfLink, parent: int) -> RobotLink:
     meshes = [_visual(part) for part in link.visuals]
+    if any(mesh.normals is not None for mesh in meshes):  # `joined` would drop those of the others
+        meshes = [flat_shaded(mesh) if mesh.normals is None else mesh for mesh in meshes]
     shapes = tuple(_shape(part) for part in link.collisions)
     return RobotLink(
         name=link.name, parent=parent, mesh=joined(meshes) if meshes else None, shapes=shapes, inertial=link.inertial
@@ -143,10 +146,11 @@ def _visual(part: UrdfPart) -> Mesh:
     color = part.color or DEFAULT_COLOR
     match g.kind:
         case "box":
-            return moved(box_mesh(g.size, color), part.origin)
+            return moved(flat_shaded(box_mesh(np.array(g.size) / 2, color=color)), part.origin)
         case "mesh":
             assert g.file is not None
-            return moved(load_mesh(g.file, color=part.color), part.origin, g.scale)
+            mesh = load_mesh(g.file)
+            return moved(mesh if part.color is None else painted(mesh, part.color), part.origin, g.scale)
         case kind:
             return moved(round_mesh(g.radius, g.length, color, caps=kind != "cylinder"), part.origin)
 

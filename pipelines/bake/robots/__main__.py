@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from bake.robots import lift_arm, quad_arm
+from bake.robots.glb import write_link_glb
 from bake.robots.links import Design, Link, text
 from h3data.bodies import Robot, load_robot
 from h3data.builtin import builtin_root
-from h3data.mesh.link_meshes import write_plain_glb
 from h3data.mesh.meshes import joined
 
 log = logging.getLogger(__name__)
@@ -88,7 +88,7 @@ def write(design: Design, folder: Path) -> None:
     """The URDF, the meshes and the settings of one robot."""
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     for part in design.links:
-        write_plain_glb(folder / "meshes" / f"{part.name}.glb", joined(part.mesh))
+        write_link_glb(folder / "meshes" / f"{part.name}.glb", joined(part.mesh))
     (folder / "robot.urdf").write_text(urdf_text(design.name, design.links))
     (folder / "robot.toml").write_text(settings_text(design, 0.5))
     height = standing_height(load_robot(folder / "robot.urdf"))

@@ -13,7 +13,7 @@ from h3data.bodies import Robot, load_robot, robot_names
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
 from h3data.geometry import ground_pose, quat_from_axis_angle, quat_to_matrix
-from h3data.mesh.link_meshes import read_plain_glb
+from h3data.mesh.loading import load_mesh
 from h3data.scene.records import Capsule
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
@@ -214,8 +214,7 @@ def test_meshes_are_plain_glb_that_trimesh_reads_alike(robot: Robot) -> None:
     assert total < 400_000
     for name in ("base_link", "arm_hand", "front_left_thigh"):
         path = builtin_path(f"robots/quad_arm/meshes/{name}.glb")
-        ours = read_plain_glb(path)
-        assert ours is not None
+        ours = load_mesh(path)
         other = trimesh.load(path, force="mesh", process=False)
         assert len(other.faces) == len(ours.faces)
         np.testing.assert_allclose(other.bounds, ours.bounds, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Textures of a robot's meshes: kept from the file to the picture, the same that the glTF reader gives."""
+"""Textures of a robot's meshes are kept from the file to the picture."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from h3data.bodies import load_robot
-from h3data.mesh.link_meshes import load_mesh, moved
-from h3data.mesh.loading import load_mesh as load_with_own_reader
+from h3data.mesh.loading import load_mesh
+from h3data.mesh.meshes import moved
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 
 PIXELS = np.zeros((8, 16, 3), np.uint8)
@@ -37,21 +37,6 @@ def textured_file(path: Path) -> Path:
     scene.add_geometry(trimesh.Trimesh(corners + np.array([2, 0, 0]), faces, visual=blue, process=False))
     scene.export(str(path))
     return path
-
-
-def test_the_same_as_the_glTF_reader(tmp_path: Path) -> None:
-    file = textured_file(tmp_path / "a.glb")
-    mesh, oracle = load_mesh(file), load_with_own_reader(file)
-    assert np.allclose(mesh.vertices, oracle.vertices, atol=1e-6)
-    assert np.array_equal(mesh.faces, oracle.faces)
-    assert len(mesh.textures) == len(oracle.textures) == 1
-    assert np.array_equal(mesh.textures[0].pixels, oracle.textures[0].pixels)
-    assert mesh.face_textures is not None
-    assert mesh.uv is not None
-    assert oracle.uv is not None
-    assert mesh.face_textures.tolist() == [0, 0, -1, -1]
-    assert np.allclose(mesh.uv[:4], oracle.uv[:4])
-    assert np.abs(mesh.colors.astype(int) - oracle.colors).max() <= 2, "trimesh holds factors as bytes"
 
 
 def test_moving_a_mesh_keeps_its_texture(tmp_path: Path) -> None:
