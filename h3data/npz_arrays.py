@@ -1,4 +1,4 @@
-"""Arrays in npz files, read without trusting what the file says: no pickle runs, no array is larger than its bytes."""
+"""Arrays in npz files, read without trusting the file: no pickle runs, no array is larger than its bytes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.array_pickle import PickledArray, unpickle_arrays
 from h3data.errors import FormatError, InputError
+from h3data.safe_pickle import load_pickle
 
 MAX_BYTES = 1 << 30
-"""What is asked for may not unpack to more; real motion files have 1-100 MB."""
+"""Limit of what the requested members unpack to; real motion files have 1 to 100 MB."""
 
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, zlib.error, ValueError)
 
@@ -25,7 +25,7 @@ def npz_names(path: Path) -> tuple[str, ...]:
     """Names of the arrays in an npz file.
 
     Raises:
-        FormatError: it is no zip file.
+        FormatError: it is not a zip file.
         InputError: there is no such file.
     """
     try:
@@ -38,7 +38,7 @@ def npz_names(path: Path) -> tuple[str, ...]:
 
 
 def npz_members(path: Path, names: Collection[str] | None = None) -> dict[str, Any]:
-    """The members called ``names`` (all by default) that there are: `PickledArray`, or what a pickled one holds."""
+    """The existing members among ``names`` (all by default): arrays, or the value that a pickled one holds."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
@@ -56,12 +56,11 @@ def npz_members(path: Path, names: Collection[str] | None = None) -> dict[str, A
 
 def npz_arrays(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
     """As `npz_members`, plain arrays only: a pickled one is an error that names it."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, value in npz_members(path, names).items():
-        if not isinstance(value, PickledArray) or value.array.dtype.hasobject:
+    members = npz_members(path, names)
+    for name, value in members.items():
+        if not isinstance(value, np.ndarray) or value.dtype.hasobject:
             raise FormatError(f"{name}: Expected an array of numbers or text, got pickled objects: {path}")
-        arrays[name] = value.array
-    return arrays
+    return members
 
 
 def _npy(data: bytes, name: str, path: Path) -> Any:
@@ -74,8 +73,7 @@ def _npy(data: bytes, name: str, path: Path) -> Any:
         body = data[8 + width + length :]
         dtype, shape = np.dtype(header["descr"]), tuple(header["shape"])
         if dtype.hasobject:
-            return unpickle_arrays(body, path)
-        order = "F" if header["fortran_order"] else "C"
-        return PickledArray(np.frombuffer(body, dtype).reshape(shape, order=order))
+            return load_pickle(body, path)
+        return np.frombuffer(body, dtype).reshape(shape, order="F" if header["fortran_order"] else "C")
     except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
         raise FormatError(f"{name} in the npz is damaged ({error}): {path}") from None

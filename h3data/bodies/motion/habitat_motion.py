@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.array_pickle import PickledArray, is_pickle, unpickle_arrays
 from h3data.bodies.motion.habitat_humanoid import HabitatClip, HabitatMotion, Hand, ReachGrid
 from h3data.errors import FormatError, InputError
 from h3data.npz_arrays import MAX_BYTES, npz_members
+from h3data.safe_pickle import is_pickle, load_pickle
 
 HANDS: tuple[Hand, ...] = ("left", "right")
 
@@ -64,7 +64,7 @@ def _content(path: Path) -> dict[str, Any]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"Cannot read a motion file: {error.strerror or error}. Path: {path}") from None
-    content = unpickle_arrays(data, path) if is_pickle(data) else npz_members(path)
+    content = load_pickle(data, path) if is_pickle(data) else npz_members(path)
     if not isinstance(content, dict):
         raise FormatError(f"Expected a motion file with its parts by name, got {type(content).__name__}: {path}")
     return content
@@ -81,10 +81,8 @@ def _part(content: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any
 
 
 def _plain(value: Any) -> Any:
-    """The object that an array without axes holds."""
-    if isinstance(value, PickledArray) and value.array.dtype.hasobject and value.array.ndim == 0:
-        return value.array.item()
-    return value
+    """The object in an array without axes, as npz files hold dicts."""
+    return value.item() if isinstance(value, np.ndarray) and value.dtype.hasobject and value.ndim == 0 else value
 
 
 def _clip(part: Mapping[str, Any], name: str, where: str) -> HabitatClip:
@@ -98,7 +96,7 @@ def _clip(part: Mapping[str, Any], name: str, where: str) -> HabitatClip:
                 f"{name}.displacement: Expected a way that ends beyond 0, got {displacement[-1]:g}: {where}"
             )
     fps = part.get("fps")
-    fps = float(fps.array) if isinstance(fps, PickledArray) and fps.array.size == 1 else fps
+    fps = fps.item() if isinstance(fps, np.ndarray) and fps.size == 1 else fps
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
         raise FormatError(f"{name}.fps: Expected frames per second above 0, got {fps!r}: {where}")
     return HabitatClip(joints=joints, roots=roots, fps=float(fps), displacement=displacement)
@@ -125,8 +123,7 @@ def _grid(part: Mapping[str, Any], name: str, where: str) -> ReachGrid:
 
 def _floats(part: Mapping[str, Any], key: str, name: str, where: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """An array of finite numbers, brought into ``shape`` (-1: any length but 0)."""
-    value = part.get(key)
-    array = value.array if isinstance(value, PickledArray) else value
+    array = part.get(key)
     try:
         numbers = np.asarray(array, np.float64)
         numbers = numbers.reshape(shape)

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.array_pickle import is_pickle
 from h3data.bodies.motion.amass import Up, is_amass, read_amass
 from h3data.bodies.motion.bvh_motion import read_bvh
 from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatClip
@@ -19,6 +18,7 @@ from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.geometry import normalized, quat_from_matrix
 from h3data.npz_arrays import npz_arrays, npz_names
+from h3data.safe_pickle import is_pickle
 
 MotionKind = Literal["motion", "amass", "habitat", "bvh"]
 FORMAT = "h3data-motion/1"

@@ -1,10 +1,11 @@
-"""habitat-lab's pickled episode datasets (spec/habitat.md 6.5), read without running anything that is in them.
+"""Reads habitat-lab's pickled episode datasets (spec/habitat.md 6.5) without running anything that they name.
 
 The file holds ``{all_transforms, idx_to_name, all_eps}`` with NumPy arrays.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.array_pickle import PickledArray, unpickle_arrays
 from h3data.errors import FormatError
-from h3data.plain_values import PlainValues
-
-
-class _EpisodeValues(PlainValues):
-    of = "an episode"
+from h3data.safe_pickle import builtin, load_pickle
 
 
 def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
-    """Each episode as the JSON text that the unpickled dataset would be written as."""
-    content = unpickle_arrays(data, path)
+    """The episodes of a pickled dataset as JSON text, in the form of an unpickled one."""
+    content = load_pickle(data, path)
     if not isinstance(content, dict) or not {"all_transforms", "idx_to_name", "all_eps"} <= set(content):
         keys = list(map(str, content))[:5] if isinstance(content, dict) else type(content).__name__
         raise FormatError(f"Expected a pickle with all_transforms, idx_to_name and all_eps, got {keys}: {path}")
@@ -34,12 +30,11 @@ def unpickle_episodes(data: bytes, path: Path) -> Sequence[msgspec.Raw]:
         raise FormatError(f"idx_to_name: Expected names by index: {path}")
     if not isinstance(episodes, list) or not all(isinstance(episode, dict) for episode in episodes):
         raise FormatError(f"all_eps: Expected a list of objects: {path}")
-    plain = _EpisodeValues(data)
-    return [_resolved(episode, k, names, transforms, plain, path) for k, episode in enumerate(episodes)]
+    return [_resolved(episode, k, names, transforms, path) for k, episode in enumerate(episodes)]
 
 
 def _transforms(value: Any, path: Path) -> NDArray[Any]:
-    array = value.array if isinstance(value, PickledArray) else None
+    array = value if isinstance(value, np.ndarray) else None
     if array is not None and array.size == 0:
         array = np.zeros((0, 4, 4))
     if array is None or array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (4, 4):
@@ -52,12 +47,12 @@ def _transforms(value: Any, path: Path) -> NDArray[Any]:
 
 
 def _resolved(
-    episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], plain: PlainValues, path: Path
+    episode: dict[Any, Any], index: int, names: dict[Any, str], transforms: NDArray[Any], path: Path
 ) -> msgspec.Raw:
     """The episode with names and matrices in place of their indices."""
     where = f"all_eps[{index}]"
     try:
-        content = {str(key): plain(value) for key, value in episode.items()}
+        content = msgspec.to_builtins(episode, str_keys=True, enc_hook=builtin)
         if "rigid_objs" in content:
             content["rigid_objs"] = [
                 [names[name], transforms[_inside(at, len(transforms))].tolist()] for name, at in content["rigid_objs"]
@@ -72,11 +67,19 @@ def _resolved(
                 {"name": names[n], "type": names[t], "params": {"offset": p, "link": names[k], "object": names[o]}}
                 for n, t, p, k, o in content["markers"]
             ]
-        return msgspec.Raw(msgspec.json.encode(content))
+        return msgspec.Raw(_json(content))
     except KeyError as fault:
         raise FormatError(f"{where}: index {fault} is not in idx_to_name: {path}") from None
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as fault:
         raise FormatError(f"{where} does not have the layout of a pickled episode ({fault}): {path}") from None
+
+
+def _json(content: Any) -> bytes:
+    try:
+        return json.dumps(content, allow_nan=False, ensure_ascii=False).encode()  # msgspec would write NaN as null
+    except ValueError as fault:
+        surrogates = isinstance(fault, UnicodeEncodeError)
+        raise ValueError("a text is not Unicode" if surrogates else "a number is NaN or infinity") from None
 
 
 def _inside(at: Any, size: int) -> int:

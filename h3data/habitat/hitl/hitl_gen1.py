@@ -12,14 +12,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.array_pickle import is_pickle
 from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
-from h3data.formats import FORMATS, SourceFile
+from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
 from h3data.habitat.assets import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
-from h3data.habitat.hitl.hitl_pickle import unpickle_log
+from h3data.habitat.hitl.hitl_pickle import json_of_pickled_log
 from h3data.habitat.hitl.hitl_places import find_place
 from h3data.habitat.hitl.hitl_records import (
     MAX_FLOAT,
@@ -35,6 +34,7 @@ from h3data.habitat.hitl.hitl_records import (
 )
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
+from h3data.safe_pickle import is_pickle
 
 JOINT_VALUES = 4 * len(HABITAT_JOINTS)
 PERSON_VALUES = JOINT_VALUES + 32
@@ -121,13 +121,7 @@ def read_hitl_log(
 
 
 def _log(data: bytes, path: Path) -> Log:
-    if not is_pickle(data):
-        return decoded(data, Log, path, expected="hitl_log")
-    content = unpickle_log(data, path)
-    try:
-        return msgspec.convert(content, Log)
-    except msgspec.ValidationError as fault:
-        raise FormatError(f"Not {FORMATS.get('hitl_log').title}: {fault}: {path}") from None
+    return decoded(json_of_pickled_log(data, path) if is_pickle(data) else data, Log, path, expected="hitl_log")
 
 
 # --- agents -----------------------------------------------------------------------------------------------------------

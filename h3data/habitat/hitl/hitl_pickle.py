@@ -1,7 +1,7 @@
-"""The pickled form of paper-era HITL logs, as the plain values that their JSON form holds; nothing in it is executed.
+"""Reads the pickled form of paper-era HITL logs as JSON; nothing in it is executed.
 
 Such a pickle names omegaconf's containers, magnum's vectors and a few of Python's types (spec/habitat-findings.md 10).
-Stand-ins take their place: they keep what the file says and do nothing with it.
+Stand-ins take their place, which keep what the file says.
 """
 
 from __future__ import annotations
@@ -10,23 +10,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+import msgspec
 
-from h3data.array_pickle import unpickle_arrays
 from h3data.errors import FormatError
-from h3data.plain_values import PlainValues
+from h3data.safe_pickle import Record, builtin, load_pickle
 
 
-class _Fixed:
-    """A stand-in that takes no state: pickles cannot change it."""
-
-    def __setstate__(self, state: Any) -> None:
-        raise TypeError(f"{type(self).__name__.strip('_')} has no state")
-
-
-class _Config:
-    """Stands for omegaconf's DictConfig, ListConfig and AnyNode: ``content`` is what they hold."""
+class _Config(Record):
+    """omegaconf's DictConfig, ListConfig and AnyNode."""
 
     content: Any = None
 
@@ -35,20 +26,19 @@ class _Config:
             raise TypeError("a configuration holds neither _content nor _val")
         self.content = state["_content"] if "_content" in state else state["_val"]
 
+    def plain(self) -> Any:
+        return self.content
 
-class _Metadata:
-    """Stands for what omegaconf notes about a node's type; of no use here."""
+
+class _Metadata(Record):
+    """omegaconf's notes about the type of a node, which are not needed."""
 
     def __setstate__(self, state: Any) -> None:
         del state
 
 
-class _Type(_Fixed):
-    """Stands for ``typing.Any`` and Python's own types, which omegaconf notes beside its values."""
-
-
 class _DefaultDict(dict[Any, Any]):
-    """Stands for ``collections.defaultdict``: a dict without a default."""
+    """``collections.defaultdict``, without its default."""
 
     def __init__(self, *_: Any) -> None:
         super().__init__()
@@ -57,15 +47,18 @@ class _DefaultDict(dict[Any, Any]):
         raise TypeError("a defaultdict has no state")
 
 
-class _Datetime(_Fixed):
-    """Stands for ``datetime.datetime``, whose ten bytes are year (2), month, day, hour, minute, second, microsecond (3)."""
+class _Datetime(Record):
+    """``datetime.datetime``, whose ten bytes are year (2), month, day, hour, minute, second, microsecond (3)."""
 
     def __init__(self, packed: Any = b"", *zone: Any) -> None:
         if not isinstance(packed, bytes) or len(packed) != 10 or zone:
             raise TypeError("a date is not understood")
         year, micro = int.from_bytes(packed[:2], "big"), int.from_bytes(packed[7:], "big")
         month, day, hour, minute, second = packed[2:7]
-        self.text = str(datetime(year, month, day, hour, minute, second, micro))
+        self._text = str(datetime(year, month, day, hour, minute, second, micro))
+
+    def plain(self) -> str:
+        return self._text
 
 
 def _vector3(*values: Any) -> Any:
@@ -73,10 +66,10 @@ def _vector3(*values: Any) -> Any:
     return values[0] if len(values) == 1 else list(values)
 
 
-_ALSO: dict[tuple[str, str], Any] = {
+_RECORDS: dict[tuple[str, str], Any] = {
     ("collections", "defaultdict"): _DefaultDict,
     ("datetime", "datetime"): _Datetime,
-    ("typing", "Any"): _Type(),
+    ("typing", "Any"): Record(),
     ("omegaconf.dictconfig", "DictConfig"): _Config,
     ("omegaconf.listconfig", "ListConfig"): _Config,
     ("omegaconf.nodes", "AnyNode"): _Config,
@@ -85,39 +78,18 @@ _ALSO: dict[tuple[str, str], Any] = {
     ("utils.serialize_utils", "unpickle_vector3"): _vector3,
     ("habitat_hitl.core.serialize_utils", "unpickle_vector3"): _vector3,
 }
-for _name in ("dict", "list", "tuple", "str", "int", "float", "bool"):
-    _ALSO["builtins", _name] = _Type()
+for _name in ("dict", "list", "tuple", "str", "int", "float", "bool"):  # omegaconf notes them beside its values
+    _RECORDS["builtins", _name] = Record()
 
 
-def unpickle_log(data: bytes, path: Path) -> Any:
-    """Dicts with text keys, lists, numbers, texts and None; dates as text ``YYYY-MM-DD HH:MM:SS.ffffff``, NaN as None.
+def json_of_pickled_log(data: bytes, path: Path) -> bytes:
+    """The log as JSON; dates become text ``YYYY-MM-DD HH:MM:SS.ffffff``, NaN null.
 
     Raises:
-        FormatError: the pickle asks for a name that such logs do not have (it is named), or is damaged.
+        FormatError: the pickle asks for a name that such logs do not have (the message names it), or is damaged.
     """
-    content = unpickle_arrays(data, path, also=_ALSO)
+    content = load_pickle(data, path, records=_RECORDS)
     try:
-        return _LogValues(data)(content)
-    except (TypeError, ValueError) as fault:
+        return msgspec.json.encode(content, enc_hook=builtin)
+    except (TypeError, ValueError, OverflowError) as fault:
         raise FormatError(f"The pickle does not hold a log ({fault}): {path}") from None
-
-
-class _LogValues(PlainValues):
-    """NaN becomes None, as in the JSON form of these logs; stand-ins become what they hold."""
-
-    of = "a log"
-
-    def key(self, key: Any, depth: int) -> str:
-        return str(self(key, depth))
-
-    def array(self, array: NDArray[Any], depth: int) -> Any:
-        plain = not array.dtype.hasobject and np.isfinite(array).all()
-        return array.tolist() if plain else self(array.tolist(), depth + 1)
-
-    def not_finite(self, value: float) -> None:
-        del value
-
-    def other(self, value: Any, depth: int) -> Any:
-        if isinstance(value, _Config):
-            return self(value.content, depth + 1)
-        return value.text if isinstance(value, _Datetime) else super().other(value, depth)
