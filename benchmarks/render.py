@@ -20,7 +20,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import (
     Camera,
     Light,

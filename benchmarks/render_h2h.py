@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.render import SIZES, cameras_at, frame_ms
 from h3data.mesh.loading import load_mesh
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render import Camera, Renderer, RenderInstance, RenderScene, look_at
 
 Emit = Callable[[str, float, str], None]

@@ -12,7 +12,7 @@ import pytest
 import h3data
 from h3data.errors import FormatError, InputError, PluginError
 from h3data.formats import FORMATS, Format, SourceFile, detect, export_options, load
-from h3data.formats.table import BUILT_IN
+from h3data.formats.builtin_formats import BUILT_IN
 from h3data.plugins import PluginWarning, load_reference
 from h3data.recording import Episode, Recording, write_mcap
 from h3data_pipelines.cli import main

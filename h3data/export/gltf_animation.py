@@ -19,7 +19,7 @@ from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
 from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb
 from h3data.mesh.glb_write import Influences, mesh_lists
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Recording
 from h3data.replay import Replay
 

@@ -20,7 +20,7 @@ from h3data.geometry import normalized
 from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.glb_write import GlbNode, glb_bytes
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Asset, Instance, Receptacle, Room, Scene, instance_matrix
 from h3data.scene.scene_json import asset_record
 

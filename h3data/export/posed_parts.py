@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.geometry import Array
 from h3data.mesh.glb_write import Influences
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Body
 
 

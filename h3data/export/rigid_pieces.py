@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from h3data.export.posed_parts import Skeleton
 from h3data.geometry import Array, normalized, pose_inverse, pose_to_matrix, transform_points
-from h3data.mesh.meshes import face_texture_indices
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import face_texture_indices
 
 SHARED = 0.3
 """A triangle also belongs to joints that move it by this share: pieces overlap at bent joints instead of gaping."""

@@ -1,13 +1,12 @@
 """File formats: what a file is, judged by its content; what reads it as a recording; what writes recordings in it.
 
-One table (`h3data.formats.table`) lists the built-in formats. Installed packages add theirs by entry points of the group
+One table (`h3data.formats.builtin_formats`) lists the built-in formats. Installed packages add theirs by entry points of the group
 ``h3data.formats``, each of which is a `Format` (docs/import.md). Readers and writers are imported at first use.
 """
 
 from __future__ import annotations
 
-from h3data.formats.format import Exported, ExportRequest, Format
-from h3data.formats.registry import (
+from h3data.formats.detection import (
     FORMATS,
     detect,
     export_format,
@@ -17,6 +16,7 @@ from h3data.formats.registry import (
     json_format,
     load,
 )
+from h3data.formats.format import Exported, ExportRequest, Format
 from h3data.formats.source_file import SourceFile
 
 __all__ = [

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.mesh.meshes import joined
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import joined
 from h3data.mesh.primitives import capsule_mesh
-from h3data.mesh.records import Mesh
 
 PlaceholderKind = Literal["stage", "human", "robot_link", "small_object", "furniture"]
 

@@ -15,7 +15,7 @@ from h3data.geometry import Array
 from h3data.mesh.accessors import entry
 from h3data.mesh.gltf import GltfFile
 from h3data.mesh.loading import frame_rotation, load_mesh, unreadable
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

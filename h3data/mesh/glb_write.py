@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.geometry import IDENTITY_POSE
 from h3data.mesh.glb import UINT8, VERTICES, GlbChunk, cutout, gltf_document, matte, pack_glb, placement
-from h3data.mesh.meshes import face_texture_indices
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.srgb import bytes_to_linear
 
 _PIXELS = {"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.mesh.accessors import GltfArrays, entry, natural
 from h3data.mesh.images import Alpha, image_size, image_texture, largest_side
-from h3data.mesh.records import Texture
+from h3data.mesh.mesh import Texture
 
 _log = logging.getLogger(__name__)
 

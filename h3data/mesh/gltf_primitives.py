@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.errors import SceneError
 from h3data.mesh.accessors import GltfArrays, entry, natural
 from h3data.mesh.gltf_materials import GltfMaterials, Look
-from h3data.mesh.records import Texture
+from h3data.mesh.mesh import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 DEFAULT_COLOR = (204, 204, 204)

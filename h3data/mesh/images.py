@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import SceneError
+from h3data.mesh.mesh import Texture
 from h3data.mesh.png import MAX_PX
-from h3data.mesh.records import Texture
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 MAX_SIDE_PX = 2048

@@ -14,8 +14,8 @@ from h3data.errors import MissingAssetError, SceneError
 from h3data.geometry import normalized
 from h3data.mesh.gltf import GltfFile, local_matrix
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR, PlainMesh
-from h3data.mesh.meshes import joined
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import joined
 from h3data.mesh.trimesh_files import read_with_trimesh
 
 __all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_mesh", "load_parts", "node_box"]

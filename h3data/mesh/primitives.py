@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.errors import SceneError
 from h3data.geometry import Array, normalized
 from h3data.mesh.loading import DEFAULT_COLOR
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 _FINEST = 256
 """Limit of rings and segments: a name in a file must not decide how much memory is allocated."""

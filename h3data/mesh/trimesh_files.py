@@ -13,7 +13,7 @@ from h3data.errors import SceneError
 from h3data.files import path_inside
 from h3data.mesh.gltf_primitives import DEFAULT_COLOR
 from h3data.mesh.images import picture_texture
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 
 _log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.mesh.meshes import face_texture_indices
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.render.raster.clusters import Clusters, build_clusters, enclosing_box, normal_groups
 from h3data.render.raster.raster import Geometry
 from h3data.render.shade.cutouts import cut_out_faces, pack_cutouts

@@ -14,7 +14,7 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Agent, AssetRef, Body, Recording
 from h3data.replay.link_poses import LinkPoses
 from h3data.replay.records import (

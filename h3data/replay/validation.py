@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies import Humanoid
 from h3data.bodies.people.foot_planting import LEG_JOINTS, runs, sole_points
 from h3data.errors import H3DataError
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Recording, state_hash
 from h3data.replay.replay import Replay
 from h3data.scene import FreeSpace

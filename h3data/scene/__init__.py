@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.mesh.records import Mesh, Texture
+    from h3data.mesh.mesh import Mesh, Texture
     from h3data.scene.freespace.free_space import FreeSpace
     from h3data.scene.homes import CATEGORIES, HOME_PRESETS, HomePreset, HomeSpec, build_home
     from h3data.scene.records import (
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from h3data.scene.scene_json import scene_digest
 
 _MODULES = {
-    "h3data.mesh.records": "Mesh Texture",
+    "h3data.mesh.mesh": "Mesh Texture",
     "h3data.scene.freespace.free_space": "FreeSpace",
     "h3data.scene.homes": "CATEGORIES HOME_PRESETS HomePreset HomeSpec build_home",
     "h3data.scene.records": "Asset Box Capsule Cylinder Hull Instance LightSource Receptacle Room Scene Shape "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 
 # --- collision shapes: a closed family, always convex, in the asset's frame --------------------------------------------

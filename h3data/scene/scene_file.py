@@ -37,8 +37,8 @@ from h3data.mesh.glb import (
     placement,
     unpack_glb,
 )
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.mesh.png import png_pixels
-from h3data.mesh.records import Mesh, Texture
 from h3data.scene.records import Asset, Instance, Scene
 from h3data.scene.scene_json import (
     asset_record,

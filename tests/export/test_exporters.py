@@ -18,7 +18,7 @@ from h3data.bodies.robots.robot_files import robot_names
 from h3data.bodies.robots.robot_loading import load_robot
 from h3data.errors import InputError
 from h3data.export.csv_tables import write_csv_tables
-from h3data.export.gfx_replay_write import write_gfx_replay
+from h3data.export.gfx_replay_export import write_gfx_replay
 from h3data.export.gltf_animation import write_gltf_animation
 from h3data.export.lerobot_export import write_lerobot
 from h3data.export.posing import posed_cameras, posed_parts

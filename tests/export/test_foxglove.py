@@ -25,8 +25,8 @@ pytest.importorskip("foxglove_schemas_protobuf", reason='needs the extra: pip in
 
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import InputError, MissingExtraError
-from h3data.export.foxglove import write as foxglove_write
-from h3data.export.foxglove.write import FoxgloveCamera, write_foxglove
+from h3data.export.foxglove import foxglove_file
+from h3data.export.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
 from h3data.export.posing import posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
@@ -154,7 +154,7 @@ def test_equal_recordings_make_equal_files(tmp_path: Path, monkeypatch, recordin
     whole = export(recording, tmp_path / "a.foxglove.mcap")
     export(recording, tmp_path / "b.foxglove.mcap")
     assert (tmp_path / "a.foxglove.mcap").read_bytes() == (tmp_path / "b.foxglove.mcap").read_bytes()
-    monkeypatch.setattr(foxglove_write, "BLOCK_STEPS", 7)
+    monkeypatch.setattr(foxglove_file, "BLOCK_STEPS", 7)
     blocks = export(recording, tmp_path / "c.foxglove.mcap")
     assert blocks.times == whole.times
     for time_ns in (whole.times[0], recording.columns["time_ns"][20], whole.times[-1]):

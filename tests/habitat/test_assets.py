@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.habitat.assets import ASSETS_VARIABLE, EMPTY_URI, AssetLibrary, clean_path
+from h3data.habitat.asset_library import ASSETS_VARIABLE, EMPTY_URI, AssetLibrary, clean_path
 from h3data.recording.records import AssetRef
 from h3data.scene.records import Asset, Scene
 
@@ -117,7 +117,7 @@ def test_scene_uris_come_from_the_scene(tmp_path: Path) -> None:
 
 def test_importing_the_asset_library_stays_light() -> None:
     code = (
-        "import sys, h3data.habitat.assets; "
+        "import sys, h3data.habitat.asset_library; "
         "heavy = {'trimesh', 'torch', 'numba', 'scipy', 'cv2', 'rerun', 'av', 'fcl', 'shapely'} & set(sys.modules); "
         "assert not heavy, heavy"
     )

@@ -21,12 +21,12 @@ from hypothesis import strategies as st
 from h3data.bodies.motion.bvh import read_bvh_file
 from h3data.errors import FormatError, H3DataError
 from h3data.formats import detect
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.episodes.episode_files import read_episodes
 from h3data.habitat.gfx.gfx_keyframes import KEYFRAME_BYTES
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
-from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
-from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.habitat.hitl.hitl_paper_logs import read_hitl_log
+from h3data.habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data.limits import MAX_AGENTS
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh

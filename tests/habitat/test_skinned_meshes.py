@@ -11,7 +11,7 @@ import pytest
 
 from h3data.errors import SceneError
 from h3data.geometry import pose_to_matrix, quat_from_heading
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.skinned_meshes import load_skinned_mesh
 from h3data.mesh.loading import load_mesh
 from h3data.recording import AssetRef, Body, Dataset, DatasetWriter, Episode, Recording, open_recording

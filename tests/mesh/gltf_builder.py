@@ -13,7 +13,7 @@ from PIL import Image
 
 from h3data.mesh.glb import GlbChunk, pack_glb
 from h3data.mesh.loading import load_mesh
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 FLOAT, U8, U16, U32, I8 = 5126, 5121, 5123, 5125, 5120
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)

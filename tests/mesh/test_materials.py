@@ -16,7 +16,7 @@ from h3data.errors import SceneError
 from h3data.mesh import images
 from h3data.mesh.images import image_size, image_texture, largest_side, reduced
 from h3data.mesh.loading import load_mesh
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 from tests.mesh.gltf_builder import COLORS, FLOAT, U8, U16, UV, Builder, encoded, separate
 

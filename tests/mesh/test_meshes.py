@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from h3data.errors import SceneError
-from h3data.mesh.meshes import joined, painted
+from h3data.mesh.mesh_operations import joined, painted
 from h3data.scene import Mesh, Texture
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.render import box, colored
 from h3data.errors import InputError, MissingExtraError
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Light, Renderer, RenderInstance, RenderScene, equirectangular, look_at, orthographic, pinhole
 
 EVERYTHING = ("depth", "instance", "semantic", "triangle", "rgb", "normal")

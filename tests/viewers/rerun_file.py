@@ -16,7 +16,7 @@ from h3data.geometry import (
     quat_to_matrix,
     transform_points,
 )
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.recording.records import STEP_NS, Agent, Episode, Event, Recording, SkillSpan
 
 STEPS = 60

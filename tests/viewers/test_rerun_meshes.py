@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data_viewers import write_rrd
 from h3data_viewers.rerun.mesh_detail import baked_colors, thin_mesh, view_mesh
 from tests.viewers.rerun_file import File, Stage, Thing, example, sphere

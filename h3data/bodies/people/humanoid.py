@@ -27,7 +27,7 @@ from h3data.bodies.people.clips import (
 from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY, PARENTS
 from h3data.bodies.people.skinning import Skin, apply_skin, build_skin, skin_chunks
 from h3data.geometry import Array, normalized
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 LOD_BELOW_PX = 220.0
 """Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""

@@ -24,7 +24,7 @@ from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.geometry import Array, normalized
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 FILE_FORMAT, COMMON_FORMAT = "h3data.humanoid/2", "h3data.humanoid-common/2"
 COMMON_FILE = "common.npz"

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Cylinder, Shape
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, r
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
 from h3data.geometry import normalized, pose_from_matrix
 from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
-from h3data.mesh.meshes import flat_shaded, joined, moved, painted
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
 from h3data.mesh.primitives import box_mesh, round_mesh
-from h3data.mesh.records import Mesh
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

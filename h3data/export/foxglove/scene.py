@@ -14,7 +14,7 @@ from h3data.export.posed_parts import PosedPart
 from h3data.export.rigid_pieces import rigid_pieces
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.glb_write import glb_bytes
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.recording.records import Recording
 
 TOPIC = "/scene_update"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import H3DataError, SceneError
-from h3data.habitat.episodes.episode_records import RearrangeEpisode
+from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.habitat.scene_names import open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING

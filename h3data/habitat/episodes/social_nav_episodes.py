@@ -17,7 +17,7 @@ import numpy as np
 
 from h3data.errors import FormatError, InputError
 from h3data.geometry import quat_from_heading
-from h3data.habitat.episodes.episode_records import Matrix, RearrangeEpisode, RigidObject
+from h3data.habitat.episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
 from h3data.recording import Recording
 
 KEY = "h3data"

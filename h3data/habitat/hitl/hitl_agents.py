@@ -93,7 +93,7 @@ def add_agents(
         if kind == "robot":
             agent, more, note = _robot(name, track, robot)
         elif track.joints is not None and track.base is not None:
-            agent, more, note = _posed_person(name, track, joint_order or told_joint_order(track.joints))
+            agent, more, note = _posed_person(name, track, joint_order or infer_joint_order(track.joints))
         else:
             agent, more, note = _walking_person(name, track, time_ns, floors[0] if floors else None)
         if track.action is not None:
@@ -121,7 +121,7 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
 
 
 # --- people -----------------------------------------------------------------------------------------------------------
-def told_joint_order(joints: Array) -> JointOrder:
+def infer_joint_order(joints: Array) -> JointOrder:
     """Which order of joints [T, 54, 4] is in: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
 
     The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much

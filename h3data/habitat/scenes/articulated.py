@@ -14,8 +14,8 @@ from h3data.errors import FormatError
 from h3data.geometry import normalized, pose_from_matrix, pose_multiply, quat_from_matrix
 from h3data.habitat.scenes.config_values import flag, mapping
 from h3data.mesh.loading import frame_rotation, load_mesh
-from h3data.mesh.meshes import joined, painted
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import joined, painted
 from h3data.scene.records import Box, Capsule, Cylinder, Hull, Shape
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import SceneError
 from h3data.geometry import normalized, pose_to_matrix, transform_points
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Receptacle, Shape
 
 CYLINDER_SIDES = 24

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import IDENTITY_QUAT
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Hull, Shape
 
 MAX_PARTS = 64

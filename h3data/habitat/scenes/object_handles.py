@@ -12,7 +12,7 @@ import numpy as np
 from h3data.errors import SceneError
 
 if TYPE_CHECKING:
-    from h3data.mesh.records import Mesh
+    from h3data.mesh.mesh import Mesh
 
 HANDLE = "handle:"
 """Begins the uri of an asset that is known by its template's name only."""
@@ -52,12 +52,12 @@ def template_mesh(name: str, file: Path, roots: Sequence[Path]) -> Mesh:
     Raises:
         SceneError: the template cannot be used.
     """
-    from h3data.habitat.scenes.asset_files import AssetFiles
     from h3data.habitat.scenes.config_keys import KeyNotes
+    from h3data.habitat.scenes.referenced_files import ReferencedFiles
     from h3data.habitat.scenes.scene_dataset import Template
     from h3data.habitat.scenes.templates import TemplateReader
 
-    files = AssetFiles(file, roots)
+    files = ReferencedFiles(file, roots)
     reader = TemplateReader(files=files, keys=KeyNotes())
     rigid = reader.rigid(Template(handle=name, path=file))
     if rigid is None:

@@ -14,7 +14,7 @@ from h3data.geometry import normalized, quat_to_matrix
 from h3data.habitat.scenes.config_keys import KeyNotes
 from h3data.habitat.scenes.config_values import numbers, text
 from h3data.mesh.loading import load_mesh
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Receptacle
 
 DEFAULT_CLEARANCE_M = 0.3

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from h3data.errors import FormatError, SceneError
-from h3data.habitat.scenes.asset_files import AssetFiles
-from h3data.habitat.scenes.builder import SceneBuilder
 from h3data.habitat.scenes.config_keys import KeyNotes
 from h3data.habitat.scenes.config_values import mapping, objects, read_object, text, texts
 from h3data.habitat.scenes.lights import read_lights
+from h3data.habitat.scenes.referenced_files import ReferencedFiles
+from h3data.habitat.scenes.scene_builder import SceneBuilder
 from h3data.habitat.scenes.scene_dataset import (
     DATASET_ENDING,
     SceneDataset,
@@ -53,7 +53,7 @@ def load_habitat_scene(
     joint positions put them, as static instances ``<object>/<link>``. Regions become rooms, lighting configs
     ``Scene.lights``, and a receptacle filter decides which receptacles are in use.
 
-    Files are looked for as `AssetFiles` says, last below ``assets`` (default: H3DATA_ASSETS). ``Scene.source`` tells
+    Files are looked for as `ReferencedFiles` says, last below ``assets`` (default: H3DATA_ASSETS). ``Scene.source`` tells
     what was left out or guessed (``warnings``), which keys were not read (``ignored_keys``, reasons in
     `h3data.habitat.scenes.config_keys`), and the file of the navmesh (``navmesh``), if the scene has one.
 
@@ -92,7 +92,7 @@ def dataset_and_scene(path: str | os.PathLike[str]) -> tuple[Path | None, str | 
 def _builder(
     config: Path, keys: KeyNotes, allow_missing: bool, strict: bool, assets: Sequence[str | Path] | None
 ) -> SceneBuilder:
-    templates = TemplateReader(files=AssetFiles(config, assets), keys=keys)
+    templates = TemplateReader(files=ReferencedFiles(config, assets), keys=keys)
     return SceneBuilder(templates=templates, allow_missing=allow_missing, strict=strict)
 
 

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, MissingAssetError, SceneError
 from h3data.habitat.scenes.articulated import Link, empty_mesh, read_links, receptacles_by_link
-from h3data.habitat.scenes.asset_files import AssetFiles
 from h3data.habitat.scenes.collision_geometry import box_shape, hull_shape, hull_shapes
 from h3data.habitat.scenes.config_keys import KeyNotes
 from h3data.habitat.scenes.config_values import flag, mapping, number, numbers, text
 from h3data.habitat.scenes.receptacles import read_receptacles
+from h3data.habitat.scenes.referenced_files import ReferencedFiles
 from h3data.habitat.scenes.scene_dataset import Template
 from h3data.mesh.loading import frame_rotation, load_mesh, load_parts, node_box
+from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import is_primitive, primitive_mesh
-from h3data.mesh.records import Mesh
 from h3data.scene.records import Asset, Receptacle, Shape
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class _Frame:
 class TemplateReader:
     """Reads each template once."""
 
-    files: AssetFiles
+    files: ReferencedFiles
     keys: KeyNotes
     classes: Mapping[int, str] = field(default_factory=dict)
     """Category by semantic id."""

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.kernels import kernel
-from h3data.mesh.records import Texture
+from h3data.mesh.mesh import Texture
 from h3data.render.shade.surface import Surface
 
 SOLID = 127.5

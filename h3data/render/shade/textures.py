@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.mesh.records import Texture
+from h3data.mesh.mesh import Texture
 from h3data.render.shade.textures_simd import FOLLOWING, HEIGHT, LEVEL_WORDS, OFFSET, WIDTH
 from h3data.srgb import bytes_to_linear
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.geometry import Array, ground_pose, pose_to_matrix, transform_points
-from h3data.mesh.meshes import painted
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import painted
 from h3data.render.camera import look_at, pinhole
 from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from h3data.bodies.robots.ik import solve_ik
 from h3data.bodies.robots.robot import Robot
 from h3data.geometry import Array, ground_pose
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render.camera import look_at, pinhole
 from h3data.render.renderer import Renderer
 from h3data.render.scene import RenderInstance, RenderScene

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.homes.layout import RoomPlan
 from h3data.scene.homes.materials import BOARDS, MATERIALS, TILES
 from h3data.scene.homes.solids import MeshBuilder, vary

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.mesh.records import Texture
+from h3data.mesh.mesh import Texture
 from h3data.srgb import linear_to_bytes
 
 _PX = 128

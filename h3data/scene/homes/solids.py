@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.homes import primitives
 from h3data.scene.homes.materials import MATERIALS, Finish, texture
 from h3data.scene.homes.primitives import Solid

@@ -13,7 +13,7 @@ from bake.robots.glb import write_link_glb
 from bake.robots.links import Design, Link, text
 from h3data.bodies import Robot, load_robot
 from h3data.builtin import builtin_root
-from h3data.mesh.meshes import joined
+from h3data.mesh.mesh_operations import joined
 
 log = logging.getLogger(__name__)
 

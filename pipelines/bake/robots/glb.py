@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from h3data.mesh.glb import UINT16, GlbChunk, gltf_document, pack_glb
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.srgb import bytes_to_linear
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 AMBER, IVORY, GRAPHITE, STEEL = (226, 150, 58), (226, 220, 207), (58, 61, 67), (150, 154, 160)
 RUBBER, TEAL, GLASS = (34, 35, 38), (64, 186, 176), (20, 26, 34)

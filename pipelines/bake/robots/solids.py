@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from h3data.geometry import Array, normalized
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 
 Color = tuple[int, int, int]
 CREASE_DEG = 32.0

@@ -18,7 +18,7 @@ from h3data.geometry import (
     quat_rotate,
     transform_points,
 )
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render.sheets.people_sheet import lined_up
 from sim_kinematic.agents.person import Frame, Person, run
 

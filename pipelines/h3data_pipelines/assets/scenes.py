@@ -12,7 +12,7 @@ import tyro
 from tqdm import tqdm
 
 from h3data.errors import InputError, SceneError
-from h3data.habitat.episodes.episode_records import EpisodeSet
+from h3data.habitat.episodes.rearrange_episode import EpisodeSet
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data_pipelines.assets.scene_reports import text_table

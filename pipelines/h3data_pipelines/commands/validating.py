@@ -40,7 +40,7 @@ class Validate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
-        from h3data.habitat.assets import AssetLibrary
+        from h3data.habitat.asset_library import AssetLibrary
 
         if not self.paths:
             raise InputError("Expected at least one recording (.mcap) or dataset.")

@@ -9,7 +9,7 @@ import pytest
 
 from h3data.bodies import load_robot
 from h3data.mesh.loading import load_mesh
-from h3data.mesh.meshes import moved
+from h3data.mesh.mesh_operations import moved
 from h3data.render import Renderer, RenderInstance, RenderScene, look_at, pinhole
 
 PIXELS = np.zeros((8, 16, 3), np.uint8)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from h3data.errors import FormatError, InputError
 from h3data.geometry import heading_direction, quat_rotate
 from h3data.habitat.episodes.episode_files import read_episodes, write_episodes
-from h3data.habitat.episodes.episode_records import EpisodeSet, RearrangeEpisode, RigidObject
+from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RearrangeEpisode, RigidObject
 from h3data.habitat.episodes.social_nav_episodes import (
     SocialNavEpisode,
     read_social_nav,

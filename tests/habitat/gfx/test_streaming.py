@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from h3data.errors import FormatError
 from h3data.formats import SourceFile, detect
+from h3data.formats.builtin_formats import REPLAY_MEMBERS
 from h3data.formats.json_stream import ArrayElements, ArrayFault
-from h3data.formats.table import REPLAY_MEMBERS
 from h3data.habitat.gfx.gfx_keyframes import Keyframe, read_keyframes
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording import recordings_equal

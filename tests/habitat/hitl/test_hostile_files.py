@@ -20,9 +20,9 @@ from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, H3DataError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading
-from h3data.habitat.hitl.hitl_agents import told_joint_order
-from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
-from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.habitat.hitl.hitl_agents import infer_joint_order
+from h3data.habitat.hitl.hitl_paper_logs import read_hitl_log
+from h3data.habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data.habitat.hitl.walk_synthesis import walk_columns
 from h3data.recording import read_mcap, write_mcap
 from h3data_pipelines.cli import main
@@ -109,7 +109,7 @@ def test_both_orders_of_quaternions_are_told_apart(tmp_path: Path, wxyz: bool) -
 @pytest.mark.parametrize("names", [HABITAT_JOINTS, JOINT_NAMES[1:]])
 def test_the_order_of_joints_is_told_by_the_posture(tmp_path: Path, names: tuple[str, ...]) -> None:
     recording = read_hitl_log(stored(tmp_path, log(names=names)))
-    assert told_joint_order(hanging(names)[None]) == ("habitat" if names == HABITAT_JOINTS else "smplx")
+    assert infer_joint_order(hanging(names)[None]) == ("habitat" if names == HABITAT_JOINTS else "smplx")
     np.testing.assert_allclose(recording.columns["agent_1.joint_quat"][0], hanging(JOINT_NAMES[1:]), atol=1e-6)
     np.testing.assert_allclose(recording.columns["agent_0.action"][0], [0.5, 0.25])
     np.testing.assert_allclose(recording.columns["agent_1.base_pose"][0], [1, 0, 0, 0, 0, 0, 1], atol=1e-6)

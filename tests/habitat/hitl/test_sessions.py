@@ -12,9 +12,9 @@ import pytest
 
 import h3data
 from h3data.geometry import pose_from_matrix, pose_to_matrix
-from h3data.habitat.assets import AssetLibrary
-from h3data.habitat.hitl.hitl_gen1 import read_hitl_log
-from h3data.habitat.hitl.hitl_session import read_hitl_episode
+from h3data.habitat.asset_library import AssetLibrary
+from h3data.habitat.hitl.hitl_paper_logs import read_hitl_log
+from h3data.habitat.hitl.hitl_sessions import read_hitl_episode
 from h3data.recording import Dataset, DatasetWriter, Recording, read_mcap, recordings_equal, write_mcap
 from h3data_pipelines.cli import main
 

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
 from h3data.errors import FormatError, InputError, SceneError
-from h3data.habitat.navmesh.file import read_navmesh, write_navmesh
 from h3data.habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
+from h3data.habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
 from h3data.scene.freespace.build import build_from_walkable
 from tests.paths import REAL
 

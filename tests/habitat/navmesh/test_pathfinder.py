@@ -19,8 +19,8 @@ from shapely.geometry import LineString, Polygon, box
 
 from h3data.errors import InputError
 from h3data.habitat.navmesh._surface import REACH_M, Surface, contains, height, nearest
-from h3data.habitat.navmesh.file import read_navmesh
 from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
+from h3data.habitat.navmesh.navmesh_file import read_navmesh
 from h3data.habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
 from h3data.scene.freespace.build import build_from_walkable
 from tests.habitat.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from h3data.geometry import pose_to_matrix
-from h3data.habitat.navmesh.file import read_navmesh
 from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
+from h3data.habitat.navmesh.navmesh_file import read_navmesh
 from h3data.habitat.scenes.articulated import (
     default_positions,
     joint_order,

@@ -14,7 +14,7 @@ from h3data.errors import FormatError, H3DataError, MissingAssetError, SceneErro
 from h3data.habitat.scenes.receptacles import largest_rectangle
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.loading import node_box
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene.records import Box, Hull, Scene, instance_bounds
 from tests.paths import TEST_ASSETS
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.render import blob, box, colored, textured
 from h3data.bodies.people.humanoid_file import load_humanoid
 from h3data.errors import InputError
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.gpu import AutoEngine, GpuEngine, GpuRenderer, GpuScene, gpu_problem
 from h3data.render.gpu.meshlets import CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS, build_meshlets

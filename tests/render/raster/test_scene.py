@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render import OPENGL_TO_OPENCV, Camera, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.raster.clusters import CLUSTER_TRIANGLES, build_clusters
 from tests.paths import REAL

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from h3data.geometry import pose_to_matrix
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.raster.cpu import CpuEngine
 from h3data.render.raster.raster import Target, View

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.render import (
     Camera,
     Light,

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.render import Camera, Light, Renderer, RenderInstance, RenderScene, look_at, pinhole
 from h3data.render.shade.textures import BITS, SHIFTS, WORD_SCALE, mip_levels, pack_textures
 from h3data.render.shade.textures_simd import FOLLOWING, HEIGHT, OFFSET, WIDTH

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import shapely
 
-from h3data.habitat.navmesh.file import read_navmesh
-from h3data.mesh.records import Mesh
+from h3data.habitat.navmesh.navmesh_file import read_navmesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Instance, Scene
 

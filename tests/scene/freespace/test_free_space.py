@@ -15,7 +15,7 @@ from shapely.ops import nearest_points
 
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_heading
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace._visibility import visibility_edges
 from h3data.scene.freespace._visibility_build import edges_inside

@@ -14,7 +14,7 @@ import pytest
 from shapely.geometry import box
 
 from h3data.errors import FormatError, InputError
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable, scene_key
 from h3data.scene.freespace.store import cache_folder

@@ -15,7 +15,7 @@ import shapely
 
 from h3data.errors import InputError
 from h3data.geometry import pose_multiply, pose_to_matrix, quat_rotate
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import CATEGORIES, HOME_PRESETS, HomeSpec, Scene, build_home, instance_matrix, scene_digest
 from h3data.scene.freespace._footprints import walkable_from_shapes
 from h3data.scene.homes import OBJECT_CATEGORIES

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.errors import InputError
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import HomeSpec, Scene, build_home
 from h3data.scene.homes.materials import _STEPS, MATERIALS, Finish, texture
 from h3data.scene.homes.solids import MeshBuilder, shade, subdivided, turn_x, turn_y, vary

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import sim_kinematic.contact
 from h3data.errors import InputError, SceneError
 from h3data.geometry import quat_from_axis_angle, quat_from_heading, quat_to_matrix, transform_points
-from h3data.mesh.records import Mesh
+from h3data.mesh.mesh import Mesh
 from h3data.scene import FreeSpace
 from h3data.scene.records import Asset, Box, Capsule, Cylinder, Hull, Instance, Room, Scene, Shape
 from h3data.scene.shape_bounds import bounding_capsule, bounding_sphere, shape_bounds

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from h3data.mesh.gltf_primitives import nearest_texels
 from h3data.mesh.images import reduced, reduced_size
-from h3data.mesh.meshes import face_texture_indices
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
+from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 BAKED_SIDE_PX = 64

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import pose_inverse, pose_to_matrix, quat_from_matrix, quat_sign_continuous, transform_points
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 from h3data.recording.records import Recording
 from h3data_viewers.rerun.mesh_detail import ViewMesh, baked_colors, texture_bytes, thin_mesh, view_mesh, view_texture
 from h3data_viewers.rerun.rerun_sink import Sink

@@ -15,9 +15,9 @@ from h3data.habitat.placeholders import placeholder_mesh
 from h3data.habitat.scenes.object_handles import CONFIG_ENDING, HANDLE, file_of_template, template_mesh
 from h3data.habitat.skinned_meshes import SkinnedMesh, load_skinned_mesh
 from h3data.mesh.loading import MESH_SUFFIXES, is_file, load_mesh
-from h3data.mesh.meshes import painted
+from h3data.mesh.mesh import Mesh
+from h3data.mesh.mesh_operations import painted
 from h3data.mesh.primitives import box_mesh, is_primitive, primitive_mesh
-from h3data.mesh.records import Mesh
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.records import Scene
 

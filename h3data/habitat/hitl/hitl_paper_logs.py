@@ -16,11 +16,9 @@ from h3data.bodies.motion.habitat_humanoid import BASE_HEIGHT_M, HABITAT_JOINTS
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import Array, ground_pose
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.hitl_agents import AgentTrack, JointOrder, robot_named_in, tilt_rad
-from h3data.habitat.hitl.hitl_pickle import json_of_pickled_log
-from h3data.habitat.hitl.hitl_places import find_place
-from h3data.habitat.hitl.hitl_records import (
+from h3data.habitat.hitl.hitl_episode import (
     MAX_FLOAT,
     HitlEpisode,
     Id,
@@ -32,6 +30,8 @@ from h3data.habitat.hitl.hitl_records import (
     scalar_columns,
     unit_rotations,
 )
+from h3data.habitat.hitl.hitl_pickled_logs import json_of_pickled_log
+from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
 from h3data.safe_pickle import is_pickle
@@ -74,7 +74,7 @@ def read_hitl_log(
     - The log has no time stamps: row k is step k at ``fps`` steps per second.
     - A person's whole posture is in the action vector (spec/habitat-findings.md 9): ``agent_<i>.joint_quat`` holds it,
       ``root_pose`` the logged pelvis. ``joint_order`` of the vector is that of the person's URDF, which the log does not
-      name; None tells it from the posture (`h3data.habitat.hitl.hitl_agents.told_joint_order`).
+      name; None tells it from the posture (`h3data.habitat.hitl.hitl_agents.infer_joint_order`).
     - What is left of the vector is the robot's ``agent_<i>.action``.
     - Of the objects only the places of the targets are logged: their rotations are the identity.
     - ``input.user_0.<name>`` holds what the person at the keyboard did (``hint_walk_dir`` [T, 3], ``cam_yaw``, ...; NaN where

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.loading import is_file
 
@@ -15,7 +15,7 @@ _LEVELS = 4
 """How far above a config its dataset's config is looked for."""
 
 
-class AssetFiles:
+class ReferencedFiles:
     """Finds the files of one scene.
 
     As in habitat-sim a path is tried as it stands (absolute, or relative to the working directory), then relative to

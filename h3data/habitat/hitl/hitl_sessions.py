@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError
 from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
-from h3data.habitat.assets import AssetLibrary
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.episodes.partnr import partnr_result
 from h3data.habitat.hitl.hitl_agents import AgentTrack, robot_named_in
-from h3data.habitat.hitl.hitl_places import find_place
-from h3data.habitat.hitl.hitl_records import (
+from h3data.habitat.hitl.hitl_episode import (
     HitlEpisode,
     Id,
     Number,
@@ -31,6 +30,7 @@ from h3data.habitat.hitl.hitl_records import (
     held,
     unit_rotations,
 )
+from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
 

@@ -69,7 +69,7 @@ BUILT_IN = (
         suffixes=(".json", ".json.gz"),
         read="h3data.habitat.gfx.gfx_replay:read_gfx_replay",
         read_options=("fps",),
-        write="h3data.export.gfx_replay_write:export_gfx_replay",
+        write="h3data.export.gfx_replay_export:export_gfx_replay",
         write_options=("assets", "light"),
     ),
     Format(
@@ -83,7 +83,7 @@ BUILT_IN = (
         title="an episode of a human-in-the-loop session (habitat-lab rearrange_v2)",
         members=_has("session", "episode", "frames"),
         suffixes=(".json", ".json.gz"),
-        read="h3data.habitat.hitl.hitl_session:read_hitl_episode",
+        read="h3data.habitat.hitl.hitl_sessions:read_hitl_episode",
         read_options=("assets",),
     ),
     Format(
@@ -91,7 +91,7 @@ BUILT_IN = (
         title="a human-in-the-loop log of the first generation (habitat-lab rearrange)",
         members=lambda m, name: "steps" in m and not m.keys().isdisjoint(("episode_id", "scene_id", "start_time")),
         suffixes=(".pkl.gz", ".json", ".json.gz"),
-        read="h3data.habitat.hitl.hitl_gen1:read_hitl_log",
+        read="h3data.habitat.hitl.hitl_paper_logs:read_hitl_log",
         read_options=("fps", "assets"),
     ),
     Format(
@@ -146,14 +146,14 @@ BUILT_IN = (
         name="pickle",
         title="a pickle",
         begins=re.compile(b"\x80[\x03-\x05]"),
-        read="h3data.habitat.hitl.hitl_gen1:read_hitl_log",
+        read="h3data.habitat.hitl.hitl_paper_logs:read_hitl_log",
         read_options=("fps", "assets"),
     ),
     Format(
         name="navmesh",
         title="a Habitat navmesh",
         begins=_magic(b"TESM"),
-        hint="read it with h3data.habitat.navmesh.file.read_navmesh",
+        hint="read it with h3data.habitat.navmesh.navmesh_file.read_navmesh",
     ),
     Format(name="mcap", title="an MCAP log", begins=_magic(b"\x89MCAP0\r\n")),
     Format(
@@ -179,7 +179,7 @@ BUILT_IN = (
     Format(
         name="foxglove",
         title="a log for Foxglove and Lichtblick",
-        write="h3data.export.foxglove.write:export_foxglove",
+        write="h3data.export.foxglove.foxglove_file:export_foxglove",
         write_options=("assets", "camera"),
     ),
     Format(

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 from h3data.formats import FORMATS, json_format
+from h3data.formats.builtin_formats import JSON
 from h3data.formats.json_files import not_json
 from h3data.formats.source_file import decode_json
-from h3data.formats.table import JSON
 from h3data.geometry import quat_sign_continuous
 from h3data.habitat.hitl.hitl_agents import AgentKind, AgentTrack, JointOrder, add_agents, agent_kinds, root_height_m
-from h3data.habitat.hitl.hitl_places import Place
+from h3data.habitat.hitl.hitl_scenes import Place
 from h3data.habitat.scenes.object_handles import HANDLE, template_of
 from h3data.limits import check_size
 from h3data.recording.records import AssetRef, Body, Episode, Event, Recording

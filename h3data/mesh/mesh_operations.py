@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import Array, normalized
-from h3data.mesh.records import Mesh, Texture
+from h3data.mesh.mesh import Mesh, Texture
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:

@@ -25,11 +25,11 @@ from h3data.export.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
-from h3data.habitat.assets import EMPTY_URI
+from h3data.habitat.asset_library import EMPTY_URI
 from h3data.habitat.scenes.object_handles import HANDLE
 from h3data.mesh.glb_write import glb_bytes
+from h3data.mesh.mesh import Mesh
 from h3data.mesh.primitives import is_primitive
-from h3data.mesh.records import Mesh
 from h3data.recording.records import AssetRef, Recording
 from h3data.replay import Replay
 

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import msgspec
 
 from h3data.errors import FormatError, H3DataError, InputError, PluginError, did_you_mean
+from h3data.formats.builtin_formats import BUILT_IN, JSON, UNKNOWN
 from h3data.formats.format import Format
 from h3data.formats.source_file import BYTE_ORDER_MARK, SourceFile, decode_json
-from h3data.formats.table import BUILT_IN, JSON, UNKNOWN
 from h3data.plugins import PluginWarning, Registry, load_reference
 
 
