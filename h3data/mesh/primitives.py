@@ -66,7 +66,7 @@ def primitive_mesh(name: str) -> Mesh:
 
 
 def box_mesh(
-    half_extents: Sequence[float], *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR
+    half_extents: ArrayLike, *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR
 ) -> Mesh:
     """An axis-aligned box, shaded flat."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)

@@ -1,4 +1,4 @@
-"""Who acts in a gfx-replay. The format does not say; the names of the drawn files do."""
+"""Recognises the agents of a gfx-replay by the names of its asset files, as the format does not name them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Kind = Literal["robot", "human"]
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """How an agent was recognised: ``record`` goes into the episode's info."""
+    """An agent as it was recognised; ``record`` goes into the episode's info."""
 
     record: dict[str, Any]
     warnings: list[str] = field(default_factory=list)
@@ -48,13 +48,13 @@ class _Group:
 def add_agents(
     bodies: Sequence[Body], assets: Sequence[AssetRef], object_pose: NDArray[np.float32] | None, steps: int, path: Path
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
-    """Agents (robots first), bodies that name their agent, the agents' columns, and how they were found.
+    """Agents (robots first), bodies that name their agent, the agents' columns, and how each was recognised.
 
     A robot is a run of bodies in the order of creation whose files lie in the same robot folder; a new run begins
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows
     habitat-lab (spec/habitat.md 0): a robot stands ``ROBOT_BASE_HEIGHT_M`` under its base link and faces along that
     link's x axis; a person stands `HUMAN_ROOT_HEIGHT_M` under the root and faces along its z axis. Both headings are
-    projected on the floor. ``path`` is named by errors.
+    projected on the floor. ``path`` appears in error texts.
     """
     uris = {ref.name: ref.uri for ref in assets}
     groups = _groups([uris[b.asset] for b in bodies])
@@ -85,7 +85,7 @@ def add_agents(
 
 
 def robot_model(uri: str) -> str | None:
-    """The robot's folder name, e.g. ``hab_spot_arm``, if a recorded path is a link of a robot."""
+    """The robot's folder name, e.g. ``hab_spot_arm``, if a recorded path is a robot link."""
     match = _ROBOT.search(uri)
     return (match.group(2) or match.group(3)) if match else None
 
@@ -123,7 +123,7 @@ def _is_base(uri: str) -> bool:
 
 
 def _base_height(model: str) -> float | None:
-    """Height of a robot's base link over the floor [m]; None if it is not known."""
+    """Height of a robot's base link over the floor [m]; None if unknown."""
     if model in robot_names():
         robot = load_robot(model)
         return float(robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0, 0, 1, 3])
@@ -138,7 +138,7 @@ def _root(group: _Group, uris: Sequence[str], bodies: Sequence[Body]) -> tuple[i
     if group.kind == "robot":
         if not _is_base(uris[position]):
             warnings.append(
-                f"robot {group.model} has no link called base: {bodies[group.bodies[0]].name} is taken for it"
+                f"robot {group.model} has no link called base: {bodies[group.bodies[0]].name} is taken as its base"
             )
         if _base_height(group.model) is None:
             warnings.append(f"robot {group.model}: its base link is taken to be at the floor")

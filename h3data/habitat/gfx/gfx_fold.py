@@ -1,4 +1,4 @@
-"""The fold of a gfx-replay's keyframes: instances with their lives and poses."""
+"""Folds the keyframes of a gfx-replay, which hold changes, into instances with lifetimes and poses."""
 
 from __future__ import annotations
 
@@ -21,35 +21,36 @@ from h3data.limits import MAX_BODIES, MAX_STEPS, check_count
 
 _BLOCK = 1 << 14
 LIGHT_BYTES = 4 << 20
-"""So much text about lights is kept; a light takes 90 bytes."""
+"""Limit of text about lights that is kept; a light takes 90 bytes."""
 
 
 @dataclass(eq=False)
 class Updates:
-    """When something's poses were written and what they were: 32 bytes each, since a long file has millions of them."""
+    """Poses of one thing and the keyframes that wrote them: 32 bytes each, since a long file has millions of them."""
 
     steps: array[int] = field(default_factory=lambda: array("i"))
     """Keyframes, not decreasing."""
     _values: array[float] = field(default_factory=lambda: array("f"))
     _tidy: bool = False
-    """The values are pose7 already; before, x y z and w x y z."""
+    """Whether the values are pose7 already; before, they are x y z and w x y z."""
 
     def add(self, step: int, transform: Transform) -> None:
-        """The pose of a node."""
+        """Adds the pose of a node."""
         self.steps.append(step)
         self._values.extend(transform.translation)
         self._values.extend(transform.rotation)
 
     def add_bones(self, step: int, bones: list[BonePose]) -> None:
-        """The poses of all bones of a rig."""
+        """Adds the poses of all bones of a rig."""
         self.steps.append(step)
         for bone in bones:
             self._values.extend(bone.t)
             self._values.extend(bone.r)
 
     def poses(self, bones: int = 1) -> NDArray[np.float32]:
-        """pose7 [U, bones, 7], quaternions sign-continuous on axis 0 and of unit length (files round to 4 decimals), NaN if
-        theirs is 0. A view: updates can neither be added nor removed as long as it is held."""
+        """pose7 [U, bones, 7], quaternions sign-continuous on axis 0 and of unit length (files round to 4 decimals), NaN
+        where theirs is 0. A view: updates can neither be added nor removed while it is held.
+        """
         if not self.steps:
             return np.zeros((0, bones, 7), np.float32)
         poses = np.frombuffer(self._values, np.float32).reshape(-1, bones, 7)
@@ -65,7 +66,7 @@ class Updates:
         return poses
 
     def drop_after(self, step: int) -> None:
-        """Forget what was written later than the latest update at or before ``step``."""
+        """Drops the updates after the latest one at or before ``step``."""
         keep = bisect_right(self.steps, step)
         width = len(self._values) // max(len(self.steps), 1)
         del self.steps[keep:]
@@ -79,7 +80,7 @@ class Life:
     key: int
     creation: Creation
     start: int
-    """First keyframe in which it exists."""
+    """First keyframe in which the instance exists."""
     end: int = -1
     """First keyframe in which it no longer exists; -1 = it stays to the end."""
     semantic_id: int = 0
@@ -87,7 +88,7 @@ class Life:
 
     @property
     def placed(self) -> bool:
-        """Whether it was created with a pose; without one the player leaves it where nodes are made, at the origin."""
+        """Whether the instance was created with a pose; without one, the player leaves it at the origin."""
         return bool(self.updates.steps) and self.updates.steps[0] == self.start
 
     def first_pose(self) -> NDArray[np.float32]:
@@ -95,18 +96,18 @@ class Life:
         return self.updates.poses()[0, 0].copy() if self.placed else IDENTITY_POSE.astype(np.float32)
 
     def moves(self, steps: int) -> bool:
-        """Whether it has more than one pose in ``steps`` keyframes; being away counts as one."""
+        """Whether the instance has more than one pose in ``steps`` keyframes; being absent counts as one."""
         lasts = self.start == 0 and self.end in (-1, steps)
         return not lasts or bool(np.any(self.updates.poses() != self.first_pose()))
 
 
 @dataclass(eq=False)
 class Loaded:
-    """What the load entries of one path say."""
+    """The load entries of one path."""
 
     last: Load
     always_painted: bool = True
-    """Each of them overrides the material."""
+    """Whether every one of them overrides the material."""
 
     def add(self, load: Load) -> None:
         phong = load.overridePhongMaterial
@@ -116,7 +117,7 @@ class Loaded:
 
 @dataclass(eq=False)
 class Rig:
-    """Poses of a body's bones."""
+    """Poses of a rig's bones."""
 
     bone_names: list[str] = field(default_factory=list)
     bones: int = 0
@@ -125,24 +126,24 @@ class Rig:
 
 @dataclass(eq=False)
 class Fold:
-    """Everything that the keyframes say, by instance."""
+    """The content of all keyframes, by instance."""
 
     steps: int = 0
     lives: list[Life] = field(default_factory=list)
     loads: dict[str, Loaded] = field(default_factory=dict)
-    """By path, without what is behind its question mark."""
+    """By path, without the suffix after its question mark."""
     rigs: dict[int, Rig] = field(default_factory=dict)
     user: dict[str, Updates] = field(default_factory=dict)
     lights: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    """How often something odd was met, by what it was."""
+    """Counts of oddities, by description."""
 
     def note(self, what: str) -> None:
         self.counts[what] = self.counts.get(what, 0) + 1
 
 
 def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
-    """The keyframes applied one after another, as Habitat's player does; ``path`` is named by errors."""
+    """Applies the keyframes one after another, as Habitat's player does; ``path`` appears in error texts."""
     fold = Fold()
     live: dict[int, Life] = {}
     light_bytes = 0
@@ -172,7 +173,7 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
         if keyframe.lightsChanged or lights:
             light_bytes += len(lights)
             if light_bytes > LIGHT_BYTES:
-                fold.note("changes of lights are not kept: they are too many")
+                fold.note("changes of lights are not kept: there are too many")
             else:
                 fold.lights.append((step, _lights(lights, step, path)))
         check_count(step, MAX_STEPS, "keyframes", path)
@@ -182,9 +183,10 @@ def fold_keyframes(keyframes: Iterable[Keyframe], path: Path) -> Fold:
 
 
 def fold_tracks(fold: Fold, movers: Sequence[Life]) -> NDArray[np.float32]:
-    """pose7 [T, M, 7] of instances at every keyframe, NaN where they are away. Their updates are used up.
+    """pose7 [T, M, 7] of instances at every keyframe, NaN where they are absent. Consumes their updates.
 
-    From the last keyframes to the first, and what was used is freed: both are never in memory as a whole.
+    Works from the last keyframes to the first and frees what it has used: tracks and updates are never both in memory as
+    a whole.
     """
     tracks = np.empty((fold.steps, len(movers), 7), np.float32)
     for stop in range(fold.steps, 0, -_BLOCK):
@@ -207,7 +209,8 @@ def _rows(life: Life, start: int, stop: int) -> NDArray[np.float32]:
 
 def filled(updates: Updates, start: int, stop: int, *, bones: int = 1, end: int = -1) -> NDArray[np.float32]:
     """The latest poses at the keyframes from ``start`` to ``stop``, pose7 [stop - start, bones, 7]; NaN before the first
-    update, and from the keyframe ``end`` on unless that is -1."""
+    update, and from the keyframe ``end`` on unless that is -1.
+    """
     at = np.arange(start, stop, dtype=np.int32)
     latest = np.searchsorted(np.array(updates.steps, np.int32), at, side="right") - 1
     rows = np.full((len(at), bones, 7), np.nan, np.float32)
@@ -234,10 +237,10 @@ def _lights(text: bytes, step: int, path: Path) -> list[dict[str, Any]]:
 
 
 def _create_and_delete(fold: Fold, live: dict[int, Life], step: int, keyframe: Keyframe) -> None:
-    """Apply one keyframe's deletions and creations.
+    """Applies one keyframe's deletions and creations.
 
-    The player creates first and then deletes. A key that lived before and is in both lists is another instance that
-    re-uses the key: the old one ends, the new one stays. A key that did not live before cancels itself out.
+    The player creates first and then deletes. A key that existed before and is in both lists is another instance that
+    re-uses the key: the old one ends, the new one stays. A key that did not exist before cancels itself out.
     """
     created = {item.instanceKey for item in keyframe.creations}
     for key in keyframe.deletions:

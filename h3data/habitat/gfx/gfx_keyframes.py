@@ -1,7 +1,7 @@
-"""The keyframes of a gfx-replay file, as typed records, read one by one.
+"""Reads the keyframes of a gfx-replay file one by one, as typed records.
 
-The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Lists that are empty
-are left out, unknown members are ignored, the enumeration ``type`` changed over the years and is never used.
+The format stores changes: a keyframe holds what is new since the one before (spec/habitat.md 5.1). Empty lists are left
+out, unknown members are ignored, and the enumeration ``type``, which changed over the years, is never used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from h3data.formats.json_stream import ArrayElements, ArrayFault
 from h3data.formats.source_file import BYTE_ORDER_MARK, decode_json
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-"""What fits a float32 also after a product or two."""
+"""Fits a float32 even after a product or two."""
 Vec3 = tuple[Number, Number, Number]
 Quat = tuple[Number, Number, Number, Number]
 Key = Annotated[int, msgspec.Meta(ge=0)]
@@ -126,16 +126,16 @@ class _File(msgspec.Struct):
 
 
 KEYFRAME_BYTES = 64 << 20
-"""One keyframe may be so long; what stands behind the keyframes as well."""
+"""Limit of one keyframe, and of everything after the keyframes."""
 WHOLE_BYTES = 256 << 20
-"""A file that does not begin with its keyframes is read as a whole, and may be so long."""
+"""Limit of files that do not begin with their keyframes, which are read as a whole."""
 
 _OPENING = re.compile(rb"""[ \t\r\n]*\{[ \t\r\n]*"keyframes"[ \t\r\n]*:[ \t\r\n]*\[""")
 _OPENING_BYTES = 4096
 
 
 def read_keyframes(file: SourceFile, digest: Callable[[bytes], object]) -> Iterator[Keyframe]:
-    """Keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``, one by one.
+    """Yields the keyframes of a ``.gfx_replay.json`` or ``.json.gz``, or of a single ``{"keyframe": {...}}``.
 
     A file that begins with its keyframes, as Habitat writes it, is never held in memory as a whole. ``digest`` is called
     with the (unpacked) text of the file, piece by piece. An error may come after many keyframes.
@@ -184,7 +184,7 @@ def _streamed(path: Path, head: bytes, start: int, chunks: Iterator[bytes]) -> I
         raise FormatError(
             f"Not a valid gfx-replay: {fault} in its list of keyframes (byte {fault.at}): {path}"
         ) from None
-    rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "what stands behind the keyframes")
+    rest = _limited(path, elements.rest, chunks, KEYFRAME_BYTES, "the part after the keyframes")
     stand_in = b'{"keyframes":[]'
     try:
         again = decode_json(stand_in + rest)["keyframes"]
@@ -264,8 +264,10 @@ def _explain(path: Path, number: int, text: bytes, message: str) -> FormatError:
 
 def _item(text: bytes, group: str, index: int) -> Any:
     try:
-        return json.loads(text)[group][index]  # msgspec refuses numbers that are too large, which may be the very fault
-    except (ValueError, RecursionError, LookupError, TypeError):  # so is a member that is there twice
+        return json.loads(text)[group][
+            index
+        ]  # msgspec refuses numbers that are too large, which may be the fault to explain
+    except (ValueError, RecursionError, LookupError, TypeError):  # a member may occur twice
         return None
 
 

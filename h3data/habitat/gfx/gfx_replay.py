@@ -1,4 +1,4 @@
-"""Habitat's gfx-replay files as recordings."""
+"""Reads Habitat's gfx-replay files as recordings."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from h3data.srgb import linear_to_bytes
 
 _DIFFUSE = re.compile(r"_dif_(\d{1,20})")
 _SCENE_FOLDER = re.compile(r"(^|/)(stages?|scenes?|navmesh)/")
-_UNTELLING_STEMS = {"textured", "mesh", "model", "visual", "collider", "textured_simple"}
-_UNTELLING_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets", "tsdf", "poisson"}
+_GENERIC_STEMS = {"textured", "mesh", "model", "visual", "collider", "textured_simple"}
+_GENERIC_FOLDERS = {"google_16k", "visual", "visuals", "meshes", "mesh", "assets", "tsdf", "poisson"}
 
 
 def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -> Recording:
-    """The recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
+    """Reads the recording in a ``.gfx_replay.json`` (or ``.json.gz``) file of habitat-sim or its HITL tools.
 
-    A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the drawn nodes, asset names, nothing else. So:
+    A gfx-replay is a visual log (spec/habitat.md 5.1): poses of the rendered nodes, asset names, nothing else. So:
 
-    - One body per created instance. A body's pose is its node's world transform, the mesh frame after the asset's
-      ``frame`` has been turned to +Y up. Bodies that were always there and never moved are static, the others have
+    - Each created instance becomes one body. A body's pose is its node's world transform, the mesh frame after the
+      asset's ``frame`` has been rotated to +Y up. Bodies that always exist and never move are static, the others have
       tracks.
     - The format has no time stamps: row k is keyframe k, at ``fps`` keyframes per second (default: the nominal 30).
     - User transforms become columns ``user.<name>`` [T, 7], pose7 in the world, NaN where absent. Those that are
@@ -47,6 +47,9 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     - Robots and people are recognised by their file names, see `h3data.habitat.gfx.gfx_agents`.
 
     ``episode.info`` holds the lights, the rigs, how each agent's floor position was found, and ``warnings``.
+
+    Raises:
+        FormatError: the file is something else, truncated or damaged.
     """
     file = SourceFile.of(path)
     path = file.path
@@ -117,7 +120,7 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
             loaded = fold.loads.get(plain)
             if loaded is None and not is_primitive(plain):
                 unloaded.add(plain)
-            load = Load(filepath=plain) if loaded is None else loaded.last  # as in the player
+            load = Load(filepath=plain) if loaded is None else loaded.last  # as the player does
             color = _color(life.creation.filepath, loaded)
             uri = f"primitive:{plain}" if is_primitive(plain) else clean_path(plain)
             values = {"uri": uri, "color": color, "units_m": load.virtualUnitToMeters,
@@ -132,9 +135,7 @@ def _assets(fold: Fold, path: Path) -> tuple[list[AssetRef], list[str], list[str
         names.append(refs[key].name)
     notes = []
     if hidden:
-        notes.append(
-            f"{hidden} instances were recorded without a file (hidden while recording): they are drawn as nothing"
-        )
+        notes.append(f"{hidden} instances were recorded without a file (hidden while recording): they are invisible")
     if unloaded:
         notes.append(f"{len(unloaded)} assets have no load entry, their frame is taken as +Y up: {sorted(unloaded)[0]}")
     return list(refs.values()), names, notes
@@ -161,23 +162,23 @@ def _color(filepath: str, loaded: Loaded | None) -> tuple[int, int, int] | None:
 
 
 def _plus_zero(axis: Sequence[float]) -> tuple[float, float, float]:
-    """The same axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
+    """The axis with -0.0 written as 0.0, so that equal frames compare and print equal."""
     x, y, z = (float(v) + 0.0 for v in axis)
     return (x, y, z)
 
 
 def _short_name(uri: str) -> str:
-    """A telling name for an asset: its file's stem, or the folder that names a YCB object."""
+    """A descriptive name of an asset: its file's stem, or the folder that names a YCB object."""
     if uri.startswith("primitive:"):
         return uri.removeprefix("primitive:").split("_", 1)[0]
     parts = PurePosixPath(uri)
-    if parts.stem not in _UNTELLING_STEMS:
+    if parts.stem not in _GENERIC_STEMS:
         return parts.stem
-    return next((p for p in reversed(parts.parts[:-1]) if p not in _UNTELLING_FOLDERS), parts.stem)
+    return next((p for p in reversed(parts.parts[:-1]) if p not in _GENERIC_FOLDERS), parts.stem)
 
 
 def _unique(name: str, used: dict[str, int]) -> str:
-    """The name, or with the first number behind it that is free; ``used`` has the last number of each."""
+    """The name, with the first free number appended if it is taken; ``used`` has the last number of each name."""
     candidate, number = name, used.get(name, 0)
     while candidate in used:
         number += 1
@@ -233,7 +234,9 @@ def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
     for name, updates in fold.user.items():
         _check_rotations(updates, 1, f"userTransforms, {name!r}", path)
         rows = np.full((fold.steps, 7), np.nan, np.float32)
-        rows[np.array(updates.steps)] = updates.poses()[:, 0]  # not sticky: only the keyframes that have it
+        rows[np.array(updates.steps)] = updates.poses()[
+            :, 0
+        ]  # transforms do not persist: only keyframes that list one have it
         columns[f"user.{name}"] = rows
     return columns
 

@@ -1,4 +1,4 @@
-"""Who acts in a HITL log. It holds the roots of the agents' bodies; robots and people must be told apart and posed.
+"""Tells robots and people in a HITL log apart and poses them; the log holds only the roots of their bodies.
 
 Frames of the logged roots (spec/habitat.md 0): a robot's has x forward, y up, z right and is its base link; a person's is
 the SMPL-X pelvis with z forward, y up, x left.
@@ -25,22 +25,22 @@ AgentKind = Literal["robot", "human"]
 JointOrder = Literal["habitat", "smplx"]
 
 SYNTHETIC_BODY = "neutral_0"
-"""Who stands in for people of whom only the root is known."""
+"""Body of people of whom only the root is known."""
 LEVEL_RAD = 2e-3
-"""A robot's base only turns about the vertical; a walking or standing person's pelvis is tilted by more than this."""
+"""A robot's base only rotates about the vertical; a walking or standing person's pelvis tilts by more than this."""
 SAME_FLOOR_M = 0.15
 _ROBOTS = {"spot": ("quad_arm", 0.48), "fetch": ("lift_arm", 0.0), "stretch": ("lift_arm", 0.0)}
-"""Our model that stands in for each, and the height of Habitat's base link over the floor [m]."""
+"""Built-in model that stands in for each of Habitat's robots, and the height of its base link over the floor [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AgentTrack:
-    """What a log says about one agent."""
+    """One agent as a log has it."""
 
     roots: NDArray[np.float64]
     """pose7 of the root in the world, shape [T, 7]; NaN where the log has none."""
     grasp_id: NDArray[np.int64]
-    """Object id of what it holds, -1 = nothing, shape [T]."""
+    """Id of the held object, -1 = none, shape [T]."""
     joints: Array | None = None
     """People with a logged posture: local rotations [T, 54, 4] as logged, any joint order."""
     base: Array | None = None
@@ -50,7 +50,7 @@ class AgentTrack:
 
 
 def tilt_rad(roots: Array) -> float:
-    """Median angle between the y axes of roots [T, 7] and the vertical; 0 if there is none."""
+    """Median angle between the y axes of roots [T, 7] and the vertical; 0 without any finite root."""
     known = roots[np.isfinite(roots).all(1)]
     if not len(known):
         return 0.0
@@ -59,12 +59,12 @@ def tilt_rad(roots: Array) -> float:
 
 
 def agent_kinds(tracks: Sequence[AgentTrack]) -> list[AgentKind]:
-    """A posture or a tilted root makes a person (`LEVEL_RAD`)."""
+    """Kind of each agent: a posture or a tilted root makes a person (`LEVEL_RAD`)."""
     return ["human" if t.joints is not None or tilt_rad(t.roots) > LEVEL_RAD else "robot" for t in tracks]
 
 
 def robot_named_in(*texts: str) -> str:
-    """The first of Habitat's robots that a text names; Spot, the robot of Habitat 3.0, if none does."""
+    """The first of Habitat's robots that a text names; Spot, the robot of Habitat 3.0, if it names none."""
     joined = " ".join(texts).lower()
     found = [(joined.find(name), name) for name in _ROBOTS if name in joined]
     return min(found)[1] if found else "spot"
@@ -79,10 +79,10 @@ def add_agents(
     tracks: Sequence[AgentTrack], kinds: Sequence[AgentKind], time_ns: NDArray[np.int64], *, robot: str,
     joint_order: JointOrder | None = None,
 ) -> tuple[list[Agent], dict[str, NDArray[Any]], list[dict[str, Any]]]:  # fmt: skip
-    """Agents, their columns but for what they hold, and for each what was recorded and what is made up.
+    """Agents, their columns except held bodies, and for each agent what was recorded and what is made up.
 
-    Robots are drawn by a built-in one in its resting posture. People with a logged posture keep it, on the built-in body
-    whose feet come nearest to the floor with it; for the others a walk is made from the way of their root.
+    Robots are shown by a built-in model in its resting posture. People with a logged posture keep it, on the built-in
+    body whose feet come nearest to the floor with it; for the others a walk is synthesised from the path of their root.
     """
     agents: list[Agent] = []
     columns: dict[str, NDArray[Any]] = {}
@@ -122,7 +122,7 @@ def _robot(name: str, track: AgentTrack, robot: str) -> tuple[Agent, dict[str, N
 
 # --- people -----------------------------------------------------------------------------------------------------------
 def infer_joint_order(joints: Array) -> JointOrder:
-    """Which order of joints [T, 54, 4] is in: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
+    """The order of joints [T, 54, 4]: depth first, as in the URDFs of Habitat's people, or that of SMPL-X.
 
     The file does not say. All rotations are relative to the T-pose, so in the right order the shoulders are bent much
     (arms hang down) and jaw and eyes hardly.
@@ -156,7 +156,7 @@ def _posed_person(
 
 
 def _fitting_body(roots: Array, joints: Array, floor: Array) -> str:
-    """The built-in body whose lower foot is, in the median, nearest to its height when standing."""
+    """The built-in body whose lower foot is nearest, in the median, to its height when standing."""
     rows = np.flatnonzero(np.isfinite(roots).all(1) & np.isfinite(joints).all((1, 2)) & np.isfinite(floor))
     rows = rows[:: max(1, len(rows) // 32)]
     if not len(rows):
@@ -187,8 +187,9 @@ def _walking_person(
 
 
 def _floor_below(height: Array, robot_floor: Array | None, window: int = 31) -> Array:
-    """Height of the floor [T] under roots at heights [T] [m]: the bobbing of the walk is filtered out, and on the robot's
-    storey it is the robot's floor."""
+    """Height of the floor [T] under roots at heights [T] [m]: the bobbing of the walk is filtered out, and on the
+    robot's storey it is the robot's floor.
+    """
     if not len(height):
         return height
     padded = np.pad(height, window // 2, mode="edge")

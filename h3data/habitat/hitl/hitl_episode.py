@@ -1,4 +1,4 @@
-"""What the HITL logs of both generations share: their values, objects, metrics, and how an episode becomes a recording."""
+"""Shared by both generations of HITL logs: objects, metrics, and the assembly of a recording."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 
 MAX_METRICS = 256
 MAX_FLOAT = 3e38
-"""What a float32 holds."""
+"""Largest value of a float32."""
 
 T = TypeVar("T")
 Scalar = TypeVar("Scalar", bound=np.number[Any])
@@ -65,7 +65,7 @@ class PoseTracks:
     _poses: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
 
     def add(self, name: str, step: int, position: Vec3, rotation: Quat) -> None:
-        """One pose7; a later one of the same step replaces an earlier one."""
+        """Adds one pose7; a later one of the same step replaces an earlier one."""
         if name not in self._rows:
             self.names.append(name)
             self._rows[name], self._poses[name] = [], []
@@ -73,7 +73,7 @@ class PoseTracks:
         self._poses[name].append((*position, *rotation))
 
     def arrays(self, path: Path) -> list[NDArray[np.float64]]:
-        """pose7 [T, 7] of each name, NaN where there is none; quaternions as logged but of unit length."""
+        """pose7 [T, 7] of each name, NaN where there is none; quaternions as logged, scaled to unit length."""
         check_size(self.steps, len(self.names), path)
         out = []
         for name in self.names:
@@ -84,7 +84,7 @@ class PoseTracks:
 
 
 def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray[np.float64]:
-    """The track [T, 7] with quaternions of unit length (logs are rounded); refuses those that are none."""
+    """The track [T, 7] with unit quaternions (logs are rounded); a quaternion of length 0 is a `FormatError`."""
     length = np.linalg.norm(track[:, 3:], axis=1)
     bad = np.flatnonzero(length < 1e-3)
     if len(bad):
@@ -94,7 +94,7 @@ def unit_rotations(track: NDArray[np.float64], name: str, path: Path) -> NDArray
 
 
 def held(track: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """The track [T, ...] with the latest row of a ``known`` step [T] at every step; before the first, that one."""
+    """The track [T, ...] in which every step has the row of the latest ``known`` step [T]; before the first, of that one."""
     if not known.any():
         return track
     latest = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
@@ -106,8 +106,8 @@ def object_bodies(
 ) -> tuple[list[AssetRef], list[Body], dict[str, NDArray[Any]]]:
     """Assets, bodies and the column ``object_pose`` of the objects that a task moves.
 
-    A handle ``can_:0000`` is an instance of the template ``can``, which is looked for by that name; names without a
-    number are those of a log that has ids only.
+    A handle ``can_:0000`` is an instance of the template ``can``, which is searched under that name; names without a
+    number come from logs that have ids only.
     """
     assets: dict[str, AssetRef] = {}
     bodies = []
@@ -159,7 +159,7 @@ def _leaves(row: Mapping[str, Any], at: str, depth: int) -> Iterable[tuple[str, 
 
 @dataclass(kw_only=True, eq=False)
 class HitlEpisode:
-    """The parts of a log in our terms; `recording` puts them together."""
+    """The parts of a log in our terms; `recording` assembles them."""
 
     path: Path
     data: bytes
@@ -181,11 +181,11 @@ class HitlEpisode:
     warnings: list[str] = field(default_factory=list)
 
     def kinds(self) -> list[AgentKind]:
-        """What the agents are, in their order."""
+        """Kind of each agent, in their order."""
         return agent_kinds(self.tracks)
 
     def floor_y(self) -> float:
-        """Height on which the agents stand most of the time [m]; 0 if there are none."""
+        """Height on which the agents stand most of the time [m]; 0 without agents."""
         heights = [t.roots[:, 1] - root_height_m(k, self.robot) for t, k in zip(self.tracks, self.kinds(), strict=True)]
         known = np.concatenate([h[np.isfinite(h)] for h in heights]) if heights else np.zeros(0)
         return float(np.median(known)) if len(known) else 0.0
@@ -235,5 +235,5 @@ class HitlEpisode:
 
     @staticmethod
     def _housed(body: Body, renamed: Mapping[str, str], index: Mapping[str, int]) -> Body:
-        """A body of the place, under names that the objects do not have."""
+        """A body of the place, renamed if an object has its name."""
         return replace(body, name=f"scene/{body.name}" if body.name in index else body.name, asset=renamed[body.asset])

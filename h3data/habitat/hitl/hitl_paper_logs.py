@@ -1,4 +1,4 @@
-"""Logs of the HITL tool that the paper used: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
+"""Reads logs of the paper's HITL tool: habitat-lab's ``siro_sandbox``, later ``rearrange`` (spec/habitat.md 5.2)."""
 
 from __future__ import annotations
 
@@ -69,19 +69,19 @@ def read_hitl_log(
     path: str | os.PathLike[str], *, fps: float = 30.0, assets: AssetLibrary | None = None,
     joint_order: JointOrder | None = None,
 ) -> Recording:  # fmt: skip
-    """The recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
+    """Reads the recording in a ``<session>.<n>.json.gz`` or ``.pkl.gz`` of the paper's HITL tool.
 
     - The log has no time stamps: row k is step k at ``fps`` steps per second.
     - A person's whole posture is in the action vector (spec/habitat-findings.md 9): ``agent_<i>.joint_quat`` holds it,
       ``root_pose`` the logged pelvis. ``joint_order`` of the vector is that of the person's URDF, which the log does not
-      name; None tells it from the posture (`h3data.habitat.hitl.hitl_agents.infer_joint_order`).
-    - What is left of the vector is the robot's ``agent_<i>.action``.
-    - Of the objects only the places of the targets are logged: their rotations are the identity.
-    - ``input.user_0.<name>`` holds what the person at the keyboard did (``hint_walk_dir`` [T, 3], ``cam_yaw``, ...; NaN where
+      name; None infers it from the posture (`h3data.habitat.hitl.hitl_agents.infer_joint_order`).
+    - The rest of the vector is the robot's ``agent_<i>.action``.
+    - Of the objects only the positions of the targets are logged: their rotations are the identity.
+    - ``input.user_0.<name>`` holds the input at the keyboard (``hint_walk_dir`` [T, 3], ``cam_yaw``, ...; NaN where
       absent); picking and placing are events.
 
     Raises:
-        FormatError: it is something else, truncated or damaged, or a pickle that asks for code (it is named).
+        FormatError: the file is something else, truncated or damaged, or a pickle that asks for code (which is named).
     """
     file = SourceFile.of(path)
     path, data = file.path, file.data
@@ -153,7 +153,7 @@ def _tracks(steps: Sequence[Step], path: Path) -> tuple[list[AgentTrack], list[s
 
 
 def _actions(steps: Sequence[Step], path: Path) -> tuple[NDArray[np.float64], list[str]]:
-    """Action vectors [T, A], NaN where a step has none; [T, 0] and a warning if there are none of one length."""
+    """Action vectors [T, A], NaN where a step has none, and warnings; [T, 0] if no step has one."""
     vectors = [_vector(step.action) for step in steps]
     lengths = [len(v) for v in vectors if v is not None]
     width = max(set(lengths), key=lengths.count, default=0) if lengths else 0
@@ -179,9 +179,9 @@ def _vector(action: Any) -> list[float] | None:
 
 
 def _people(actions: Array, roots: Sequence[Array]) -> dict[int, int]:
-    """Agents that are people with a posture in the action vector, and where in it that begins.
+    """Agents that are people with a posture in the action vector, and where in it the posture begins.
 
-    Vectors stand in the order of the agents, so a person's part is the first or the last of it.
+    The vector follows the order of the agents, so a person's part is the first or the last of it.
     """
     found: dict[int, int] = {}
     width, count = actions.shape[1], len(roots)
@@ -191,14 +191,14 @@ def _people(actions: Array, roots: Sequence[Array]) -> dict[int, int]:
             part = actions[:, start : start + PERSON_VALUES]
             if _is_posture(part).mean() > 0.5:
                 found[agent] = start
-    if len(found) == 1 and count == 2 and width == PERSON_VALUES:  # no robot's part says which one it is
+    if len(found) == 1 and count == 2 and width == PERSON_VALUES:  # no robot's part tells which agent it belongs to
         agent = int(np.argmax([tilt_rad(r) for r in roots]))
         found = {agent: 0}
     return found
 
 
 def _is_posture(part: Array) -> NDArray[np.bool_]:
-    """Which rows [T] of a person's part [T, 248] are quaternions and two rigid matrices; False where nothing is moved."""
+    """Rows [T] of a person's part [T, 248] that are quaternions and two rigid matrices."""
     with np.errstate(invalid="ignore"):
         length = np.linalg.norm(part[:, :JOINT_VALUES].reshape(len(part), -1, 4), axis=2)
         base = part[:, -16:].reshape(-1, 4, 4)  # [column, row]
@@ -208,7 +208,7 @@ def _is_posture(part: Array) -> NDArray[np.bool_]:
 
 
 def _posture(part: Array) -> tuple[Array, Array]:
-    """Local rotations [T, 54, 4] and pose7 [T, 7] of the agent root; steps without them keep the ones before."""
+    """Local rotations [T, 54, 4] and pose7 [T, 7] of the agent root; steps without them keep the latest ones."""
     part = held(part, _is_posture(part))
     joints = part[:, :JOINT_VALUES].reshape(len(part), -1, 4)
     base = part[:, -16:].reshape(-1, 4, 4)
@@ -224,7 +224,7 @@ _EVENTS = {"grasp_object_id": "pick", "drop_pos": "place"}
 
 
 def _input_columns(steps: Sequence[Step]) -> dict[str, NDArray[Any]]:
-    """``input.user_0.<name>``, float32 [T] or [T, n], NaN where a step lacks it."""
+    """Columns ``input.user_0.<name>``, float32 [T] or [T, n], NaN where a step lacks it."""
     rows: list[Mapping[str, Any]] = [s.gui_humanoid or {} for s in steps]
     columns, _ = scalar_columns([{k: v for k, v in row.items() if k not in _EVENTS} for row in rows], "input.user_0.")
     vectors: dict[str, NDArray[np.float32]] = {}

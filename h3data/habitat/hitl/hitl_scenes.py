@@ -1,4 +1,4 @@
-"""The home in which a HITL session happened: found below the user's folders, or a marked floor in its place."""
+"""The home of a HITL session: found below the user's folders, or replaced by a marked floor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from h3data.scene.scene_file import scene_bytes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Place:
-    """What surrounds the agents, as records."""
+    """Scene around the agents, as records."""
 
     name: str
     assets: tuple[AssetRef, ...]
@@ -27,8 +27,9 @@ class Place:
 
 
 def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -> Place:
-    """The scene that a log names by ``scene_id``: with its file below a root of the library, the scene itself, attached;
-    else a striped floor at the height ``floor_y`` [m] under the agents' feet."""
+    """The scene that a log names by ``scene_id``: attached, if its file is found below a root of the library; else a
+    striped floor at the height ``floor_y`` [m] under the agents' feet.
+    """
     path = clean_path(scene_id) if scene_id else ""
     name = PurePosixPath(path).name.split(".")[0] or "unknown"
     warnings = []
@@ -53,16 +54,16 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
             warnings.append(f"the scene cannot be used: {fault}")
     ref = AssetRef(
         name=f"stage_{name}", uri=f"stages/{name}.not_found"
-    )  # draws the marked floor, whatever is found later
+    )  # shows the marked floor, even if a library finds a file later
     pose = np.array(
         [0, floor_y + 0.01, 0, 0, 0, 0, 1], np.float32
-    )  # the stand-in's upper side is 1 cm below its origin
+    )  # the placeholder's upper side is 1 cm below its origin
     floor = Body(name="stage", asset=ref.name, pose=pose, layer="floor")
     return Place(name=name, assets=(ref,), bodies=(floor,), warnings=tuple(warnings))
 
 
 def _scene_file(path: str, library: AssetLibrary | None) -> Path | None:
-    """The recorded path below a root, or as much of its end as leads to a file."""
+    """The recorded path below a root, or the longest end of it that leads to a file."""
     if library is None or not path.lower().endswith(HABITAT_ENDINGS):
         return None
     found = library.resolve(path)

@@ -1,4 +1,4 @@
-"""Episodes of habitat-lab's ``rearrange_v2`` HITL sessions, and of PARTNR, which uses the same files (spec/habitat.md 5.3)."""
+"""Reads episodes of habitat-lab's ``rearrange_v2`` HITL sessions, and of PARTNR in the same format (spec/habitat.md 5.3)."""
 
 from __future__ import annotations
 
@@ -90,26 +90,29 @@ class File(msgspec.Struct):
 def read_hitl_episode(
     path: str | os.PathLike[str], *, assets: AssetLibrary | None = None, quaternion_order: Order | None = None
 ) -> Recording:
-    """The recording in an ``{episode_index}.json(.gz)`` of a ``rearrange_v2`` session.
+    """Reads the recording in an ``{episode_index}.json(.gz)`` of a ``rearrange_v2`` session.
 
     The file logs the roots of agents and objects, no joints. So:
 
-    - ``time_ns`` counts from the first stamp, ``info["t0_unix_ns"]`` is when that was, to a second. A frame in which nobody
-      was active is ``{}``: it has the state of the last one, a time between its neighbours', and False in the column
-      ``recorded``.
-    - Robots are drawn by a built-in one at rest; people get a walk along their way (`h3data.habitat.hitl.walk_synthesis`);
-      ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of people as logged.
+    - ``time_ns`` counts from the first stamp; ``info["t0_unix_ns"]`` is the wall clock there, to a second. A frame in which
+      nobody was active is ``{}``: it repeats the state before it, its time lies between its neighbours', and the column
+      ``recorded`` is False there.
+    - Robots are shown by a built-in model at rest; people get a synthesised walk along their path
+      (`h3data.habitat.hitl.walk_synthesis`); ``info["synthesised"]`` says so. ``agent_<i>.root_pose`` keeps the root of
+      people as logged.
     - ``user.user_<u>_camera`` [T, 7] is the view of user ``u`` in Habitat's camera frame (looks along -z), NaN where
       absent; ``input.user_<u>.held_object`` (``hovered_``, ``selected_``) the object ids, -1 = none; ``info["object_ids"]``
       has the id of each body.
-    - What users did (pick, place, open, close, state_change, ...) are events; ``detail`` is the rest of it as JSON.
+    - Actions of users (pick, place, open, close, state_change, ...) are events; ``detail`` has the rest of each as JSON.
     - ``object_state.<name>`` int8 [T, N]: 1 yes, 0 no, -1 unknown, per object.
 
-    ``quaternion_order`` of the agents and objects is xyzw in habitat-lab; None asks the agents, who stand upright.
-    ``assets`` finds the scene (else a marked floor stands in).
+    Args:
+        path: the file.
+        assets: where the scene is searched; without it, or if it is not found, a marked floor stands in.
+        quaternion_order: of agents and objects; habitat-lab writes xyzw. None infers it from the agents, who stand upright.
 
     Raises:
-        FormatError: it is something else, truncated or damaged.
+        FormatError: the file is something else, truncated or damaged.
     """
     source = SourceFile.of(path)
     path, data = source.path, source.data
@@ -154,7 +157,7 @@ def read_hitl_episode(
 
 
 def upright_order(roots: Sequence[NDArray[np.float64]]) -> Order:
-    """In which order the quaternions of agents' roots [T, 7] are: in the wrong one they lie or stand on their heads."""
+    """Order of the quaternions of agents' roots [T, 7]: in the wrong one agents lie or stand on their heads."""
     tracks = [r[np.isfinite(r).all(1), 3:] for r in roots]
     quats = normalized(np.concatenate(tracks)) if tracks else np.zeros((0, 4))
     if not len(quats):
@@ -190,7 +193,7 @@ def _objects(frames: Sequence[Frame], order: Order) -> tuple[PoseTracks, dict[in
 def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]]:
     """Times since the first stamp [T] [ns], that stamp [s], and warnings.
 
-    Frames without a stamp lie evenly between those with one; before and after them they are a usual step apart.
+    Frames without a stamp are spread evenly between those with one; before and after them they follow at the usual step.
     """
     stamped = np.array([k for k, f in enumerate(frames) if f.t is not None])
     stamps = np.array([f.t for f in frames if f.t is not None], np.float64)
@@ -207,12 +210,12 @@ def _times(frames: Sequence[Frame]) -> tuple[NDArray[np.int64], float, list[str]
     nanoseconds = np.round((seconds - t0) * 1e9).astype(np.int64)
     rising = np.maximum.accumulate(nanoseconds - steps) + steps  # at least 1 ns apart
     late = int((rising != nanoseconds).sum())
-    warnings = [f"{late} time stamps do not increase; these steps are put right behind the ones before"] if late else []
+    warnings = [f"{late} time stamps do not increase; these steps are put 1 ns after the ones before"] if late else []
     return rising, t0, warnings
 
 
 def _wall_clock(episode: Mapping[str, Any], t0_s: float) -> dict[str, int]:
-    """``t0_unix_ns``: when the first row was, if the episode says when it began (whole seconds as text)."""
+    """``t0_unix_ns``: wall clock at the first row, if the episode says when it began (whole seconds as text)."""
     start = episode.get("start_timestamp")
     if not isinstance(start, str) or not re.fullmatch(r"\d{1,10}(\.\d{1,9})?", start):
         return {}
@@ -220,7 +223,7 @@ def _wall_clock(episode: Mapping[str, Any], t0_s: float) -> dict[str, int]:
 
 
 def _nominal_step_ns(config: Any) -> int:
-    """The step that the tool aimed at (``habitat_hitl.target_sps``); 30 per second if it does not say."""
+    """The tool's target step (``habitat_hitl.target_sps``); 1/30 s if the file has none."""
     tool = config.get("habitat_hitl") if isinstance(config, dict) else None
     rate = tool.get("target_sps") if isinstance(tool, dict) else None
     if isinstance(rate, (int, float)) and 1 <= rate <= 1000 and rate != 30:

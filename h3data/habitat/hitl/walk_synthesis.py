@@ -1,4 +1,4 @@
-"""A walk for people of whom only the way is known: clips that are played by distance and by turn."""
+"""Synthesises a walk for people of whom only the path is known: clips played by distance and by turn."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ WINDOW_S = 0.5
 """Speeds are means over this time."""
 TURN_ABOVE_RAD_S = 0.4
 JUMP_MPS = 8.0
-"""Nobody walks so fast: such a step is a jump to another place."""
+"""Faster than anybody walks: such a step is a jump to another place."""
 BLEND_S = 0.25
-"""From standing to the clip and back."""
+"""Transition from standing to the clip and back."""
 
 
 def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """``motion_id``, ``motion_phase`` and ``motion_blend`` [T] of a person whose agent root goes along ``base_pose`` [T, 7].
+    """``motion_id``, ``motion_phase`` and ``motion_blend`` [T] of a person whose agent root follows ``base_pose`` [T, 7].
 
-    The way is cut into spans of standing, walking and turning on the spot. Each span plays one clip: that of its usual
-    speed, by the distance (backwards if that is where she goes), or that of the side, by the angle.
+    The path is cut into spans of standing, walking and turning on the spot. Each span plays one clip: the one of its
+    typical speed, by distance (backwards if they walk backwards), or the one of the side, by angle.
     """
     steps = len(base_pose)
     motion, phase, blend = np.zeros(steps, np.int32), np.zeros(steps), np.zeros(steps)
@@ -58,7 +58,7 @@ def walk_columns(body: Humanoid, base_pose: Array, time_ns: NDArray[np.int64]) -
 
 
 def _changes(base_pose: Array, time: Array) -> tuple[Array, Array]:
-    """Way since the step before [T] [m], negative backwards, and turn to the left [T] [rad]; 0 at jumps and gaps."""
+    """Distance since the step before [T] [m], negative backwards, and turn to the left [T] [rad]; 0 at jumps and gaps."""
     way, turn = np.zeros(len(base_pose)), np.zeros(len(base_pose))
     if len(base_pose) < 2:
         return way, turn

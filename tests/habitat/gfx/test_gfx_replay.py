@@ -206,7 +206,7 @@ def test_frames_units_and_colours_come_from_loads_and_suffixes(tmp_path: Path) -
     assert (b.up, b.front, b.units_m) == ((0, 0, 1), (0, 1, 0), 0.01)
     np.testing.assert_array_equal(rec.bodies[0].scale, [1, 2, 3])
     assert len({a.name for a in rec.assets}) == len(rec.assets)
-    assert any("drawn as nothing" in w for w in rec.episode.info["warnings"])
+    assert any("are invisible" in w for w in rec.episode.info["warnings"])
     assert any("no load entry" in w for w in rec.episode.info["warnings"])
 
 
