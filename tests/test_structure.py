@@ -21,12 +21,7 @@ FILES_PER_FOLDER = 15
 
 KNOWN_CIRCLES = (
     "h3data.bodies.robots.kinematics -> h3data.bodies.robots.robot",
-<<<<<<< HEAD
     "h3data.habitat.asset_library -> h3data.habitat.scenes.object_handles -> h3data.habitat.scenes.referenced_files",
-=======
-    "h3data.habitat.asset_library -> h3data.habitat.scenes.object_handles -> h3data.habitat.scenes.referenced_files",
-    "h3data.replay.replay -> h3data.replay.stage",
->>>>>>> 5cae935 (Files of meshes, Habitat's formats and exporters have names that say what is in them)
     "h3data.scene.freespace.build -> h3data.scene.freespace.free_space",
     "sim_kinematic.policies.learned -> sim_kinematic.policies.social_nav",
     "sim_kinematic.policies.learned_chooser -> sim_kinematic.policies.rearrange",

@@ -65,9 +65,7 @@ def primitive_mesh(name: str) -> Mesh:
     return _lathe(radii, heights, segments, smooth=False)
 
 
-def box_mesh(
-    half_extents: ArrayLike, *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR
-) -> Mesh:
+def box_mesh(half_extents: ArrayLike, *, center: ArrayLike = (0, 0, 0), color: Sequence[int] = DEFAULT_COLOR) -> Mesh:
     """An axis-aligned box, shaded flat."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

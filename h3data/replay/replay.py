@@ -8,29 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import NDArray
 
-<<<<<<< HEAD
 from h3data.replay.posed_recording import PosedRecording
 from h3data.replay.records import CameraTrack
-=======
-from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
-from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
-from h3data.errors import FormatError, InputError
-from h3data.geometry import Array, pose_to_matrix
-from h3data.habitat.asset_library import AssetLibrary
-from h3data.recording import Agent, AssetRef, Body, Recording
-from h3data.replay.links import LinkPoses
-from h3data.replay.records import (
-    BodyTrack,
-    CameraTrack,
-    Drawable,
-    LinkTrack,
-    PersonTrack,
-    RigTrack,
-    State,
-    Track,
-)
-from h3data.scene import Mesh, Scene, load_scene
->>>>>>> 5cae935 (Files of meshes, Habitat's formats and exporters have names that say what is in them)
 
 if TYPE_CHECKING:
     from h3data.render import Output
