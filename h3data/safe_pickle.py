@@ -146,7 +146,14 @@ class _Array(np.ndarray):
         if not isinstance(state, tuple) or len(state) != 5:
             raise pickle.UnpicklingError("the state of an array is not understood")
         version, shape, dtype, fortran, data = state
-        super().__setstate__((version, shape, _checked(data, dtype, shape), bool(fortran), data))
+        checked: Any = (
+            version,
+            shape,
+            _checked(data, dtype, shape),
+            bool(fortran),
+            data,
+        )  # np.bool, as typed, is refused
+        super().__setstate__(checked)
 
 
 def _checked(data: Any, dtype: Any, shape: Any) -> np.dtype[Any]:
