@@ -146,13 +146,8 @@ class _Array(np.ndarray):
         if not isinstance(state, tuple) or len(state) != 5:
             raise pickle.UnpicklingError("the state of an array is not understood")
         version, shape, dtype, fortran, data = state
-        checked: Any = (
-            version,
-            shape,
-            _checked(data, dtype, shape),
-            bool(fortran),
-            data,
-        )  # np.bool, as typed, is refused
+        # a plain bool: NumPy refuses its own, which its stub asks for
+        checked: Any = (version, shape, _checked(data, dtype, shape), bool(fortran), data)
         super().__setstate__(checked)
 
 
