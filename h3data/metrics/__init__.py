@@ -1,20 +1,25 @@
-"""What an episode was worth: task metrics of recordings, from their columns alone."""
+"""Task metrics of recordings, from their columns alone: profiles, tables, comparisons of runs, plans of studies."""
 
 from h3data.metrics.batch import measure_files
 from h3data.metrics.differences import Differences, compare_runs, compare_tables
-from h3data.metrics.explaining import explain, explain_episode, list_metrics
-from h3data.metrics.metric import EpisodeMetrics, Metric, MissingColumnsError, find_agents
+from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.explain import explain, explain_episode, list_metrics
+from h3data.metrics.metric import Metric
 from h3data.metrics.power import Power, simulate_power, simulate_study
+from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.registry import (
     PROFILES,
-    Profile,
     all_metrics,
+    all_profiles,
     find_metric,
     find_profile,
     measure,
     metrics_of,
+    profiles_named,
     series_of,
 )
+from h3data.metrics.report_layout import Milestone, PublishedRow, PublishedTable, ReportLayout
+from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, find_agents
 from h3data.metrics.study import (
     Block,
     Session,
@@ -31,16 +36,23 @@ from h3data.metrics.table_files import events_of, write_events, write_series, wr
 __all__ = [
     "PROFILES",
     "Block",
+    "Computed",
     "Differences",
     "EpisodeMetrics",
     "Metric",
     "MetricsTable",
+    "Milestone",
     "MissingColumnsError",
     "Power",
     "Profile",
+    "PublishedRow",
+    "PublishedTable",
+    "ReportLayout",
     "Session",
     "Summary",
+    "UnmeasurableError",
     "all_metrics",
+    "all_profiles",
     "anonymous_id",
     "compare_runs",
     "compare_tables",
@@ -57,6 +69,7 @@ __all__ = [
     "measure_many",
     "metrics_of",
     "plan_sessions",
+    "profiles_named",
     "read_session",
     "series_of",
     "simulate_power",

@@ -1,40 +1,46 @@
-"""Metrics of many recordings at once: datasets and logs, on all cores, a few episodes in memory per worker.
+"""Metrics of many recordings: datasets and logs, on all cores, with a few episodes in memory per worker.
 
-Of a dataset only the columns that the profile reads are decoded. Decoding and kernels run without the interpreter's lock,
-so threads are enough.
+Only the columns that a profile reads are decoded from a dataset.
 """
+
+# Threads, not processes: decoding Parquet and the arithmetic on columns release the interpreter's lock.
 
 from __future__ import annotations
 
+import json
 import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 from h3data.errors import InputError
-from h3data.metrics.metric import EpisodeMetrics, stored_columns
-from h3data.metrics.registry import PROFILES, find_profile, measure
+from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.profile import Profile
+from h3data.metrics.registry import measure, profile_for, profiles_named
+from h3data.metrics.requirements import stored_columns
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.opening import logs_in
 from h3data.recording.storage import AnyPath, RemotePath, place
 
 _CHUNK = 16
-"""Episodes that are read together."""
-
-Work = Callable[[Recording], EpisodeMetrics]
+"""Episodes read together from a dataset."""
 
 
 def measure_files(
-    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str = "paper", *, workers: int | None = None
+    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None = None, *, workers: int | None = None
 ) -> MetricsTable:
-    """The metrics of every recording in these files: MCAP logs, datasets, folders of MCAP logs.
+    """Returns the metrics of every recording in MCAP logs, datasets, and folders of MCAP logs.
 
-    ``workers`` threads; by default one per core. The result does not depend on their number.
+    Args:
+        paths: Files and folders.
+        profile: Name of a profile (default: that of each recording's task).
+        workers: Number of threads (default: one per core). The result does not depend on it.
 
     Raises:
-        InputError: there is no recording; an episode comes twice; steps, units or tasks differ; see `tabulate`.
+        InputError: there is no recording; an episode occurs twice; metrics, steps or units differ; see `tabulate`.
     """
     sources = list(find_sources(paths))
     if not sources:
@@ -43,7 +49,7 @@ def measure_files(
 
 
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
-    """Datasets and MCAP logs, in order; a folder that is no dataset gives the logs in it."""
+    """Yields datasets and MCAP logs in order; a folder that is not a dataset stands for the logs in it."""
     for path in map(place, paths):
         if not path.is_dir() or (path / "meta").is_dir() or (path / "h3").is_dir():
             yield path
@@ -54,10 +60,11 @@ def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterat
 
 
 def measure_sources(
-    sources: Sequence[AnyPath], profile: str = "paper", *, workers: int | None = None
+    sources: Sequence[AnyPath], profile: str | None = None, *, workers: int | None = None
 ) -> Iterator[EpisodeMetrics]:
-    """The metrics of each episode of datasets and logs, in order; as many in memory as there are workers."""
-    find_profile(profile)
+    """Yields the metrics of each episode of datasets and logs in order, with a chunk per worker in memory."""
+    if profile is not None:
+        profiles_named(profile)  # a misspelt name fails before the first episode is read
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"Expected at least one worker, got {count}.")
@@ -65,7 +72,12 @@ def measure_sources(
 
 
 def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterator[Recording]:
-    """Every recording of datasets and logs, one after the other; with ``profile`` only what it reads."""
+    """Yields the recordings of datasets and logs, from datasets with no more than the profile reads.
+
+    Args:
+        sources: From `find_sources`.
+        profile: As in `measure_files`.
+    """
     for source in sources:
         opened = open_recording(source)
         if isinstance(opened, Recording):
@@ -75,20 +87,22 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
                 yield from _read(opened, chunk, profile)
 
 
-def _jobs(sources: Sequence[AnyPath], profile: str) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
+def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
     for source in sources:
         if not source.is_dir():
             yield lambda source=source: [measure(only(source), profile)]
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
-        own = _PerThread(source)
+        per_thread = _PerThread(source)
         for chunk in _chunks(dataset):
-            yield lambda own=own, chunk=chunk: [measure(r, profile) for r in _read(own.dataset, chunk, profile)]
+            yield lambda opened=per_thread, chunk=chunk: [
+                measure(r, profile) for r in _read(opened.dataset, chunk, profile)
+            ]
 
 
 def only(source: AnyPath) -> Recording:
-    """The recording in a file that is no dataset."""
+    """Returns the recording in a file that is not a dataset."""
     opened = open_recording(source)
     if isinstance(opened, Dataset):
         raise InputError(f"Expected a recording (.mcap), this is a dataset: {source}")
@@ -100,20 +114,31 @@ def _chunks(dataset: Dataset) -> Iterator[range]:
 
 
 def _read(dataset: Dataset, chunk: range, profile: str | None) -> Iterator[Recording]:
-    """Episodes of a dataset, with what the profile needs of them."""
-    if profile is None:
-        return map(dataset.recording, chunk)
+    """Episodes of a dataset with no more than the profile reads of them."""
     declared = [c.name for c in dataset.schema.columns]
     agents = sum(name.endswith(".base_pose") for name in declared)
-    metrics = [m for p in PROFILES[profile] for m in p.metrics]
+    metrics = {m.id: m for p in _profiles(dataset, chunk, profile) for m in p.metrics}.values()
     wanted = set(stored_columns(metrics, agents))
     columns = [name for name in declared if name in wanted]
     events = any(name.startswith("events:") for m in metrics for name in (*m.columns, *m.optional))
     return dataset.recordings(chunk, columns=columns, records=("agents", "events") if events else ("agents",))
 
 
+def _profiles(dataset: Dataset, chunk: range, profile: str | None) -> Iterable[Profile]:
+    """The profiles that will measure the episodes of a chunk, told by their tasks and their info."""
+    if profile is not None:
+        return profiles_named(profile)
+    rows = [dataset.rows[index] for index in chunk]
+    return [profile_for(row["task"], _info(row["info"])) for row in rows]
+
+
+def _info(text: str | None) -> dict[str, Any]:
+    # Parsed only if it can matter: the info of a generated episode is some kilobytes.
+    return json.loads(text) if text and '"profile"' in text else {}
+
+
 class _PerThread:
-    """A dataset that every thread opens for itself: its open files are not to be shared."""
+    """A dataset that every thread opens for itself, because open files cannot be shared."""
 
     def __init__(self, root: AnyPath) -> None:
         self._root = root
@@ -127,7 +152,7 @@ class _PerThread:
 
 
 def _in_order(jobs: Iterator[Callable[[], list[EpisodeMetrics]]], *, workers: int) -> Iterator[EpisodeMetrics]:
-    """Results in the order of the jobs, of which a few more than workers are under way at any time."""
+    """Yields results in the order of the jobs; a few more jobs than workers are under way at any time."""
     if workers == 1:
         for job in jobs:
             yield from job()

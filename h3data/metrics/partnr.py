@@ -1,9 +1,9 @@
-"""PARTNR's measures of collaboration: percent complete, state success, offloading, extraneous effort.
+"""The profile ``partnr``: percent complete, state success, offloading, extraneous effort of PARTNR's collaboration tasks.
 
-What a recording must hold, from whoever evaluates the propositions of the task: ``info["satisfied_at"]``, for each of
-its P propositions the row in which it first held, -1 = never; ``info["constraints"]``, C lists of P flags, whether each
-constraint admits each proposition (none: nothing constrains); events of kind ``progress`` (an agent's action made a
-proposition true) and ``place`` (an agent put something down).
+The evaluator of the task's propositions stores in a recording: ``info["satisfied_at"]``, for each of P propositions the row
+in which it first held, -1 = never; ``info["constraints"]``, C lists of P flags, whether each constraint admits each
+proposition (absent: no constraints); events of kind ``progress`` (an agent's action made a proposition true) and ``place``
+(an agent put something down).
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.metric import NAN, EpisodeMetrics, Metric, Notes, Series, episode_metrics, note_missing
+from h3data.metrics.episode import Notes
+from h3data.metrics.metric import Metric, Series
+from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.report_layout import ReportLayout
+from h3data.metrics.requirements import note_missing
 from h3data.recording.records import Recording
 
 COMPLETE = 0.99
-"""Percent complete from which PARTNR's analysis takes an episode for done."""
+"""Percent complete from which PARTNR's analysis counts an episode as done."""
 _SOURCE = "PARTNR (2411.00081), "
 
 PARTNR: tuple[Metric, ...] = (
@@ -33,7 +37,7 @@ PARTNR: tuple[Metric, ...] = (
         optional=("info:constraints",),
         undefined="Propositions were not evaluated.",
         series=("satisfied_share",),
-        reading="0 without propositions, as there.",
+        reading="0 without propositions, as in PARTNR.",
     ),
     Metric(
         id="partnr/any/state_success@1",
@@ -80,13 +84,8 @@ PARTNR: tuple[Metric, ...] = (
 )
 
 
-def partnr_metrics() -> tuple[Metric, ...]:
-    """The metrics of the profile."""
-    return PARTNR
-
-
 def partnr_series(recording: Recording) -> Series:
-    """``satisfied_share`` [T] of the propositions so far, and the rows with ``progress`` and ``place`` events."""
+    """Computes ``satisfied_share`` [T] of the propositions so far, and flags of rows with ``progress`` and ``place`` events."""
     rows = len(recording)
     series: dict[str, NDArray] = {kind: np.zeros(rows, np.bool_) for kind in ("progress", "place")}
     for event in recording.events:
@@ -99,20 +98,19 @@ def partnr_series(recording: Recording) -> Series:
     return series
 
 
-def measure_partnr(recording: Recording) -> EpisodeMetrics:
-    """The metrics of one recording.
+def compute_partnr(recording: Recording, notes: Notes) -> Computed:
+    """Computes the metrics of the profile.
 
     Raises:
         MissingColumnsError: propositions were not evaluated.
     """
-    notes = Notes()
     note_missing(PARTNR, recording, notes)
     complete = percent_complete(_satisfied_at(recording), _constraints(recording))
     progress = [e for e in recording.events if e.kind == "progress"]
-    made = {(e.step, e.agent) for e in progress}
-    idle = sum(e.kind == "place" and (e.step, e.agent) not in made for e in recording.events)
+    productive = {(e.step, e.agent) for e in progress}
+    idle = sum(e.kind == "place" and (e.step, e.agent) not in productive for e in recording.events)
     robots = {i for i, agent in enumerate(recording.agents) if agent.kind == "robot"}
-    values = {"PC": complete, "state_success": float(complete == 1), "offloading": NAN, "extraneous_effort": NAN}
+    values = {"PC": complete, "state_success": float(complete == 1)}
     if progress:
         values["offloading"] = sum(e.agent in robots for e in progress) / len(progress)
     if complete < COMPLETE:
@@ -121,11 +119,11 @@ def measure_partnr(recording: Recording) -> EpisodeMetrics:
         notes.add(("extraneous_effort",), "nobody placed anything")
     else:
         values["extraneous_effort"] = idle / (len(progress) + idle)
-    return episode_metrics(recording, PARTNR, values, notes)
+    return Computed(values=values)
 
 
 def percent_complete(satisfied_at: NDArray[np.int64], constraints: NDArray[np.bool_]) -> float:
-    """Share of the propositions [P] that held and that all constraints [C, P] admit; 0 if there are none."""
+    """Returns the share of the propositions [P] that held and that all constraints [C, P] admit; 0 without propositions."""
     return float(((satisfied_at != -1) & constraints.all(axis=0)).mean()) if len(satisfied_at) else 0.0
 
 
@@ -135,10 +133,10 @@ def _satisfied_at(recording: Recording) -> NDArray[np.int64]:
         rows = np.asarray(value, np.int64).reshape(-1)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            f"Episode {recording.episode.episode_id!r}: info satisfied_at must be a list of rows, is {value!r}."
+            f"Episode {recording.episode.episode_id!r}: expected info satisfied_at to be a list of rows, got {value!r}."
         ) from None
     if rows.size and rows.min() < -1:
-        raise InputError(f"Episode {recording.episode.episode_id!r}: info satisfied_at holds rows below -1.")
+        raise InputError(f"Episode {recording.episode.episode_id!r}: info satisfied_at has rows below -1.")
     return rows
 
 
@@ -147,7 +145,20 @@ def _constraints(recording: Recording) -> NDArray[np.bool_]:
     given = recording.episode.info.get("constraints") or []
     if not isinstance(given, list | tuple) or any(not isinstance(c, list | tuple) or len(c) != count for c in given):
         raise InputError(
-            f"Episode {recording.episode.episode_id!r}: info constraints must be lists of {count} flags, one for each "
+            f"Episode {recording.episode.episode_id!r}: expected info constraints to be lists of {count} flags, one for each "
             "proposition."
         )
     return np.array(given, np.bool_).reshape(len(given), count)
+
+
+PROFILE = Profile(
+    name="partnr",
+    title="PARTNR's measures of people and robots tidying up together",
+    metrics=PARTNR,
+    compute=compute_partnr,
+    series=partnr_series,
+    report=ReportLayout(
+        findings={"PC": "completes this share of the task:", "state_success": "succeeds in"},
+        ranking=("PC", "extraneous_effort"),
+    ),
+)

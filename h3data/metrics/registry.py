@@ -1,134 +1,124 @@
-"""Which profiles there are, and how a recording finds its metrics.
+"""Metric profiles by name, and the profile that measures a recording.
 
-A profile is one way to define the metrics of a task: `paper` (as published), `habitat` and `habitat@0.3.0` (as that
-code computes them), `field` (what social navigation papers report), `partnr`. A profile may hold metrics of several
-tasks; the task of the recording decides.
+Built in are `paper` (as published), `habitat` and `habitat@0.3.0` (as that code computes them), `field` (what papers on
+social navigation report), `partnr`, and `task` (success, reward and time of any task). Installed packages add profiles by
+entry points of the group ``h3data.profiles``; ``module:name`` needs no entry point. A name can stand for several profiles,
+one per task.
 """
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+import functools
+from collections.abc import Mapping
+from typing import Any
 
-from h3data.errors import InputError, did_you_mean
-from h3data.metrics.metric import EpisodeMetrics, Metric, Series
+from h3data.errors import H3DataError, InputError, did_you_mean
+from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.metric import Metric, Series
+from h3data.metrics.profile import Profile
+from h3data.plugins import Registry
 from h3data.recording.records import Recording
 
-REARRANGE_TASKS = ("rearrange", "social_rearrange", "rearrangement")
-"""Values of `Episode.task` that mean rearrangement; all others are social navigation to profiles that know both."""
+ANY_TASK = "task"
+"""Profile of tasks that no other profile names."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Profile:
-    """The metrics of one task by one definition. Their module is imported at first use."""
-
-    name: str
-    task: str
-    """``social_nav``, ``rearrange``, or ``any``."""
-    title: str
-    module: str
-    """Module of `h3data.metrics` with ``<prefix>_metrics``, ``measure_<prefix>`` and ``<prefix>_series``."""
-    prefix: str
-    variant: str = ""
-    """Passed on to the module's functions, if it tells two profiles apart."""
-
-    @property
-    def metrics(self) -> tuple[Metric, ...]:
-        """Its metrics, in the order of tables."""
-        return self._call("{}_metrics")
-
-    def measure(self, recording: Recording) -> EpisodeMetrics:
-        """All its metrics of one recording."""
-        return self._call("measure_{}", recording)
-
-    def series(self, recording: Recording) -> Series:
-        """The per-row quantities and flags [T] that its metrics come from."""
-        return self._call("{}_series", recording)
-
-    def _call(self, pattern: str, *arguments: Recording):
-        function = getattr(importlib.import_module(f"h3data.metrics.{self.module}"), pattern.format(self.prefix))
-        return function(*arguments, **({"variant": self.variant} if self.variant else {}))
+def _check(loaded: Any) -> None:
+    several = loaded if isinstance(loaded, tuple) else (loaded,)
+    if not several or not all(isinstance(profile, Profile) for profile in several):
+        raise InputError(f"expected an h3data.metrics.Profile or a tuple of them, got {loaded!r}")
 
 
-_ALL = (
-    Profile(
-        name="paper",
-        task="social_nav",
-        title="Habitat 3.0 as published: social navigation",
-        module="paper.social_nav",
-        prefix="social_nav",
-    ),
-    Profile(
-        name="paper",
-        task="rearrange",
-        title="Habitat 3.0 as published: social rearrangement",
-        module="paper.rearrangement",
-        prefix="rearrangement",
-    ),
-    Profile(
-        name="habitat",
-        task="social_nav",
-        title="habitat-lab's main branch, bug for bug",
-        module="habitat.measures",
-        prefix="habitat",
-        variant="habitat",
-    ),
-    Profile(
-        name="habitat@0.3.0",
-        task="social_nav",
-        title="habitat-lab 0.3.0, the paper's release, where it differs",
-        module="habitat.measures",
-        prefix="habitat",
-        variant="habitat@0.3.0",
-    ),
-    Profile(
-        name="field",
-        task="any",
-        title="what papers on social navigation report: proxemics, efficiency, smoothness",
-        module="field.measures",
-        prefix="field",
-    ),
-    Profile(
-        name="partnr",
-        task="any",
-        title="PARTNR's measures of people and robots tidying up together",
-        module="partnr",
-        prefix="partnr",
-    ),
+PROFILES: Registry[Profile | tuple[Profile, ...]] = Registry(
+    "h3data.profiles",
+    {
+        "paper": "h3data.metrics.paper.profiles:PROFILES",
+        "habitat": "h3data.metrics.habitat.profile:MAIN_PROFILE",
+        "habitat@0.3.0": "h3data.metrics.habitat.profile:PAPER_RELEASE_PROFILE",
+        "field": "h3data.metrics.field.profile:PROFILE",
+        "partnr": "h3data.metrics.partnr:PROFILE",
+        ANY_TASK: "h3data.metrics.any_task:PROFILE",
+    },
+    what="metrics profile",
+    check=_check,
 )
-PROFILES: dict[str, tuple[Profile, ...]] = {
-    name: tuple(p for p in _ALL if p.name == name) for name in dict.fromkeys(p.name for p in _ALL)
-}
 
 
-def find_profile(name: str, task: str = "social_nav") -> Profile:
-    """The profile of this name for recordings of a task; an `InputError` names the profiles there are."""
-    if name not in PROFILES:
-        raise InputError(
-            f"No metrics profile {name!r}.{did_you_mean(name, PROFILES)} Available: {', '.join(PROFILES)}."
-        )
-    kind = "rearrange" if task in REARRANGE_TASKS else "social_nav"
-    for profile in PROFILES[name]:
-        if profile.task in ("any", kind):
-            return profile
-    raise InputError(
-        f"Profile {name!r} has no metrics of {kind}. Use one of: "
-        f"{', '.join(p.name for p in _ALL if p.task in ('any', kind))}."
+@functools.cache  # entry points are files: looking them up again for each of 10,000 episodes would take a minute
+def profiles_named(name: str) -> tuple[Profile, ...]:
+    """Returns the profiles that a name or ``module:name`` stands for, one per task.
+
+    Raises:
+        InputError: nothing has this name; the message lists the names.
+        PluginError: the profile of another package cannot be used.
+    """
+    loaded = PROFILES.get(name)
+    return loaded if isinstance(loaded, tuple) else (loaded,)
+
+
+def all_profiles() -> tuple[Profile, ...]:
+    """Returns every profile that has a name: built-in ones first, then those of installed packages."""
+    return tuple(
+        profile
+        for loaded in PROFILES.load_all().values()
+        for profile in (loaded if isinstance(loaded, tuple) else (loaded,))
     )
 
 
+def find_profile(name: str, task: str = "social_nav") -> Profile:
+    """Returns the profile of this name for recordings of a task.
+
+    Raises:
+        InputError: nothing has this name, or it does not measure the task; the message lists the profiles that do.
+        PluginError: the profile of another package cannot be used.
+    """
+    for profile in profiles_named(name):
+        if profile.measures(task):
+            return profile
+    suitable = dict.fromkeys(profile.name for profile in all_profiles() if profile.measures(task))
+    raise InputError(f"Profile {name!r} does not measure the task {task!r}. Use one of: {', '.join(suitable)}.")
+
+
+def profile_for(task: str, info: Mapping[str, Any], name: str | None = None) -> Profile:
+    """Returns the profile that measures a recording: ``name``, else ``info["profile"]``, else the first that names its task.
+
+    A task that no profile names gets the profile ``task``. ``info["profile"]`` may be ``module:name``: then measuring the
+    recording imports that module, as its own package would.
+
+    Raises:
+        InputError: as `find_profile`; for a name from ``info`` the message says so.
+    """
+    if name is not None:
+        return find_profile(name, task)
+    declared = info.get("profile")
+    if not declared:
+        return _profile_naming(task)
+    try:
+        return find_profile(str(declared), task)
+    except H3DataError as fault:
+        raise InputError(
+            f"Recordings of {task!r} ask for the metrics profile {declared!r}, which cannot be used: {fault} "
+            f"Hint: choose another profile; {ANY_TASK} measures any task."
+        ) from fault
+
+
+@functools.cache
+def _profile_naming(task: str) -> Profile:
+    return next((p for p in all_profiles() if task in p.tasks), profiles_named(ANY_TASK)[0])
+
+
 def metrics_of(profile: str, task: str = "social_nav") -> tuple[Metric, ...]:
-    """All metrics of a profile for a task."""
+    """Returns all metrics of a profile for a task."""
     return find_profile(profile, task).metrics
 
 
-def find_metric(name: str, *, profile: str = "paper") -> Metric:
-    """The metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
+def find_metric(name: str, *, profile: str | None = None) -> Metric:
+    """Returns the metric with this id or short name (``S``, ``paper/social_nav/S``, ``paper/social_nav/S@1``).
 
-    A short name that several profiles have is that of ``profile``, else of the first that has it.
+    A short name that several profiles have is that of ``profile``, else of the first profile that has it.
     """
-    every = sorted(all_metrics(), key=lambda m: m.profile != profile)
+    preferred = [m for p in profiles_named(profile) for m in p.metrics] if profile is not None else []
+    every = [*preferred, *(m for m in all_metrics() if m not in preferred)]
     tests = (
         lambda m: name in (m.id, m.id.rpartition("@")[0]),
         lambda m: name == m.name,
@@ -143,28 +133,20 @@ def find_metric(name: str, *, profile: str = "paper") -> Metric:
 
 
 def all_metrics() -> list[Metric]:
-    """Every metric of every profile."""
-    return [metric for profile in _ALL for metric in profile.metrics]
+    """Returns every metric of every profile that has a name."""
+    return [metric for profile in all_profiles() for metric in profile.metrics]
 
 
-def measure(recording: Recording, profile: str = "paper") -> EpisodeMetrics:
-    """Metrics of one recording, between its first robot and its first human. Reads only columns, never a simulator.
+def measure(recording: Recording, profile: str | None = None) -> EpisodeMetrics:
+    """Measures one recording by a profile, by default that of its task. Reads columns only, never a simulator.
 
     Raises:
-        InputError: no such profile, or it needs agents that the recording does not have.
-        MissingColumnsError: the recording lacks what every metric of the profile needs.
+        InputError: no such profile, or it does not measure the recording's task.
+        UnmeasurableError: it needs agents that the recording lacks, or the recording lacks what every metric needs.
     """
-    return find_profile(profile, recording.episode.task).measure(recording)
+    return profile_for(recording.episode.task, recording.episode.info, profile).measure(recording)
 
 
-def series_of(recording: Recording, profile: str = "paper") -> Series:
-    """Per-row quantities and flags [T] that the metrics of a profile come from, by name."""
-    return find_profile(profile, recording.episode.task).series(recording)
-
-
-def one_task(episodes: Iterable[EpisodeMetrics]) -> str:
-    """The task that all episodes of a table share; ``social_nav`` if there are none."""
-    tasks = sorted({e.task for e in episodes})
-    if len(tasks) > 1:
-        raise InputError(f"Episodes of different tasks cannot share a table: {', '.join(tasks)}. Measure them apart.")
-    return tasks[0] if tasks else "social_nav"
+def series_of(recording: Recording, profile: str | None = None) -> Series:
+    """Returns the per-row quantities and flags [T] behind the metrics of a profile, by name."""
+    return profile_for(recording.episode.task, recording.episode.info, profile).series(recording)

@@ -12,25 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.metric import EpisodeMetrics, Metric
-from h3data.metrics.registry import find_profile, measure, one_task
+from h3data.metrics.episode import EpisodeMetrics
+from h3data.metrics.metric import Metric
+from h3data.metrics.registry import find_profile, measure
 from h3data.recording.records import Recording
 from h3data.stats import bootstrap_interval, wilson_interval
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Mean of one metric over the episodes that define it."""
+    """Mean of one metric over the episodes in which it is defined."""
 
     mean: float
     low: float
     """Lower end of the interval; NaN if there are too few episodes."""
     high: float
-    """Upper end of the interval."""
+    """Upper end of the interval; NaN if there are too few episodes."""
     count: int
     """Episodes with a value."""
     episodes: int
-    """All episodes."""
+    """All episodes, with and without a value."""
     method: Literal["bootstrap", "wilson"]
 
 
@@ -41,11 +42,11 @@ class MetricsTable:
     profile: str
     episode_ids: tuple[str, ...]
     columns: Mapping[str, NDArray[np.float64]]
-    """By metric name, shape [E]; NaN = undefined in that episode."""
+    """Values [E] by metric name; NaN = undefined in that episode."""
     episodes: tuple[EpisodeMetrics, ...]
     """The rows with their notes."""
     metrics: tuple[Metric, ...]
-    """What the columns are."""
+    """Definitions of the columns, in their order."""
     _summaries: dict[tuple[float, int, int], dict[str, Summary]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -55,33 +56,17 @@ class MetricsTable:
         return f"MetricsTable({self.profile!r}, {len(self)} episodes, {', '.join(self.columns)})"
 
     def summary(self, *, confidence: float = 0.95, resamples: int = 10_000, seed: int = 0) -> dict[str, Summary]:
-        """Mean and interval of each metric: Wilson for 0/1 metrics, else percentile bootstrap (seeded)."""
+        """Returns mean and interval of each metric, see `summarize`."""
         key = (confidence, resamples, seed)
         if key not in self._summaries:
-            self._summaries[key] = self._summarize(confidence, resamples, seed)
+            self._summaries[key] = {
+                m.name: summarize(m, self.columns[m.name], confidence=confidence, resamples=resamples, seed=seed)
+                for m in self.metrics
+            }
         return dict(self._summaries[key])
 
-    def _summarize(self, confidence: float, resamples: int, seed: int) -> dict[str, Summary]:
-        binary = {m.name for m in self.metrics if m.binary}
-        result = {}
-        for name, column in self.columns.items():
-            values = column[~np.isnan(column)]
-            if name in binary:
-                low, high = wilson_interval(int(values.sum()), len(values), confidence=confidence)
-            else:
-                low, high = bootstrap_interval(values, confidence=confidence, resamples=resamples, seed=seed)
-            result[name] = Summary(
-                mean=float(values.mean()) if len(values) else float("nan"),
-                low=low,
-                high=high,
-                count=len(values),
-                episodes=len(self),
-                method="wilson" if name in binary else "bootstrap",
-            )
-        return result
-
     def notes(self) -> dict[str, dict[str, int]]:
-        """How many episodes carry each note, by metric name."""
+        """Counts the episodes that carry each note, by metric name."""
         counted: dict[str, dict[str, int]] = {}
         for episode in self.episodes:
             for name, text in episode.notes.items():
@@ -90,7 +75,7 @@ class MetricsTable:
         return counted
 
     def to_text(self, *, confidence: float = 0.95) -> str:
-        """An aligned table ``mean [low, high]``, one line per metric, and the notes below."""
+        """An aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
         records = {m.name: m for m in self.metrics}
         arrows = {"higher": "up", "lower": "down", "neither": ""}
         lines = [["metric", "mean", f"{100 * confidence:g}% interval", "unit", "episodes", "", "what"]]
@@ -101,7 +86,8 @@ class MetricsTable:
             unit = "" if metric.unit == "1" else metric.unit
             of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
             lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
-        return "\n".join([aligned(lines), *self._note_lines(), *set_up_lines(e.set_up for e in self.episodes)])
+        deviations = (e.protocol_deviations for e in self.episodes)
+        return "\n".join([aligned(lines), *self._note_lines(), *deviation_lines(deviations)])
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
         """Summary, notes and all episodes as JSON types; NaN becomes None."""
@@ -140,30 +126,56 @@ class MetricsTable:
         return ["Notes", *lines] if lines else []
 
 
-def set_up_lines(differences: Iterable[str]) -> list[str]:
-    """What to say of episodes whose rules differ from the paper's (`h3data.metrics.set_up`), most frequent first."""
-    found = Counter(text for text in differences if text)
-    lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in found.most_common()]
-    return ["Not the set-up of the paper, whose numbers do not compare:", *lines] if lines else []
+def summarize(
+    metric: Metric,
+    values: NDArray[np.float64],
+    *,
+    confidence: float = 0.95,
+    resamples: int = 10_000,
+    seed: int = 0,
+) -> Summary:
+    """Returns the mean of the defined ``values`` [E] with its interval: Wilson's for 0/1 metrics, else a seeded bootstrap."""
+    defined = values[~np.isnan(values)]
+    if metric.binary:
+        low, high = wilson_interval(int(defined.sum()), len(defined), confidence=confidence)
+    else:
+        low, high = bootstrap_interval(defined, confidence=confidence, resamples=resamples, seed=seed)
+    return Summary(
+        mean=float(defined.mean()) if len(defined) else float("nan"),
+        low=low,
+        high=high,
+        count=len(defined),
+        episodes=len(values),
+        method="wilson" if metric.binary else "bootstrap",
+    )
 
 
-def measure_many(recordings: Iterable[Recording], profile: str = "paper") -> MetricsTable:
-    """Metrics of every recording, one at a time: memory for one recording, whatever their number."""
+def deviation_lines(deviations: Iterable[str]) -> list[str]:
+    """Lines about episodes whose rules differ from the paper's (`h3data.metrics.paper.protocol`), most frequent first."""
+    counted = Counter(text for text in deviations if text)
+    lines = [f"  {text}: {times} episode{'s' if times != 1 else ''}" for text, times in counted.most_common()]
+    return ["Rules that differ from the paper's, so its numbers do not compare:", *lines] if lines else []
+
+
+def measure_many(recordings: Iterable[Recording], profile: str | None = None) -> MetricsTable:
+    """Measures every recording, one at a time, so that only one is in memory; by default by the profile of its task."""
     return tabulate((measure(recording, profile) for recording in recordings), profile=profile)
 
 
-def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str = "paper") -> MetricsTable:
-    """A table of episodes that were measured elsewhere, e.g. by several workers.
+def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str | None = None) -> MetricsTable:
+    """Returns the table of episodes that were measured elsewhere, such as by several workers.
+
+    ``profile`` names the metrics of a table without episodes (default: ``paper``).
 
     Raises:
-        InputError: an episode comes twice, or episodes differ in what cannot be averaged: task, step length, units.
+        InputError: an episode occurs twice, or episodes differ in what cannot be averaged: metrics, step length, units.
     """
     rows = tuple(episodes)
     _check_unique(rows)
     _check_alike(rows)
-    metrics = find_profile(profile, one_task(rows)).metrics
+    metrics = rows[0].metrics if rows else find_profile(profile or "paper").metrics
     return MetricsTable(
-        profile=profile,
+        profile=metrics[0].profile,
         episode_ids=tuple(e.episode_id for e in rows),
         columns={m.name: np.array([e.values[m.name] for e in rows], np.float64) for m in metrics},
         episodes=rows,
@@ -182,19 +194,26 @@ def _check_unique(rows: Sequence[EpisodeMetrics]) -> None:
     if twice:
         names = [e.episode_id for e in {e.uid: e for e in rows}.values() if e.uid in set(twice[:5])]
         raise InputError(
-            f"{len(twice)} episodes come more than once and would count more than once: "
+            f"{len(twice)} episodes occur more than once and would count more than once: "
             f"{', '.join(map(repr, names))}{', ...' if len(twice) > 5 else ''}. Name each recording once."
         )
 
 
 def _check_alike(rows: Sequence[EpisodeMetrics]) -> None:
+    # By identity first: comparing 7 records for each of 10,000 episodes would take longer than measuring them.
+    others = [e for e in rows if e.metrics is not rows[0].metrics and e.metrics != rows[0].metrics]
+    if others:
+        names = sorted({f"{e.task} ({e.profile})" for e in (rows[0], *others)})
+        raise InputError(
+            f"Episodes with different metrics cannot share a table: {', '.join(names)}. Measure them separately."
+        )
     for what, of, unit in (("steps of different length", _step_ms, " ms"), ("different units", lambda e: e.units, "")):
         kinds: dict[float | str, str] = {}
         for row in rows:
             kinds.setdefault(of(row), row.episode_id)
         if len(kinds) > 1:
             each = ", ".join(f"{kind}{unit} (such as {name!r})" for kind, name in kinds.items())
-            raise InputError(f"Episodes with {what} cannot share a table: {each}. Measure them apart.")
+            raise InputError(f"Episodes with {what} cannot share a table: {each}. Measure them separately.")
 
 
 def _step_ms(row: EpisodeMetrics) -> float:

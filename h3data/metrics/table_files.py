@@ -1,4 +1,4 @@
-"""Results as files: a table of episodes as Parquet, CSV or JSON; per-row series and events of many episodes."""
+"""Metrics as files: a table of episodes as Parquet, CSV or JSON; per-row series and events of many episodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from h3data.errors import InputError
 from h3data.files import part_file
-from h3data.metrics.explaining import runs
+from h3data.metrics.explain import runs
 from h3data.metrics.registry import series_of
 from h3data.metrics.table import MetricsTable
 from h3data.recording.records import Recording
@@ -24,9 +24,9 @@ _FACTS = ("episode_id", "uid", "scene", "steps", "robot", "human", "encounter_ro
 
 
 def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
-    """Write a table; the ending of ``path`` decides: ``.parquet``, ``.csv`` (one row per episode), ``.json`` (with means).
+    """Writes a table to ``.parquet`` or ``.csv`` (one row per episode) or ``.json`` (with means) and returns its path.
 
-    Undefined values are null, empty, and null. The Parquet file names profile and metric ids in its metadata.
+    Undefined values are null, empty, and null, respectively. The metadata of the Parquet file name profile and metric ids.
     """
     target = Path(path)
     with part_file(target) as part:
@@ -34,10 +34,10 @@ def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str = "paper") -> int:
-    """Write the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; returns the rows.
+def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
+    """Writes the per-row series of each recording to ``.parquet`` (a row group each) or ``.csv``; returns the number of rows.
 
-    Columns: episode_id, row, time_ns, then the series of the first recording; what a later one lacks is null.
+    Columns: episode_id, row, time_ns, then the series of the first recording; those a later one lacks are null.
     """
     target = Path(path)
     write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
@@ -45,24 +45,27 @@ def write_series(recordings: Iterable[Recording], path: str | os.PathLike[str], 
         return write(_series_tables(recordings, profile), part)
 
 
-def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str = "paper") -> int:
-    """Write when each flag of a profile held: episode_id, what, first_row, last_row, seconds; returns their number."""
+def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], *, profile: str | None = None) -> int:
+    """Writes the runs of rows in which flags of a profile hold to ``.parquet`` or ``.csv``; returns their number.
+
+    Columns: episode_id, what (the flag), first_row, last_row, seconds.
+    """
     target = Path(path)
     write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
     with part_file(target) as part:
         return write((_events_table(recording, profile) for recording in recordings), part)
 
 
-def events_of(recording: Recording, profile: str = "paper") -> list[dict[str, Any]]:
-    """Every run of rows in which a flag of the profile holds, in the order of their first rows."""
+def events_of(recording: Recording, profile: str | None = None) -> list[dict[str, Any]]:
+    """Returns every run of rows in which a flag of the profile holds, in the order of their first rows."""
     times = recording.columns["time_ns"]
-    found = [
+    events = [
         {"what": name, "first_row": int(a), "last_row": int(b), "seconds": float(times[b] - times[a]) * 1e-9}
         for name, values in (series_of(recording, profile) if len(recording) else {}).items()
         if values.dtype == np.bool_
         for a, b in runs(values)
     ]
-    return sorted(found, key=lambda event: (event["first_row"], event["what"]))
+    return sorted(events, key=lambda event: (event["first_row"], event["what"]))
 
 
 def _table_json(table: MetricsTable, path: Path) -> None:
@@ -74,10 +77,10 @@ def _table_csv(table: MetricsTable, path: Path) -> None:
         writer = csv.writer(stream)
         writer.writerow([*_FACTS, *table.columns, "notes"])
         for row in table.episodes:
-            said = row.to_dict()
-            values = ["" if v is None else repr(v) for v in said["values"].values()]
+            facts = row.to_dict()
+            values = ["" if v is None else repr(v) for v in facts["values"].values()]
             notes = "; ".join(f"{name}: {text}" for name, text in row.notes.items())
-            writer.writerow([*(said[fact] for fact in _FACTS), *values, notes])
+            writer.writerow([*(facts[name] for name in _FACTS), *values, notes])
 
 
 def _table_parquet(table: MetricsTable, path: Path) -> None:
@@ -86,12 +89,12 @@ def _table_parquet(table: MetricsTable, path: Path) -> None:
     columns = [pa.array([row[fact] for row in rows], kind) for fact, kind in zip(_FACTS, kinds, strict=True)]
     columns += [pa.array([row["values"][name] for row in rows], pa.float64()) for name in table.columns]
     columns.append(pa.array([json.dumps(row["notes"], ensure_ascii=False) for row in rows], pa.string()))
-    said = {"h3data.profile": table.profile, "h3data.metrics": json.dumps({m.name: m.id for m in table.metrics})}
-    stored = pa.table(columns, [*_FACTS, *table.columns, "notes"]).replace_schema_metadata(said)
+    metadata = {"h3data.profile": table.profile, "h3data.metrics": json.dumps({m.name: m.id for m in table.metrics})}
+    stored = pa.table(columns, [*_FACTS, *table.columns, "notes"]).replace_schema_metadata(metadata)
     pq.write_table(stored, path, compression="zstd")
 
 
-def _series_tables(recordings: Iterable[Recording], profile: str) -> Iterator[pa.Table]:
+def _series_tables(recordings: Iterable[Recording], profile: str | None) -> Iterator[pa.Table]:
     for recording in recordings:
         if not len(recording):
             continue
@@ -104,7 +107,7 @@ def _series_tables(recordings: Iterable[Recording], profile: str) -> Iterator[pa
         yield pa.table(columns | {name: pa.array(v) for name, v in series_of(recording, profile).items()})
 
 
-def _events_table(recording: Recording, profile: str) -> pa.Table:
+def _events_table(recording: Recording, profile: str | None) -> pa.Table:
     kinds = [("episode_id", pa.string()), ("what", pa.string())]
     kinds += [("first_row", pa.int64()), ("last_row", pa.int64()), ("seconds", pa.float64())]
     rows = [{"episode_id": recording.episode.episode_id, **event} for event in events_of(recording, profile)]
@@ -122,7 +125,7 @@ def _write_csv(tables: Iterable[pa.Table], path: Path) -> int:
 
 
 def _write(tables: Iterable[pa.Table], open_writer: Callable[[pa.Schema], Any]) -> int:
-    """Write tables one after the other in the columns of the first; returns the rows."""
+    """Writes tables one after the other with the columns of the first; returns the number of rows."""
     rows, writer, schema = 0, None, pa.schema([("episode_id", pa.string())])
     try:
         for table in tables:
@@ -137,7 +140,7 @@ def _write(tables: Iterable[pa.Table], open_writer: Callable[[pa.Schema], Any]) 
 
 
 def _in_shape(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The columns of ``schema``: nulls for those that the table lacks, and none that it has besides."""
+    """A table with the columns of ``schema`` only: nulls for those it lacks."""
     columns = [
         table[f.name].cast(f.type) if f.name in table.column_names else pa.nulls(len(table), f.type) for f in schema
     ]

@@ -14,7 +14,7 @@ import pytest
 
 from h3data.geometry import ground_pose
 from h3data.metrics import measure
-from h3data.metrics.paper.kernels import Thresholds, count
+from h3data.metrics.paper.encounter import Thresholds, encounter_series
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from tests.paths import REFERENCE
 
@@ -72,17 +72,15 @@ def test_counts_agree_with_the_real_thresholds(path):
     """Its yield is below one 'unit' = 0.25 m/s; backup and yield together do not depend on its rounding noise."""
     recording, data, real = load(path)
     c = recording.columns
-    got = count(
-        robot_pose=c["agent_0.base_pose"],
-        human_pose=c["agent_1.base_pose"],
-        reach_m=c["metrics.geodesic_agents"],
-        time_ns=c["time_ns"],
-        collision=c["metrics.collision"],
-        offsets=np.array([0, len(recording)]),
+    got = encounter_series(
+        c["agent_0.base_pose"],
+        c["agent_1.base_pose"],
+        c["metrics.geodesic_agents"],
+        c["time_ns"],
         thresholds=Thresholds(yield_m_s=0.25),
     )
-    assert got.following[0] == real["follow_human_steps_after_frist_encounter"]
-    assert got.avoiding[0] == data["backup_count"][-1] + data["yield_count"][-1]
+    assert got["found"].sum() == real["follow_human_steps_after_frist_encounter"]
+    assert (got["backs_up"] | got["yields"]).sum() == data["backup_count"][-1] + data["yield_count"][-1]
 
 
 def test_the_files_hold_every_case():

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from h3data.geometry import ground_pose
 from h3data.metrics import measure, metrics_of, series_of
-from h3data.metrics.field.measures import time_to_collision, with_clearance
+from h3data.metrics.field import with_clearance
+from h3data.metrics.field.profile import time_to_collision
 from h3data.recording.records import Agent, Episode, Recording
 
 SECOND = 1_000_000_000

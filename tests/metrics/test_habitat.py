@@ -13,7 +13,7 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import MissingColumnsError, measure, series_of
 from h3data.metrics.habitat.config import HabitatConfig, StatsConfig
-from h3data.metrics.habitat.measures import STILL_M
+from h3data.metrics.habitat.profile import STILL_M
 from h3data.metrics.habitat.reward import goal_errors
 from h3data.metrics.habitat.stats import HabitatTrack, _found_step, social_nav_stats
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
@@ -191,17 +191,14 @@ def test_found_at_step_1500_moves_on_by_one():
 
 
 def test_an_oracle_of_1500_steps_divides_by_zero():
-    stats = social_nav_stats(
-        HabitatTrack(
-            robot_pos=np.zeros((1501, 3), np.float32),
-            human_pos=np.full((1501, 3), [1.5, 0, 0], np.float32),
-            robot_transform=np.tile(np.eye(4, dtype=np.float32), (1501, 1, 1)),
-            geodesic=np.full(1501, 1.5),
-        ),
-        StatsConfig(),
-        min_steps=1500,
-        avoids=(np.zeros(1501, np.bool_), np.zeros(1501, np.bool_)),
+    track = HabitatTrack(
+        robot_pos=np.zeros((1501, 3), np.float32),
+        human_pos=np.full((1501, 3), [1.5, 0, 0], np.float32),
+        robot_transform=np.tile(np.eye(4, dtype=np.float32), (1501, 1, 1)),
+        geodesic=np.full(1501, 1.5),
     )
+    never = np.zeros(1501, np.bool_)
+    stats = social_nav_stats(track, StatsConfig(), found=~never, min_steps=1500, backs_up=never, yields=never)
     ratio = stats["follow_human_steps_ratio_after_frist_encounter"]
     assert np.isnan(ratio[1499:]).all()
     assert not np.isnan(ratio[:1499]).any()

@@ -1,9 +1,8 @@
-"""Metrics of single recordings: formulas by hand, laws, what is missing, and the fast sweep against a plain loop."""
+"""Metrics of single recordings: formulas by hand, laws, what is missing, and the array form against a plain loop."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import math
 import uuid
@@ -16,16 +15,18 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose, heading_direction, heading_from_quat
 from h3data.metrics import (
-    PROFILES,
     EpisodeMetrics,
     all_metrics,
+    all_profiles,
     explain,
     find_metric,
     measure,
     measure_many,
     metrics_of,
+    series_of,
 )
-from h3data.metrics.paper.kernels import NEVER, PAPER, Thresholds, count
+from h3data.metrics.episode import NEVER
+from h3data.metrics.paper.encounter import PAPER, encounter_series
 from h3data.metrics.paper.social_nav import following_rows
 from h3data.recording.records import STEP_NS, Agent, Episode, Recording
 from tests.paths import ROOT
@@ -232,14 +233,13 @@ def test_registry_and_results_agree():
         assert low <= result.values[metric.name] <= high
     with pytest.raises(InputError, match="paper/social_nav/S@1"):
         find_metric("nope")
-    with pytest.raises(InputError, match="Available: paper, habitat"):
+    with pytest.raises(InputError, match="Expected one of: paper, habitat"):
         measure(recording(np.zeros(2), np.ones(2)), profile="habitat7")
 
 
-# --- the fast sweep against a plain loop ------------------------------------------------------------------------------
-def random_columns(seed: int, lengths: list[int]) -> dict[str, np.ndarray]:
+# --- the array form against a plain loop ------------------------------------------------------------------------------
+def random_columns(seed: int, rows: int) -> dict[str, np.ndarray]:
     random = np.random.default_rng(seed)
-    rows = sum(lengths)
 
     def walk(spread):
         heading = np.cumsum(random.normal(0, 0.2, rows))
@@ -249,9 +249,7 @@ def random_columns(seed: int, lengths: list[int]) -> dict[str, np.ndarray]:
     robot, human = walk(0.03), walk(0.01)
     human[:, :3] += np.float32(0.8) * random.normal(size=3).astype(np.float32)
     human[random.random(rows) < 0.03] = np.nan
-    still = random.random(rows) < 0.3
-    still[0] = False
-    for k in np.flatnonzero(still):
+    for k in np.flatnonzero(random.random(rows - 1) < 0.3) + 1:
         robot[k] = robot[k - 1]
     reach = np.linalg.norm(robot[:, :3] - human[:, :3], axis=1) * random.uniform(1, 1.3, rows)
     return {
@@ -259,71 +257,40 @@ def random_columns(seed: int, lengths: list[int]) -> dict[str, np.ndarray]:
         "human_pose": human,
         "reach_m": reach.astype(np.float32),
         "time_ns": np.cumsum(random.integers(STEP_NS // 2, STEP_NS * 2, rows)),
-        "collision": random.random(rows) < 0.01,
-        "offsets": np.concatenate([[0], np.cumsum(lengths)]),
     }
 
 
-def plain_count(c: dict[str, np.ndarray], start: int, stop: int, t: Thresholds) -> tuple:
-    first, following, avoiding, distances, after, contact = NEVER, 0, 0, [], [], NEVER
-    for k in range(start, stop):
-        if c["collision"][k] and contact == NEVER:
-            contact = k - start
-        robot, human = c["robot_pose"].astype(float), c["human_pose"].astype(float)
-        gap = human[k, :3] - robot[k, :3]
-        if np.isnan(gap).any():
-            continue
-        distance = np.linalg.norm(gap)
-        distances.append(distance)
-        forward = heading_direction(heading_from_quat(robot[k, 3:]))
-        towards = gap[[0, 2]] / np.linalg.norm(gap[[0, 2]])
-        if t.near_m <= c["reach_m"][k] <= t.far_m and forward @ towards > t.facing:
-            following += 1
-            first = k - start if first == NEVER else first
-        if first != NEVER:
-            after.append(distance)
-        if distance < t.avoid_m and k > start:
-            velocity = (robot[k] - robot[k - 1])[[0, 2]] / ((c["time_ns"][k] - c["time_ns"][k - 1]) * 1e-9)
-            ahead = velocity @ heading_direction(heading_from_quat(robot[k - 1, 3:]))
-            avoiding += bool(ahead < -t.still_m_s or np.linalg.norm(velocity) < t.yield_m_s)
-    return first, following, avoiding, len(distances), sum(distances), len(after), sum(after), contact
+def plain_row(c: dict[str, np.ndarray], k: int) -> tuple[float, bool, bool]:
+    """Distance, found, and avoiding (backing up or yielding) in row k."""
+    robot, human = c["robot_pose"].astype(float), c["human_pose"].astype(float)
+    gap = human[k, :3] - robot[k, :3]
+    if np.isnan(gap).any():
+        return math.nan, False, False
+    distance = float(np.linalg.norm(gap))
+    towards = gap[[0, 2]] / np.linalg.norm(gap[[0, 2]])
+    facing = heading_direction(heading_from_quat(robot[k, 3:])) @ towards
+    found = PAPER.near_m <= c["reach_m"][k] <= PAPER.far_m and facing > PAPER.facing
+    if distance >= PAPER.avoid_m or k == 0:
+        return distance, found, False
+    velocity = (robot[k] - robot[k - 1])[[0, 2]] / ((c["time_ns"][k] - c["time_ns"][k - 1]) * 1e-9)
+    ahead = velocity @ heading_direction(heading_from_quat(robot[k - 1, 3:]))
+    return distance, found, bool(ahead < -PAPER.still_m_s or np.linalg.norm(velocity) < PAPER.yield_m_s)
 
 
 @settings(max_examples=12, derandomize=True, deadline=None)
-@given(seed=st.integers(0, 10_000), lengths=st.lists(st.integers(0, 25), min_size=1, max_size=5))
-def test_the_sweep_equals_a_plain_loop(seed, lengths):
-    columns = random_columns(seed, [*lengths, 1])
-    got = count(**columns)
-    bounds = columns["offsets"]
-    assert got.rows.tolist() == [*lengths, 1]
-    for e in range(len(bounds) - 1):
-        first, following, avoiding, seen, total, seen_after, after, contact = plain_count(
-            columns, bounds[e], bounds[e + 1], PAPER
-        )
-        assert (first, following, avoiding, contact) == (
-            got.first_found[e],
-            got.following[e],
-            got.avoiding[e],
-            got.first_contact[e],
-        )
-        assert (seen, seen_after) == (got.seen[e], got.seen_after[e])
-        assert got.distance_sum_m[e] == pytest.approx(total)
-        assert got.distance_sum_after_m[e] == pytest.approx(after)
+@given(seed=st.integers(0, 10_000), rows=st.integers(1, 60))
+def test_the_series_equal_a_plain_loop(seed, rows):
+    columns = random_columns(seed, rows)
+    got = encounter_series(**columns)
+    distance, found, avoiding = map(list, zip(*(plain_row(columns, k) for k in range(rows)), strict=True))
+    assert got["dist_m"] == pytest.approx(distance, nan_ok=True)
+    assert got["found"].tolist() == found
+    assert (got["backs_up"] | got["yields"]).tolist() == avoiding
+    assert not (got["backs_up"] & got["yields"]).any()
 
 
-def test_an_episode_does_not_depend_on_its_neighbours():
-    lengths = [40, 1, 30]
-    columns = random_columns(3, lengths)
-    together = count(**columns)
-    bounds = columns.pop("offsets")
-    for e, (a, b) in enumerate(itertools.pairwise(bounds)):
-        alone = count(**{k: v[a:b] for k, v in columns.items()}, offsets=np.array([0, b - a]))
-        for field in dataclasses.fields(alone):
-            assert getattr(alone, field.name)[0] == getattr(together, field.name)[e], field.name
-
-
-def test_following_rows_are_what_the_sweep_counts():
-    columns = random_columns(5, [400])
+def test_values_follow_from_the_series():
+    columns = random_columns(5, 400)
     rec = recording(
         np.zeros(400),
         np.zeros(400),
@@ -334,8 +301,11 @@ def test_following_rows_are_what_the_sweep_counts():
         },
     )
     rows = following_rows(rec, 0, 1)
-    assert 0 < rows.sum() == count(**columns).following[0]
+    assert rows.sum() > 0
     assert np.flatnonzero(rows)[0] == measure(rec).encounter_row
+    distance = series_of(rec)["dist_m"]
+    assert measure(rec).values["TD"] == pytest.approx(np.nanmean(distance))
+    assert measure(rec).values["FD"] == pytest.approx(np.nanmean(distance[measure(rec).encounter_row :]))
 
 
 @settings(max_examples=10, derandomize=True, deadline=None)
@@ -407,9 +377,8 @@ def test_the_documentation_says_the_same():
 def test_every_metric_is_described_in_full():
     every = all_metrics()
     assert len({m.id for m in every}) == len(every)
-    for profiles in PROFILES.values():
-        for profile in profiles:
-            assert len({m.name for m in profile.metrics}) == len(profile.metrics)
+    for profile in all_profiles():
+        assert len({m.name for m in profile.metrics}) == len(profile.metrics)
     for metric in every:
         assert metric.id.startswith(f"{metric.profile}/{metric.task}/{metric.name}@")
         assert metric.title

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from h3data.metrics import measure, measure_files, measure_many
-from h3data.metrics.set_up import set_up_differences
+from h3data.metrics.paper.profiles import SOCIAL_NAV_PROFILE
+from h3data.metrics.paper.protocol import protocol_deviations
 from h3data.recording import Agent, Episode, Recording
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import cross_play_table
@@ -107,32 +108,34 @@ def test_failed_episodes_are_tried_again(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_without_results_there_is_no_table_and_no_paper() -> None:
-    for table in (policy_table("social_nav", [], METRICS), cross_play_table([])):
+    for table in (policy_table(SOCIAL_NAV_PROFILE, []), cross_play_table([])):
         assert table.to_text() == "No episode could be played: there is no table."
 
 
-def test_the_set_up_of_the_paper_is_not_remarked_on() -> None:
+def test_only_deviations_from_the_protocol_are_mentioned() -> None:
     spec = {"max_steps": 1500, "spawn_distance_m": 5.0, "human": {"speed_mps": 2.5}, "unknown": 3}
     agents = (Agent(name="robot", kind="robot"), Agent(name="human", kind="human"))
     episode = Episode(uid="u", episode_id="e", task="social_nav", scene="s", info={"spec": spec})
     pose = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], np.float32), (2, 1))
     columns = {"time_ns": np.arange(2), "agent_0.base_pose": pose, "agent_1.base_pose": pose}
     recording = Recording(episode=episode, agents=agents, columns=columns)
-    assert set_up_differences(recording) == ""
+    assert protocol_deviations(recording) == ""
     other = {**spec, "spawn_distance_m": 3.0, "human": {"speed_mps": 1.0}}
     changed = replace(recording, episode=replace(episode, info={"spec": other}), agents=agents[1:])
-    assert set_up_differences(changed) == (
+    assert protocol_deviations(changed) == (
         "spawn_distance_m 3.0 (paper 5.0), human.speed_mps 1.0 (paper 2.5), agents human (paper robot, human)"
     )
-    assert measure(recording).set_up == measure(replace(changed, agents=agents), "field").set_up == ""
+    assert measure(recording).protocol_deviations == ""
+    assert measure(replace(changed, agents=agents), "field").protocol_deviations == ""
     assert "human.speed_mps 1.0 (paper 2.5): 1 episode" in measure_many([replace(changed, agents=agents)]).to_text()
 
 
 def test_what_is_undefined_does_not_count() -> None:
     rows: list[dict[str, Any]] = [
-        {"policy": "p", "values": dict.fromkeys(METRICS, value) | {"FD": fd}} for value, fd in ((1.0, None), (0.0, 1.5))
+        {"policy": "p", "values": dict.fromkeys((m.name for m in SOCIAL_NAV_PROFILE.metrics), value) | {"FD": fd}}
+        for value, fd in ((1.0, None), (0.0, 1.5))
     ]
-    cells = policy_table("social_nav", rows, METRICS).cells
+    cells = policy_table(SOCIAL_NAV_PROFILE, rows).cells
     assert cells["p", "FD"].count == 1
     assert cells["p", "FD"].mean == 1.5
     assert cells["p", "CR"].mean == 0.5

@@ -39,15 +39,16 @@ def test_a_cast_of_three_is_resumed_logged_measured_and_simulated_again(
         assert recordings_equal(a, b) == []
         assert recordings_equal(a, h3data.open(tmp_path / "a" / "mcap" / f"{k:06d}.mcap")) == []
         assert [agent.model for agent in a.agents] == ["robot/quad_arm", "humanoid/female_1", "humanoid/male_1"]
-    assert whole["metrics"]["profile"] == "field"
+    assert whole["metrics"]["profile"] == "task"
     assert run_json(capsys, "replay", tmp_path / "b", "--verify", "--json")["equal"] == 3
     other = run_json(capsys, *WANDER, tmp_path / "b", "--agents", "robot", "--episodes", "3", "--resume", code=2)
     assert "agents was ['robot', 'female_1', 'male_1'], is ['robot']" in other["error"]
 
 
-def test_who_is_alone_has_no_metrics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_agent_is_measured_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = run_json(capsys, *WANDER, tmp_path / "ds", "--agents", "lift_arm", "--episodes", "1")
-    assert (made["episodes"], made["steps"], made["metrics"]) == (1, 20, None)
+    values = made["metrics"]["episodes"][0]["values"]
+    assert (made["episodes"], made["steps"], values["steps"], values["success"]) == (1, 20, 20, None)
 
 
 def test_a_set_gives_its_scenes_and_its_seeds() -> None:

@@ -17,12 +17,13 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.metrics import measure_files
+from h3data.metrics.paper.published import published_results
 from h3data.recording import DatasetWriter, Recording, open_recording
 from h3data.recording.records import STEP_NS, Agent, Episode
 from h3data_pipelines.cli import main
 from h3data_viewers.html_report.report import Report, make_report
 from h3data_viewers.html_report.report_data import gather, same_episodes
-from h3data_viewers.html_report.report_paper import paper_results, social_nav_table
+from h3data_viewers.html_report.report_paper import social_nav_table
 from h3data_viewers.html_report.report_pictures import highlights, key_rows
 from h3data_viewers.html_report.report_svg import ticks
 from h3data_viewers.html_report.report_tables import (
@@ -177,7 +178,7 @@ def test_key_frames_are_embedded(report: Report) -> None:
 
 # --- the paper --------------------------------------------------------------------------------------------------------
 def test_published_numbers_are_those_of_the_paper() -> None:
-    paper = paper_results()
+    paper = published_results()
     expert = paper.social_nav.row_of("heuristic_expert")
     assert expert is not None
     assert {k: v[0] for k, v in expert.values.items()} == {

@@ -1,1 +1,5 @@
-"""Metrics that papers on social navigation report."""
+"""The profile ``field``: what papers on social navigation report."""
+
+from h3data.metrics.field.profile import with_clearance
+
+__all__ = ["with_clearance"]

@@ -59,7 +59,10 @@ class SuccessConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class HabitatConfig:
-    """All of it. The defaults are those of the command in habitat-baselines' README, which reproduces the paper."""
+    """Settings of all social navigation measures.
+
+    The defaults are those of the command in habitat-baselines' README that reproduces the paper.
+    """
 
     stats: StatsConfig = field(default_factory=StatsConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
@@ -69,28 +72,30 @@ class HabitatConfig:
 
     @classmethod
     def from_info(cls, info: Mapping[str, Any]) -> HabitatConfig:
-        """From ``info["habitat_config"]``: ``{"social_nav_stats": {...}, "social_nav_reward": {...}, "nav_seek_success":
-        {...}, "slack_reward": x, "success_reward": x}``. What is not there keeps its default; other keys are passed over.
+        """Returns the settings in ``info["habitat_config"]``; missing keys keep their defaults, unknown ones are ignored.
+
+        The keys are Habitat's: ``{"social_nav_stats": {...}, "social_nav_reward": {...}, "nav_seek_success": {...},
+        "slack_reward": x, "success_reward": x}``.
         """
-        found = info.get("habitat_config") or {}
-        if not isinstance(found, Mapping):
-            raise InputError(f"info habitat_config must be a mapping of Habitat's settings, is {found!r}.")
+        config = info.get("habitat_config") or {}
+        if not isinstance(config, Mapping):
+            raise InputError(f"Expected info habitat_config to be a mapping of Habitat's settings, got {config!r}.")
         return cls(
-            stats=_read(StatsConfig, found, "social_nav_stats"),
-            reward=_read(RewardConfig, found, "social_nav_reward"),
-            success=_read(SuccessConfig, found, "nav_seek_success"),
-            slack_reward=float(found.get("slack_reward", cls.slack_reward)),
-            success_reward=float(found.get("success_reward", cls.success_reward)),
+            stats=_read(StatsConfig, config, "social_nav_stats"),
+            reward=_read(RewardConfig, config, "social_nav_reward"),
+            success=_read(SuccessConfig, config, "nav_seek_success"),
+            slack_reward=float(config.get("slack_reward", cls.slack_reward)),
+            success_reward=float(config.get("success_reward", cls.success_reward)),
         )
 
 
-def _read(kind: type, found: Mapping[str, Any], section: str) -> Any:
-    given = found.get(section) or {}
+def _read(kind: type, config: Mapping[str, Any], section: str) -> Any:
+    given = config.get(section) or {}
     if not isinstance(given, Mapping):
-        raise InputError(f"info habitat_config: {section} must be a mapping of settings, is {given!r}.")
-    known = {f.name: f.default for f in fields(kind)}
-    values = {name: value for name, value in given.items() if name in known}
+        raise InputError(f"Expected info habitat_config: {section} to be a mapping of settings, got {given!r}.")
+    defaults = {f.name: f.default for f in fields(kind)}
+    values = {name: value for name, value in given.items() if name in defaults}
     faults = [f"{n} = {v!r}" for n, v in values.items() if not isinstance(v, int | float)]
     if faults:
-        raise InputError(f"info habitat_config: {section} must hold numbers, has {', '.join(faults)}.")
-    return kind(**{n: type(known[n])(v) for n, v in values.items()})
+        raise InputError(f"Expected numbers in info habitat_config: {section}, got {', '.join(faults)}.")
+    return kind(**{n: type(defaults[n])(v) for n, v in values.items()})

@@ -1,7 +1,7 @@
-"""The rewards and the success of habitat-lab's social navigation, step by step, from arrays.
+"""habitat-lab's social navigation rewards and success, step by step, from arrays.
 
-`variant` ``habitat`` is its main branch. ``habitat@0.3.0`` is the paper's release: the reward has only the distance and
-the facing part, without collisions; and following counts only if facing is asked for (spec/habitat-findings.md 3).
+Variant ``habitat`` is its main branch. ``habitat@0.3.0`` is the paper's release: the reward has only the distance and the
+facing part, without collisions, and following counts only if facing is required (spec/habitat-findings.md 3).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ MAIN, PAPER_RELEASE = "habitat", "habitat@0.3.0"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskTrack:
-    """What the rewards read beside positions; every array [T]."""
+    """Inputs of the rewards beside positions; every array [T]."""
 
     collides: NDArray[np.bool_]
     """Robot and human touch."""
     collisions: NDArray[np.integer]
-    """Collisions of the robot with anything so far."""
+    """Collisions of the robot with anything up to each step."""
     has_found: NDArray[np.bool_]
     """``has_found_human`` of the statistics."""
     goal_pos: NDArray[np.float64] | None = None
@@ -32,7 +32,7 @@ class TaskTrack:
 
 
 def goal_errors(track: HabitatTrack, goal_pos: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distance on the floor [m] and angle [rad] from the robot to a goal [3], each [T]."""
+    """Returns the distance on the floor [m] and the angle [rad] from the robot to a goal [3], each [T]."""
     towards = (goal_pos - track.robot_pos)[:, [0, 2]]
     cosine = np.sum(unit_vectors(track.robot_transform[:, [0, 2], 0]) * unit_vectors(towards), axis=1)
     return np.linalg.norm(towards, axis=1), np.arccos(np.clip(cosine, -1, 1))
@@ -41,7 +41,7 @@ def goal_errors(track: HabitatTrack, goal_pos: NDArray[np.float64]) -> tuple[NDA
 def seek_success(
     track: HabitatTrack, task: TaskTrack, config: SuccessConfig, *, variant: str = MAIN
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Steps followed so far (not necessarily in a row), and whether that is enough, each [T].
+    """Returns the steps followed so far (not necessarily consecutive) and whether they suffice, each [T].
 
     Raises:
         ValueError: the configuration measures distances to the task's goal, and there is none.
@@ -67,7 +67,7 @@ def seek_success(
 def social_nav_reward(
     track: HabitatTrack, task: TaskTrack, config: RewardConfig, *, variant: str = MAIN
 ) -> NDArray[np.float64]:
-    """``SocialNavReward`` at every step [T]."""
+    """Computes ``SocialNavReward`` at every step [T]."""
     if not len(track.geodesic):
         return np.zeros(0)
     main = variant != PAPER_RELEASE
@@ -85,7 +85,7 @@ def social_nav_reward(
         reward = reward + seen * config.near_human_bonus
     if main and config.explore_reward != -1:
         reward = reward + _explores(track.robot_pos, task.has_found) * config.explore_reward
-    reward[0] = 0.0  # there is no former distance yet
+    reward[0] = 0.0  # no previous distance yet
     if main:
         reward -= config.collide_penalty * task.collides
         reward += _counted_collisions(task.collisions, config)
@@ -93,13 +93,13 @@ def social_nav_reward(
 
 
 def total_reward(reward: NDArray[np.float64], success: NDArray[np.bool_], config: HabitatConfig) -> NDArray[np.float64]:
-    """What the learner gets at every step [T]. Success pays again in every later step, if it does not end the episode."""
+    """Returns the learner's reward at every step [T]. Success that does not end the episode pays again in every later step."""
     return config.slack_reward + reward + config.success_reward * success
 
 
 def _explores(robot_pos: NDArray[np.float32], has_found: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows in which the robot enters a cell of 0.5 m for the first time while, a step ago, it had not found the human."""
-    looking = np.concatenate([[False], ~has_found[:-1]])  # at the reset the statistics have not spoken yet
+    """Rows in which the robot enters a cell of 0.5 m for the first time and had not found the human a step before."""
+    looking = np.concatenate([[False], ~has_found[:-1]])  # at the reset the statistics have not been computed yet
     cells = np.round(np.nan_to_num(robot_pos[:, [0, 2]]) * 2).astype(np.int64)
     rows = np.flatnonzero(looking)
     new = np.zeros(len(cells), np.bool_)

@@ -1,7 +1,7 @@
-"""What habitat-lab's ``SocialNavStats`` emits at every step, bug for bug, from arrays.
+"""habitat-lab's ``SocialNavStats`` at every step, bug for bug, from arrays.
 
-Row 0 is the reset, which Habitat counts as step 1. Its arithmetic is float32 where Habitat's is: sums of distances, and
-the robot's motion in its own former frame, whose sign decides between backing up and yielding.
+Row 0 is the reset, which Habitat counts as step 1. The arithmetic is float32 where Habitat's is: sums of distances, and the
+robot's motion in its own previous frame, whose sign decides between backing up and yielding.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from h3data.metrics.habitat.config import StatsConfig
 
 _SENTINEL = 1500
-"""``has_found_human_step`` before the human is found, whatever the configuration says."""
+"""Value of ``has_found_human_step`` before the human is found, whatever the configuration."""
 _HZ = 120.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HabitatTrack:
-    """One episode as Habitat's measures see it."""
+    """The positions of one episode in Habitat's types."""
 
     robot_pos: NDArray[np.float32]
     """Base positions [T, 3] [m]."""
@@ -29,43 +29,51 @@ class HabitatTrack:
     robot_transform: NDArray[np.float32]
     """World from the robot's root frame (x forward, y up), shape [T, 4, 4], translation in the last column."""
     geodesic: NDArray[np.floating]
-    """Shortest way from robot to human [m], inf if there is none, shape [T]."""
+    """Shortest path from robot to human [m], inf if there is none, shape [T]."""
 
     def distance(self) -> NDArray[np.float32]:
-        """L2 distance in space [m], shape [T]."""
+        """Returns the L2 distance in space [m], shape [T]."""
         gap = self.robot_pos - self.human_pos
         return np.sqrt(np.sum(gap * gap, axis=1))
 
     def facing(self) -> NDArray[np.float32]:
-        """Cosine between forward and the direction to the human on the floor, NaN if they coincide; shape [T]."""
-        return np.sum(unit_vectors(self.robot_transform[:, [0, 2], 0]) * unit_vectors(self._towards()), axis=1)
+        """Returns the cosine between forward and the direction to the human on the floor, NaN if they coincide; shape [T]."""
+        towards = (self.human_pos - self.robot_pos)[:, [0, 2]]
+        return np.sum(unit_vectors(self.robot_transform[:, [0, 2], 0]) * unit_vectors(towards), axis=1)
 
-    def _towards(self) -> NDArray[np.float32]:
-        return (self.human_pos - self.robot_pos)[:, [0, 2]]
+    def found(self, config: StatsConfig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Returns the rows with the human in reach and those with the robot facing them, each [T]; both together: found."""
+        with np.errstate(invalid="ignore"):
+            in_reach = (self.geodesic >= config.min_dis_human) & (self.geodesic <= config.max_dis_human)
+            return in_reach, self.facing() > config.robot_face_human_threshold
 
 
 def social_nav_stats(
     track: HabitatTrack,
     config: StatsConfig,
     *,
+    found: NDArray[np.bool_],
     min_steps: float,
-    avoids: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    backs_up: NDArray[np.bool_],
+    yields: NDArray[np.bool_],
 ) -> dict[str, NDArray[np.float64]]:
-    """Every key of ``SocialNavStats``, spelt as there, at every step [T].
+    """Computes every key of ``SocialNavStats``, in its spelling, at every step [T].
 
-    ``min_steps`` is the oracle's l, the step at which Habitat finds it; inf = shortest paths are switched off or it never
-    finds one. ``avoids``: the rows of `backup_and_yield`.
+    Args:
+        track: The episode.
+        config: Settings.
+        found: Rows in which the human is in reach and faced, see `HabitatTrack.found`.
+        min_steps: The oracle's l, the step at which Habitat finds it; inf if shortest paths are switched off or it never
+            finds one.
+        backs_up: From `backup_and_yield`.
+        yields: From `backup_and_yield`.
     """
     steps = np.arange(1, len(track.geodesic) + 1)
     distance = track.distance()
-    with np.errstate(invalid="ignore"):
-        in_reach = (track.geodesic >= config.min_dis_human) & (track.geodesic <= config.max_dis_human)
-        found = in_reach & (track.facing() > config.robot_face_human_threshold)
     has_found = np.logical_or.accumulate(found)
     times = np.cumsum(found)
     after = np.maximum(np.cumsum(has_found), 1)
     found_step = _found_step(has_found, steps)
-    backs_up, yields = avoids
     shortest = np.where(steps >= min_steps, min_steps, np.inf)
     with np.errstate(invalid="ignore", divide="ignore"):
         spl = has_found * shortest / np.maximum(shortest, found_step)
@@ -90,7 +98,7 @@ def social_nav_stats(
 
 
 def _found_step(has_found: NDArray[np.bool_], steps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Step of the first encounter as known at each step. Found at step 1500 exactly, it is taken for unset and moves on."""
+    """Step of the first encounter as known at each step; 1500 exactly is mistaken for "not yet" and moves on to 1501."""
     first = int(np.argmax(has_found)) + 1 if has_found.any() else _SENTINEL
     found_step = np.where(has_found, first, _SENTINEL)
     if first == _SENTINEL and has_found.any():
@@ -101,11 +109,11 @@ def _found_step(has_found: NDArray[np.bool_], steps: NDArray[np.int64]) -> NDArr
 def backup_and_yield(
     track: HabitatTrack, config: StatsConfig, *, dead_zone_m: float = 0.0
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Rows in which the robot backs up, and in which it yields [T].
+    """Returns the rows in which the robot backs up, and those in which it yields, each [T].
 
-    A robot that stands or turns on the spot does one or the other by the rounding of float32; with its exact transforms
-    the same rows come out as in Habitat. The sum of both does not depend on that. ``dead_zone_m``: motions of this length
-    per step or less are no backing up (0 = as Habitat).
+    For a robot that stands or turns on the spot, float32 rounding decides between the two; with its exact transforms the
+    rows are Habitat's. The sum of both does not depend on rounding. Motions of ``dead_zone_m`` per step or less do not
+    count as backing up (0 = as Habitat).
     """
     backs_up, yields = (np.zeros(len(track.geodesic), np.bool_) for _ in range(2))
     near = np.flatnonzero(track.distance() <= config.dis_threshold_for_backup_yield)
@@ -152,6 +160,6 @@ def _transform_points(matrices: NDArray[np.float32], points: NDArray[np.float32]
 
 
 def unit_vectors(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Vectors [T, 2] of length 1 in their own precision; NaN where there is no direction."""
+    """Returns vectors [T, 2] scaled to length 1 in their own precision; NaN for zero vectors."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.divide(vectors, np.sqrt(np.sum(vectors * vectors, axis=1, keepdims=True)), dtype=vectors.dtype)

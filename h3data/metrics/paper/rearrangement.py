@@ -1,8 +1,8 @@
 """The paper's metrics of social rearrangement: SR, RE, CR, RC, TS.
 
-What a recording must hold: ``metrics.at_goal`` bool [T, K], whether each of K objects is at its goal (which object:
-``info["goal_objects"]``, K indices as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every agent,
-``metrics.collision``, ``info["max_steps"]`` (E) and ``info["solo_steps"]`` (the person alone in the same episode).
+They read ``metrics.at_goal`` bool [T, K], whether each of K objects is at its goal (which object: ``info["goal_objects"]``,
+K indices as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every agent, ``metrics.collision``,
+``info["max_steps"]`` (E) and ``info["solo_steps"]`` (steps of the person alone in the same episode).
 """
 
 from __future__ import annotations
@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.metric import INF, NAN, EpisodeMetrics, Metric, Notes, Series, episode_metrics, note_missing
+from h3data.metrics.episode import Notes, first_moments
+from h3data.metrics.metric import INF, NAN, Metric, Series
+from h3data.metrics.paper.protocol import protocol_deviations
+from h3data.metrics.profile import Computed
+from h3data.metrics.requirements import note_missing
 from h3data.recording.records import Recording
 
 AT_GOAL = "metrics.at_goal"
@@ -49,8 +53,8 @@ REARRANGEMENT: tuple[Metric, ...] = (
         undefined=_NO_ROWS + "The steps of the person alone are not recorded.",
         series=("done",),
         reading=(
-            "The paper prints L_human / max(L_joint, E), which never exceeds 100 %, while its tables hold 159 %. Read as "
-            "min: L_joint is the number of steps until success, an episode without success counts E."
+            "The paper prints L_human / max(L_joint, E), which never exceeds 100%, while its tables hold 159%. Read as "
+            "min: L_joint is the number of steps until success; an episode without success counts E."
         ),
         habitat="Not computed in either repository.",
     ),
@@ -79,13 +83,13 @@ REARRANGEMENT: tuple[Metric, ...] = (
         direction="neither",
         source="Habitat 3.0, section 4.2 'Metrics'",
         columns=(AT_GOAL, "agent_<i>.grasp_body", "info:goal_objects"),
-        undefined="There is no robot, no object is at its goal in the last row, or nobody ever held those that are.",
+        undefined="There is no robot, no object is at its goal in the last row, or nobody held those that are.",
         series=("at_goal_count",),
         reading=(
             "Placed: at its goal in the last row and not from the start. The credit goes to the agent that held the object "
-            "last, up to the row from which on it has been at its goal; an object that nobody held counts for neither."
+            "last before the row from which it stayed at its goal; an object that nobody held counts for neither."
         ),
-        habitat="Not computed; ratio_agent_0 of PARTNR's analysis is alike.",
+        habitat="Not computed; ratio_agent_0 of PARTNR's analysis is similar.",
     ),
     Metric(
         id="paper/rearrange/TS@1",
@@ -105,13 +109,8 @@ REARRANGEMENT: tuple[Metric, ...] = (
 )
 
 
-def rearrangement_metrics() -> tuple[Metric, ...]:
-    """The paper's metrics of social rearrangement."""
-    return REARRANGEMENT
-
-
 def rearrangement_series(recording: Recording) -> Series:
-    """``done`` (all objects at their goals), ``at_goal_count`` and, if recorded, ``collision``, each [T]."""
+    """Computes ``done`` (all objects at their goals), ``at_goal_count`` and, if recorded, ``collision``, each [T]."""
     series: dict[str, NDArray] = {}
     if AT_GOAL in recording.columns:
         at_goal = _at_goal(recording)
@@ -122,31 +121,30 @@ def rearrangement_series(recording: Recording) -> Series:
     return series
 
 
-def measure_rearrangement(recording: Recording) -> EpisodeMetrics:
-    """SR, RE, CR, RC and TS of one recording.
+def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
+    """Computes SR, RE, CR, RC and TS.
 
     Raises:
         MissingColumnsError: none of the columns is there.
     """
-    notes = Notes()
-    lacking = note_missing(REARRANGEMENT, recording, notes)
-    values = dict.fromkeys((m.name for m in REARRANGEMENT), NAN)
+    missing = note_missing(REARRANGEMENT, recording, notes)
+    deviations = protocol_deviations(recording)
     if not len(recording):
-        notes.add(values, "the recording has no rows")
-        return episode_metrics(recording, REARRANGEMENT, values, notes)
+        notes.add((m.name for m in REARRANGEMENT), "the recording has no rows")
+        return Computed(values={}, protocol_deviations=deviations)
+    values: dict[str, float] = {}
     series = rearrangement_series(recording)
     if "done" in series:
         steps, solved, limit = _steps(recording, series["done"], notes)
         values |= {"SR": float(solved), "TS": float(steps)}
-        if "RE" not in lacking:
+        if "RE" not in missing:
             values["RE"] = _efficiency(recording, steps if solved else limit, notes)
-    if "RC" not in lacking:
+    if "RC" not in missing:
         values["RC"] = _robot_share(recording, notes)
-    contact = -1
     if "collision" in series:
         values["CR"] = float(series["collision"].any())
-        contact = int(np.argmax(series["collision"])) if series["collision"].any() else -1
-    return episode_metrics(recording, REARRANGEMENT, values, notes, contact_row=contact)
+    moments = first_moments(series, ("done", "collision"))
+    return Computed(values=values, moments=moments, protocol_deviations=deviations)
 
 
 def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple[int, bool, int]:
@@ -190,10 +188,10 @@ def _robot_share(recording: Recording, notes: Notes) -> float:
 
 
 def _carrier(recording: Recording, at_goal: NDArray[np.bool_], body: int) -> int | None:
-    """The agent that held a placed object last before it stayed at its goal; None if it is not placed or was not held."""
+    """Index of the agent that last held a placed object before it stayed at its goal; None if not placed or never held."""
     if not at_goal[-1] or at_goal.all():
         return None
-    placed = len(at_goal) - int(np.argmin(at_goal[::-1]))  # from this row on it has been there
+    placed = len(at_goal) - int(np.argmin(at_goal[::-1]))  # from this row on it stays there
     last, carrier = -1, None
     for i in range(len(recording.agents)):
         held = recording.columns.get(f"agent_{i}.grasp_body")

@@ -24,7 +24,7 @@ from h3data_pipelines.jobs.running import run_jobs
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Play every robot in the same episodes and print its metrics with 95 % intervals, beside the paper's: S, SPS, F, CR,
+    """Play every robot in the same episodes and print its metrics with 95% intervals, beside the paper's: S, SPS, F, CR,
     BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange. Each episode is a small file in the
     output folder: an interrupted evaluation goes on where it was.
 
@@ -143,18 +143,14 @@ class Evaluate:
         return [Evaluation(job, policies, partners) for job in base]
 
     def _table(self, job: Evaluation, rows: list[dict[str, Any]]) -> PolicyTable | CrossPlayTable:
-        from h3data.metrics import metrics_of
+        from h3data.metrics.registry import profile_for
 
         task = job.base.found_task
         if task.crosses_partners:
             return cross_play_table(Row(**row) for row in rows)
-        if task.name in ("social_nav",):
-            metrics = [metric.name for metric in metrics_of("paper", task.name)]
-        else:
-            metrics = list(dict.fromkeys(name for row in rows for name in row["values"]))
         if job.partners:
             rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
-        return policy_table(task.name, rows, metrics)
+        return policy_table(profile_for(task.name, {"profile": task.profile}), rows)
 
 
 def _is_done(file: Path, job: Evaluation) -> bool:

@@ -31,7 +31,7 @@ from h3data_pipelines.command import (
 )
 from h3data_pipelines.jobs.episodes import Choices, Job, file_jobs, make_jobs
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
-from h3data_pipelines.jobs.generated import ReadBack, first_played, measured, require_same_options, whose
+from h3data_pipelines.jobs.generated import ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import simulate_jobs
 
 if TYPE_CHECKING:
@@ -117,6 +117,7 @@ class Generate:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.metrics import measure_many
         from h3data.recording import Dataset, DatasetWriter
 
         if self.force and self.resume:
@@ -132,13 +133,13 @@ class Generate:
             done = len(writer)
             self._simulate(jobs[done:], writer)
         written = ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
-        table = measured(written)
-        shown = f"\n\n{table.to_text()}" if table else ""
-        text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}{shown}"
+        table = measure_many(written)
+        text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}"
+        text += f"\n\n{table.to_text()}"
         text += "".join(f"\nfailed {line}" for line in written.failed)
         data: dict[str, Any] = {
             "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
-            "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict() if table else None,
+            "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict(),
         }  # fmt: skip
         return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
 

@@ -1,10 +1,10 @@
-"""``h3data metrics``: tables from recordings and datasets, by several definitions; what each metric is and why."""
+"""``h3data metrics``: tables of recordings and datasets by several profiles, and explanations of metrics and values."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -14,19 +14,19 @@ from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, o
 if TYPE_CHECKING:
     from h3data.metrics import Metric
 
-ProfileName = Literal["paper", "habitat", "habitat@0.3.0", "field", "partnr"]
-
 
 @dataclass(frozen=True)
 class Metrics:
-    """Compute task metrics from recordings alone, with 95 % intervals; compare two runs; explain a value.
+    """Compute task metrics from recordings alone, with 95% intervals; compare two runs; explain a value.
 
-    Profiles: `paper` (S, SPS, F, CR, BYR, TD, FD as published), `habitat` and `habitat@0.3.0` (as habitat-lab computes
-    them, bug for bug), `field` (proxemics, efficiency, smoothness), `partnr` (percent complete and the like).
+    Profiles: `paper` (S, SPS, F, CR, BYR, TD, FD and SR, RE, CR, RC, TS as published), `habitat` and `habitat@0.3.0` (as
+    habitat-lab computes them, bug for bug), `field` (proxemics, efficiency, smoothness), `partnr` (percent complete and
+    others), `task` (success, reward, time of any task), and those of installed packages.
 
     Examples:
         h3data metrics out/demo/episode.mcap
         h3data metrics ds/ --profile field -o metrics.csv
+        h3data metrics ds/ --profile my_package.metrics:PROFILE
         h3data metrics ds/ --series rows.parquet --events events.csv
         h3data metrics run_a/ run_b/ --paired
         h3data metrics list
@@ -36,18 +36,18 @@ class Metrics:
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """.mcap files, folders of them, and datasets, or their URIs; or `list`; or `explain NAME [RECORDING]`."""
-    profile: ProfileName = "paper"
-    """Which definitions."""
+    profile: str | None = None
+    """Name of a profile, or module:name (default: the profile of the recordings' task)."""
     paired: bool = False
     """Compare two runs over the same episodes, one by one."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Write the result to this file too: .json, or one row per episode as .csv or .parquet."""
+    """Also write the result to this file: .json, or one row per episode as .csv or .parquet."""
     series: Path | None = None
-    """Write what the metrics come from, row by row, to this .parquet or .csv."""
+    """Write the per-row quantities and flags behind the metrics to this .parquet or .csv."""
     events: Path | None = None
-    """Write when the robot found, followed, backed up, ... to this .parquet or .csv."""
+    """Write the spans of rows in which flags hold (found, yields, collision, ...) to this .parquet or .csv."""
     workers: int | None = None
-    """Threads (default: one per core)."""
+    """Number of threads (default: one per core)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -95,10 +95,10 @@ class Metrics:
             raise InputError("--series and --events describe one run; leave out --paired.")
         first, second = (measure_files([path], self.profile, workers=self.workers) for path in self.recordings)
         a, b = (path.stem or str(path) for path in self.recordings)
-        found = compare_tables(first, second, names=(a, b) if a != b else ("A", "B"))
+        differences = compare_tables(first, second, names=(a, b) if a != b else ("A", "B"))
         if self.out is not None:
-            write_text(self.out, found.to_json() + "\n")
-        return Outcome(text=found.to_text(), data=found.to_dict())
+            write_text(self.out, differences.to_json() + "\n")
+        return Outcome(text=differences.to_text(), data=differences.to_dict())
 
 
 def _list() -> Outcome:
@@ -107,16 +107,18 @@ def _list() -> Outcome:
     return Outcome(text=list_metrics(), data={"metrics": [_described(m) for m in all_metrics()]})
 
 
-def _explain(name: str, path: Path | None, profile: str) -> Outcome:
-    from h3data.metrics import explain, explain_episode, find_metric, measure
+def _explain(name: str, path: Path | None, profile: str | None) -> Outcome:
+    from h3data.metrics import explain, explain_episode, find_metric, measure, profiles_named
 
     metric = find_metric(name, profile=profile)
+    if profile is None or all(metric not in p.metrics for p in profiles_named(profile)):
+        profile = metric.profile
     data: dict[str, Any] = {"metric": _described(metric)}
     if path is None:
         return Outcome(text=explain(metric), data=data)
     recording = open_episode(path)
-    text = explain_episode(metric, recording)
-    measured = measure(recording, metric.profile).to_dict()
+    text = explain_episode(metric, recording, profile=profile)
+    measured = measure(recording, profile).to_dict()
     data |= {
         "episode": measured["episode_id"],
         "value": measured["values"].get(metric.name),
@@ -126,18 +128,20 @@ def _explain(name: str, path: Path | None, profile: str) -> Outcome:
     return Outcome(text=text, data=data)
 
 
+_DESCRIBED = (
+    "id",
+    "name",
+    "title",
+    "formula",
+    "unit",
+    "direction",
+    "source",
+    "columns",
+    "optional",
+    "undefined",
+    "reading",
+)
+
+
 def _described(metric: Metric) -> dict[str, Any]:
-    fields = (
-        "id",
-        "name",
-        "title",
-        "formula",
-        "unit",
-        "direction",
-        "source",
-        "columns",
-        "optional",
-        "undefined",
-        "reading",
-    )
-    return {field: getattr(metric, field) for field in fields} | {"range": list(metric.range)}
+    return {name: getattr(metric, name) for name in _DESCRIBED} | {"range": list(metric.range)}

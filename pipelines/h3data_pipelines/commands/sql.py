@@ -21,7 +21,6 @@ from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
 from h3data.recording.storage import place
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file
-from h3data_pipelines.commands.measuring import ProfileName
 
 if TYPE_CHECKING:
     import duckdb
@@ -79,8 +78,8 @@ class Sql:
     """Datasets, as folders or URIs (s3://bucket/ds)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write all rows to this .csv or .parquet instead of showing them."""
-    profile: ProfileName = "paper"
-    """Definitions of the metrics in the view episodes."""
+    profile: str | None = None
+    """Profile of the metrics in the view episodes (default: that of each episode's task)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -100,7 +99,7 @@ class Sql:
                 raise InputError(f"Expected a file name that ends in .csv or .parquet, got {self.out.name!r}.")
             claim_file(self.out, force=self.force)
         datasets = {path: dataset for path, dataset in opened.items() if isinstance(dataset, Dataset)}
-        connection = connect(datasets, profile=self.profile if "episodes" in self.query.lower() else None)
+        connection = connect(datasets, profile=self.profile, metrics="episodes" in self.query.lower())
         with explained_errors(connection):
             relation = select(connection, self.query)
             if self.out is None:
@@ -111,10 +110,13 @@ class Sql:
         return Outcome(text=f"{rows} rows in {self.out}", data={"rows": rows, "file": str(self.out)})
 
 
-def connect(datasets: dict[str, Dataset], *, profile: str | None = "paper") -> duckdb.DuckDBPyConnection:
+def connect(
+    datasets: dict[str, Dataset], *, profile: str | None = None, metrics: bool = True
+) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection with the views over ``datasets`` (by name), which can read nothing else and write nothing.
 
-    Without a ``profile`` the view ``episodes`` has no metrics, and nothing is measured.
+    The view ``episodes`` has the metrics of ``profile`` (default: that of each episode's task); without ``metrics`` it has
+    none, and nothing is measured.
 
     Raises:
         MissingExtraError: DuckDB is not installed.
@@ -131,7 +133,9 @@ def connect(datasets: dict[str, Dataset], *, profile: str | None = "paper") -> d
         connection.register(f"_steps_{number}", step_source(dataset))
         steps.append(f"SELECT {_text(name)} AS dataset, {', '.join(_step_columns(dataset))} FROM _steps_{number}")
     connection.execute(f"CREATE VIEW steps AS {' UNION ALL BY NAME '.join(steps)}")
-    episodes = pa.concat_tables([_episodes(*item, profile) for item in datasets.items()], promote_options="default")
+    episodes = pa.concat_tables(
+        [_episodes(*item, profile, metrics) for item in datasets.items()], promote_options="default"
+    )
     connection.register("episodes", episodes)
     for kind in _RECORDS:
         tables = [_named(record_table(dataset, kind), name) for name, dataset in datasets.items()]
@@ -230,7 +234,7 @@ def _unsigned(value: str) -> str:
     return f"({value}::HUGEINT & {2**64 - 1})::UBIGINT"
 
 
-def _episodes(name: str, dataset: Dataset, profile: str | None) -> pa.Table:
+def _episodes(name: str, dataset: Dataset, profile: str | None, metrics: bool) -> pa.Table:
     """One row per episode, with policy and partner from its info, and its metrics measured now."""
     rows = []
     for row in dataset.rows:
@@ -239,13 +243,13 @@ def _episodes(name: str, dataset: Dataset, profile: str | None) -> pa.Table:
         seconds = row["length"] * row["dt_ns"] / 1e9
         rows.append({**row, "dataset": name, "policy": policy, "partner": partner, "seconds": seconds})
     table = pa.Table.from_pylist(rows, schema=_EPISODES)
-    values = [] if profile is None else _metrics(dataset, profile)
+    values = _metrics(dataset, profile) if metrics else []
     for metric in dict.fromkeys(metric for row in values for metric in row):
         table = table.append_column(metric, pa.array([row.get(metric) for row in values], _REAL))
     return table
 
 
-def _metrics(dataset: Dataset, profile: str) -> list[dict[str, float | None]]:
+def _metrics(dataset: Dataset, profile: str | None) -> list[dict[str, float | None]]:
     """The metrics of each episode by name; empty where the profile does not apply to the task or recording."""
     from h3data.metrics import measure
     from h3data.metrics.batch import recordings

@@ -55,7 +55,7 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
                     played[plan] = {
                         "policy": policy,
                         "values": {name: None if v != v else v for name, v in measured.values.items()},
-                        "set_up": measured.set_up,
+                        "set_up": measured.protocol_deviations,
                         "ended": info.get("ended"),
                         "state_hash": str(recording.columns["state_hash"][-1]) if len(recording) else "",
                     }

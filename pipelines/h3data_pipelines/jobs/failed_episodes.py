@@ -49,7 +49,11 @@ def beside(failed: Recording, played: Recording) -> Recording:
     nowhere = np.full(7, np.nan, np.float32)
     moving = columns["object_pose"].shape[1] if "object_pose" in columns else 0
     bodies = [Body(name=f"object_{k}", asset="unknown", pose=nowhere, moving=k) for k in range(moving)]
-    roles = {name: value for name, value in played.episode.info.items() if name in ("policy", "partner", "max_steps")}
+    roles = {
+        name: value
+        for name, value in played.episode.info.items()
+        if name in ("policy", "partner", "max_steps", "profile")
+    }
     return replace(
         failed, episode=replace(failed.episode, info={**roles, **failed.episode.info}),
         agents=tuple(replace(agent, model="") for agent in played.agents),

@@ -13,7 +13,6 @@ from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import is_failed
 
 if TYPE_CHECKING:
-    from h3data.metrics.table import MetricsTable
     from h3data.recording import Dataset, DatasetWriter
 
 
@@ -45,20 +44,6 @@ class ReadBack:
             self.hashes.append(str(recording.columns["state_hash"][-1]) if len(recording) else "")
             self.steps += len(recording)
             yield recording
-
-
-def measured(recordings: ReadBack) -> MetricsTable | None:
-    """Their metrics: the paper's of its tasks, else those of any two agents; nothing where somebody is alone."""
-    from h3data.metrics import measure_many
-
-    first = recordings.dataset.recording(0)
-    if first.episode.task != "wander":
-        return measure_many(recordings)
-    if len(first.agents) > 1:
-        return measure_many(recordings, "field")
-    for _ in recordings:
-        pass
-    return None
 
 
 def first_played(writer: DatasetWriter) -> Recording | None:

@@ -1,74 +1,71 @@
-"""Tables of policies by metrics, with 95% intervals, and the paper's rows below where it has any."""
+"""Tables of policies by metrics with 95% intervals, followed by published rows if the metrics' profile has any."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from h3data.metrics.table import aligned, set_up_lines
-from h3data_pipelines.jobs.cross_play import NOTHING, CellValue, cell_value, or_none
-from h3data_viewers.html_report.report_paper import paper_results
+from h3data.metrics import Profile, Summary
+from h3data.metrics.table import aligned, deviation_lines
+from h3data_pipelines.jobs.cross_play import NOTHING, cell_dict, cell_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyTable:
     """Policies by metrics."""
 
-    task: str
-    metrics: tuple[str, ...]
-    cells: dict[tuple[str, str], CellValue]
+    profile: Profile
+    cells: dict[tuple[str, str], Summary]
     """By policy and metric."""
-    set_ups: tuple[str, ...] = ()
-    """Of each result: in what its rules differ from the paper's."""
+    deviations: tuple[str, ...] = ()
+    """Rules of each result that differ from the paper's."""
 
     def to_text(self) -> str:
-        """Our rows with intervals, the paper's below; without ours there is nothing to compare."""
+        """Measured rows with intervals, followed by published ones; a sentence if there are no results."""
         if not self.cells:
             return NOTHING
+        names = [metric.name for metric in self.profile.metrics]
         policies = tuple(dict.fromkeys(policy for policy, _ in self.cells))
-        lines = [["Mean [95 % interval]", *self.metrics]]
-        lines += [[policy, *(self._shown(policy, metric) for metric in self.metrics)] for policy in policies]
-        if self.task != "social_nav":
-            return "\n".join([aligned(lines), *set_up_lines(self.set_ups)])
-        paper = paper_results().social_nav
-        lines.append(["Habitat 3.0, as published", *self.metrics])
-        lines += [[row.name, *(_published(row.values.get(m, ())) for m in self.metrics)] for row in paper.rows]
-        return "\n".join([aligned(lines), f"{paper.source}.", *set_up_lines(self.set_ups)])
+        lines = [["Mean [95% interval]", *names]]
+        lines += [[policy, *(_shown(self.cells[policy, name]) for name in names)] for policy in policies]
+        published = self.profile.report.published() if self.profile.report.published else None
+        if published:
+            lines.append([f"{published.paper}, as published", *names])
+            lines += [[row.name, *(_published(row.values.get(name, ())) for name in names)] for row in published.rows]
+        source = [f"{published.source}."] if published else []
+        return "\n".join([aligned(lines), *source, *deviation_lines(self.deviations)])
 
     def to_dict(self) -> dict[str, Any]:
-        """The same as JSON types; NaN becomes None."""
+        """The table as JSON types; NaN becomes None."""
         return {
             "cells": [
-                {
-                    "policy": policy, "metric": metric, "mean": or_none(c.mean), "low": or_none(c.low),
-                    "high": or_none(c.high), "episodes": c.count,
-                }
-                for (policy, metric), c in self.cells.items()
+                {"policy": policy, "metric": metric, **cell_dict(cell)} for (policy, metric), cell in self.cells.items()
             ]
-        }  # fmt: skip
-
-    def _shown(self, policy: str, metric: str) -> str:
-        cell = self.cells[policy, metric]
-        if not cell.count:
-            return "-"
-        interval = f" [{cell.low:.2f}, {cell.high:.2f}]" if cell.low == cell.low else ""
-        return f"{cell.mean:.2f}{interval}"
+        }
 
 
-def policy_table(task: str, rows: Iterable[dict[str, Any]], metrics: Sequence[str]) -> PolicyTable:
-    """The table of the rows that `h3data_pipelines.jobs.evaluations.play_evaluation` makes."""
+def policy_table(profile: Profile, rows: Iterable[dict[str, Any]]) -> PolicyTable:
+    """Returns the table of the rows that `h3data_pipelines.jobs.evaluations.play_evaluation` makes."""
     rows = list(rows)
     return PolicyTable(
-        task=task,
-        metrics=tuple(metrics),
+        profile=profile,
         cells={
-            (policy, metric): cell_value(metric, [r["values"].get(metric) for r in rows if r["policy"] == policy])
+            (policy, metric.name): cell_of(
+                metric, [r["values"].get(metric.name) for r in rows if r["policy"] == policy]
+            )
             for policy in dict.fromkeys(r["policy"] for r in rows)
-            for metric in metrics
+            for metric in profile.metrics
         },
-        set_ups=tuple(r.get("set_up", "") for r in rows),
+        deviations=tuple(r.get("set_up", "") for r in rows),
     )
+
+
+def _shown(cell: Summary) -> str:
+    if not cell.count:
+        return "-"
+    interval = f" [{cell.low:.2f}, {cell.high:.2f}]" if cell.low == cell.low else ""
+    return f"{cell.mean:.2f}{interval}"
 
 
 def _published(value: tuple[float, ...]) -> str:

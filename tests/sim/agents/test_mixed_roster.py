@@ -300,8 +300,8 @@ def test_any_two_agents_are_measured_near_each_other(home: Scene, free: FreeSpac
     same_kind = chosen == (0, 1)
     assert all(name in measured.notes.get("D_min", "") for name in told) is same_kind
     if same_kind:
-        with pytest.raises(InputError, match="field measures any two agents"):
-            measure(recording)
+        with pytest.raises(InputError, match=r"does not measure the task 'wander'. Use one of: field, partnr, task"):
+            measure(recording, "paper")
 
 
 def test_one_agent_is_near_nobody(home: Scene, free: FreeSpace) -> None:

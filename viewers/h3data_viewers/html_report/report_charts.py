@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.metrics import Metric, metrics_of
+from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.report_data import GRID_S, ReportEpisode, Run
-from h3data_viewers.html_report.report_paper import paper_results
 from h3data_viewers.html_report.report_svg import Svg, axes, linear, tick_text, ticks, x_axis
 
 COLORS = 8
@@ -39,7 +39,7 @@ def legend(names: Sequence[str]) -> str:
 # --- beside the paper -------------------------------------------------------------------------------------------------
 def estimate_charts(runs: Sequence[Run]) -> list[str]:
     """One panel per metric of social navigation: our means with intervals, the paper's expert and RL below."""
-    paper = [row for row in paper_results().social_nav.rows if row.policies]
+    paper = [row for row in published_results().social_nav.rows if row.policies]
     return [_estimates(metric, runs, paper) for metric in metrics_of("paper", "social_nav")]
 
 

@@ -1,7 +1,7 @@
 """The paper's tables beside ours: social navigation, rearrangement with both populations; paired differences of runs over
 the same episodes; metrics by policy and partner.
 
-The paper's numbers and where they are printed: ``paper_results.toml`` in this folder.
+The paper's numbers and where they are printed: `h3data.metrics.paper.published`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
-from importlib.resources import files
 
-import msgspec
 import numpy as np
 
 from h3data.metrics import (
@@ -21,6 +18,7 @@ from h3data.metrics import (
     metrics_of,
     tabulate,
 )
+from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.report_data import ReportData, Run, same_episodes
 from h3data_viewers.html_report.report_tables import (
     NAN,
@@ -36,56 +34,15 @@ from h3data_viewers.html_report.report_tables import (
     spread_cell,
 )
 
-Values = Mapping[str, tuple[float, ...]]
 _ARROWS = {"higher": "↑", "lower": "↓", "neither": ""}
 _POPULATIONS = {"train": "Train-pop-eval", "zsc": "ZSC-pop-eval", "": "All partners"}
 _MOST_PAIRS = 6
 
 
-class PaperRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One row of a table in the paper."""
-
-    name: str
-    policies: tuple[str, ...] = ()
-    """Names of the same policy in recordings."""
-    values: Values = {}
-    train: Values = {}
-    zsc: Values = {}
-    difference: float = NAN
-    p: str = ""
-
-
-class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table in the paper, and where it is."""
-
-    source: str
-    rows: tuple[PaperRow, ...]
-
-    def row_of(self, policy: str) -> PaperRow | None:
-        """The row about a policy."""
-        return next((row for row in self.rows if policy.lower() in row.policies), None)
-
-
-class PaperResults(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All tables that reports repeat."""
-
-    social_nav: PaperTable
-    rearrange: PaperTable
-    hitl: PaperTable
-    contrasts: PaperTable
-
-
-@cache
-def paper_results() -> PaperResults:
-    """The published numbers."""
-    text = (files("h3data_viewers.html_report") / "paper_results.toml").read_bytes()
-    return msgspec.toml.decode(text, type=PaperResults)
-
-
 # --- social navigation ------------------------------------------------------------------------------------------------
 def social_nav_table(runs: Sequence[Run]) -> Table:
     """Means with intervals of each run, the paper's rows below."""
-    paper = paper_results().social_nav
+    paper = published_results().social_nav
     metrics = metrics_of("paper", "social_nav")
     summaries = [run.table.summary() for run in runs]
     best = _best([{name: s.mean for name, s in summary.items()} for summary in summaries], metrics)
@@ -118,15 +75,18 @@ def social_nav_table(runs: Sequence[Run]) -> Table:
             Section(title="These recordings", rows=tuple(ours)),
             Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
         ),
-        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs), *fewer),
+        notes=(f"Published numbers: {paper.source}.", *_deviations(runs), *fewer),
     )
 
 
-def _set_ups(runs: Sequence[Run]) -> list[str]:
+def _deviations(runs: Sequence[Run]) -> list[str]:
     """Of each run whose rules differ from the paper's, in what."""
-    found = {run.name: Counter(e.metrics.set_up for e in run.episodes if e.metrics.set_up) for run in runs}
+    found = {
+        run.name: Counter(e.metrics.protocol_deviations for e in run.episodes if e.metrics.protocol_deviations)
+        for run in runs
+    }
     return [
-        f"{name}: not the set-up of the paper, {text} ({counted(times, 'episode')})."
+        f"{name}: rules differ from the paper's, {text} ({counted(times, 'episode')})."
         for name, texts in found.items()
         for text, times in texts.most_common()
     ]
@@ -135,7 +95,7 @@ def _set_ups(runs: Sequence[Run]) -> list[str]:
 # --- rearrangement ----------------------------------------------------------------------------------------------------
 def rearrangement_table(runs: Sequence[Run]) -> Table:
     """SR, RE, CR, RC per policy with its training population and with unseen partners; the paper's rows below."""
-    paper = paper_results().rearrange
+    paper = published_results().rearrange
     metrics = {m.name: m for m in metrics_of("paper", "rearrange")}
     shown = ("SR", "RE", "CR", "RC")
     there = {episode.population for run in runs for episode in run.episodes}
@@ -180,7 +140,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
             Section(title="These recordings", rows=tuple(ours)),
             Section(title="Habitat 3.0, as published", rows=tuple(published), published=True),
         ),
-        notes=(f"Published numbers: {paper.source}.", *_set_ups(runs)),
+        notes=(f"Published numbers: {paper.source}.", *_deviations(runs)),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from h3data.errors import H3DataError
 from h3data.metrics import metrics_of
+from h3data.metrics.paper.published import published_results
 from h3data.stats import (
     GlmmFit,
     MarginalMeans,
@@ -19,7 +20,7 @@ from h3data.stats import (
     relative_efficiency,
 )
 from h3data_viewers.html_report.report_data import ReportData, ReportEpisode, Run
-from h3data_viewers.html_report.report_paper import metric_column, paper_results
+from h3data_viewers.html_report.report_paper import metric_column
 from h3data_viewers.html_report.report_tables import (
     NAN,
     Cell,
@@ -122,7 +123,7 @@ def _bootstrapped(values: Sequence[float]) -> tuple[float, float, float]:
 def _study_table(
     episodes: Sequence[ReportEpisode], conditions: Sequence[str], estimates: Mapping[str, Estimates], notes: list[str]
 ) -> Table:
-    paper, facts = paper_results().hitl, {m.name: m for m in metrics_of("paper", "rearrange")}
+    paper, facts = published_results().hitl, {m.name: m for m in metrics_of("paper", "rearrange")}
     digits = {"CR": 2, "TS": 1, "RC": 2, "RE": 1}
     rows = [
         Row(
@@ -151,7 +152,7 @@ def _study_table(
 
 
 def _contrast_table(means: MarginalMeans) -> Table:
-    paper = paper_results().contrasts
+    paper = published_results().contrasts
     ours = []
     for c in contrasts(means, scale="response", adjust="tukey"):
         names, difference = (c.first, c.second), (c.difference, c.low, c.high)

@@ -7,8 +7,8 @@ from datetime import date
 from html import escape
 
 from h3data.metrics import Metric, metrics_of
+from h3data.metrics.paper.published import published_results
 from h3data_viewers.html_report.report_data import ReportData
-from h3data_viewers.html_report.report_paper import paper_results
 from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
 
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
@@ -74,7 +74,7 @@ def _findings(data: ReportData) -> list[str]:
     lines = []
     for run in data.runs:
         summary, metrics = run.table.summary(), {m.name: m for m in run.table.metrics}
-        paper = paper_results().social_nav.row_of(run.policy) if run.task == "social_nav" else None
+        paper = published_results().social_nav.row_of(run.policy) if run.task == "social_nav" else None
         said = []
         for name, phrase in _PHRASES[run.task].items():
             if summary[name].count:

@@ -1,28 +1,30 @@
-"""Metrics in words: what each is, and why it has the value it has in one episode."""
+"""Explanations: what a metric is, and why it has its value in one episode."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.metrics.metric import Metric, missing_columns
-from h3data.metrics.registry import PROFILES, all_metrics, find_profile
+from h3data.metrics.metric import Metric
+from h3data.metrics.registry import all_profiles, find_profile
+from h3data.metrics.requirements import missing_columns
 from h3data.recording.records import Recording
 
 _RUNS = 4
-"""Runs of a flag that are written out."""
+"""Runs of a flag that are listed."""
 
 
 def explain(metric: Metric) -> str:
-    """Everything about one metric as plain text, a few lines."""
+    """Returns everything about one metric as plain text of a few lines."""
     low, high = metric.range
     better = {"higher": "higher is better", "lower": "lower is better", "neither": "no better direction"}
+    optional = [f"{name} (if present)" for name in metric.optional]
     lines = [
         f"{metric.name}: {metric.title}  ({metric.id})",
         f"  formula    {metric.formula}",
         f"  unit       {'ratio' if metric.unit == '1' else metric.unit}, {low:g} to {high:g}, {better[metric.direction]}",
         f"  source     {metric.source}",
-        f"  reads      {', '.join((*metric.columns, *(f'{name} (if there)' for name in metric.optional)))}",
+        f"  reads      {', '.join((*metric.columns, *optional))}",
     ]
     for head, text in (("undefined", metric.undefined), ("reading", metric.reading), ("habitat", metric.habitat)):
         if text:
@@ -30,25 +32,28 @@ def explain(metric: Metric) -> str:
     return "\n".join(lines)
 
 
-def explain_episode(metric: Metric, recording: Recording) -> str:
-    """A metric in one episode: its value, what it read, why it is 0 or undefined, and the rows that decided it."""
-    profile = find_profile(metric.profile, recording.episode.task)
-    metric = next((m for m in profile.metrics if m.name == metric.name), metric)  # CR has one meaning per task
-    measured = profile.measure(recording)
+def explain_episode(metric: Metric, recording: Recording, *, profile: str | None = None) -> str:
+    """Returns text on a metric in one episode: value, data read, why it is 0 or undefined, and the rows that decided it.
+
+    ``profile`` names the metric's profile if it has no registered name, such as ``module:name``.
+    """
+    chosen = find_profile(profile or metric.profile, recording.episode.task)
+    metric = next((m for m in chosen.metrics if m.name == metric.name), metric)  # CR is defined once per task
+    measured = chosen.measure(recording)
     if metric.name not in measured.values:
         return (
-            f"{metric.id} is not measured in episodes of task {recording.episode.task!r}; {profile.name} has "
-            f"{', '.join(measured.values)} there."
+            f"{metric.id} is not measured in episodes of task {recording.episode.task!r}; there, {chosen.name} measures "
+            f"{', '.join(measured.values)}."
         )
     value = measured.values[metric.name]
     unit = "" if metric.unit == "1" or np.isnan(value) else f" {metric.unit}"
+    missing = missing_columns(metric, recording)
+    read = [name for name in (*metric.columns, *metric.optional) if name not in missing]
     lines = [
         f"{metric.name} = {_number(value)}{unit}  in episode {measured.episode_id!r} ({measured.rows} rows)",
         f"  formula    {metric.formula}",
+        f"  read       {', '.join(read) or 'nothing'}",
     ]
-    missing = missing_columns(metric, recording)
-    there = [name for name in (*metric.columns, *metric.optional) if name not in missing]
-    lines.append(f"  read       {', '.join(there) or 'nothing'}")
     if missing:
         lines.append(f"  lacked     {', '.join(missing)}")
     for name, content in _info(metric, recording):
@@ -57,19 +62,19 @@ def explain_episode(metric: Metric, recording: Recording) -> str:
         lines.append(f"  note       {measured.notes[metric.name]}")
     if np.isnan(value) and metric.undefined:
         lines.append(f"  undefined  {metric.undefined}")
-    series = profile.series(recording) if measured.rows else {}
+    series = chosen.series(recording) if measured.rows else {}
     lines += [f"  {describe(name, series[name])}" for name in metric.series if name in series]
     return "\n".join(lines)
 
 
 def describe(name: str, values: NDArray) -> str:
-    """One line about a series [T]: where a flag holds, or from where to where a quantity goes."""
+    """Returns one line about a series [T]: the rows in which a flag holds, or the extremes of a quantity."""
     if values.dtype == np.bool_:
-        found = runs(values)
-        if not len(found):
+        spans = runs(values)
+        if not len(spans):
             return f"{name}: in no row of {len(values)}"
-        shown = ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in found[:_RUNS])
-        more = f", ... ({len(found)} runs)" if len(found) > _RUNS else ""
+        shown = ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in spans[:_RUNS])
+        more = f", ... ({len(spans)} runs)" if len(spans) > _RUNS else ""
         return f"{name}: in {int(values.sum())} of {len(values)} rows: {shown}{more}"
     defined = np.flatnonzero(~np.isnan(values))
     if not len(defined):
@@ -80,20 +85,20 @@ def describe(name: str, values: NDArray) -> str:
 
 
 def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """First and last row of each run in which a flag holds, shape [R, 2]."""
+    """Returns the first and last row of each run in which a flag [T] holds, shape [R, 2]."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1], axis=1)
 
 
 def list_metrics() -> str:
-    """Every metric of every profile, one line each."""
-    every = all_metrics()
-    widths = [max(len(m.id) for m in every), max(len(m.unit) for m in every)]
+    """Returns a list of every metric of every profile that has a name, one line each."""
+    profiles = all_profiles()
+    every = [m for p in profiles for m in p.metrics]
+    widths = max(len(m.id) for m in every), max(len(m.unit) for m in every)
     lines = []
-    for profiles in PROFILES.values():
-        for profile in profiles:
-            lines += ["", f"{profile.name}: {profile.title}"]
-            lines += [f"  {m.id:<{widths[0]}}  {m.unit:<{widths[1]}}  {m.title}" for m in profile.metrics]
+    for profile in profiles:
+        lines += ["", f"{profile.name}: {profile.title}"]
+        lines += [f"  {m.id:<{widths[0]}}  {m.unit:<{widths[1]}}  {m.title}" for m in profile.metrics]
     return "\n".join(lines[1:])
 
 

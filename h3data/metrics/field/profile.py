@@ -1,20 +1,20 @@
 """The profile ``field``: proxemics, efficiency and smoothness of a robot near a person.
 
-Definitions and sources: `h3data.metrics.field.records`. Distances are centre to centre on the floor unless said; a row
-without a pose counts in nothing.
+Definitions and sources: `h3data.metrics.field.definitions`. Distances are centre to centre on the floor unless stated
+otherwise; rows without a pose are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.geometry import heading_direction, heading_from_quat, normalized, wrap_angle
-from h3data.metrics.field.records import (
+from h3data.geometry import heading_from_quat, wrap_angle
+from h3data.metrics.episode import Notes
+from h3data.metrics.field.definitions import (
     COMPLIANT_M,
     FIELD_METRICS,
     FULL_SPEED_M_S,
@@ -27,70 +27,63 @@ from h3data.metrics.field.records import (
     STALLED_M_S,
     STALLED_RAD_S,
 )
-from h3data.metrics.metric import (
-    INF,
-    NAN,
-    EpisodeMetrics,
-    Metric,
-    Notes,
-    Series,
-    episode_metrics,
-    find_pair,
-    note_missing,
-)
+from h3data.metrics.metric import INF, NAN, Series
+from h3data.metrics.paper.encounter import found_series
+from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.report_layout import Milestone, ReportLayout
+from h3data.metrics.requirements import find_pair, note_missing
 from h3data.recording.records import Recording
 
 if TYPE_CHECKING:
     from h3data.scene import FreeSpace
 
-CLEARANCE = "metrics.robot_clearance"
-
-
-def field_metrics() -> tuple[Metric, ...]:
-    """The metrics of the profile."""
-    return FIELD_METRICS
+CLEARANCE, GEODESIC = "metrics.robot_clearance", "metrics.geodesic_agents"
 
 
 def with_clearance(recording: Recording, free: FreeSpace) -> Recording:
-    """The recording with a column ``metrics.robot_clearance``: distance from the robot's centre to the nearest obstacle
-    [m], 0 inside one, NaN where the robot has no pose.
+    """Returns the recording with a column ``metrics.robot_clearance``, which C_min and C_mean read.
+
+    It is the distance from the robot's centre to the nearest obstacle [m], 0 inside one, NaN where the robot has no pose.
     """
     robot, _ = find_pair(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
-    known = ~np.isnan(at).any(axis=1)
+    present = ~np.isnan(at).any(axis=1)
     clearance = np.full(len(at), np.nan)
-    clearance[known] = np.maximum(free.signed_distance(at[known]), 0.0)
+    clearance[present] = np.maximum(free.signed_distance(at[present]), 0.0)
     return replace(recording, columns={**recording.columns, CLEARANCE: clearance.astype(np.float32)})
 
 
-def measure_field(recording: Recording) -> EpisodeMetrics:
-    """All metrics of the profile for one recording: of its first robot near its first human, or of the first of two agents
-    of one kind near the second; then a note says who they are."""
-    notes = Notes()
+def compute_field(recording: Recording, notes: Notes) -> Computed:
+    """Computes all metrics of the first robot near the first human.
+
+    Without a robot and a human, the first agent is measured near the second, and a note names them.
+    """
     robot, human = find_pair(recording)
+    names = [metric.name for metric in FIELD_METRICS]
     note_missing(FIELD_METRICS, recording, notes)
     first, second = recording.agents[robot], recording.agents[human]
     if first.kind == second.kind:
-        names = [metric.name for metric in FIELD_METRICS]
         notes.add(names, f"'robot' is {first.name} ({first.kind}), 'human' is {second.name} ({second.kind})")
-    values = dict.fromkeys((m.name for m in FIELD_METRICS), NAN)
-    encounter = -1
-    if len(recording):
-        series = field_series(recording)
-        values |= _proxemics(series) | _motion(series, recording) | _goal(series, recording, notes)
-        encounter = int(np.argmax(series["goal"])) if series["goal"].any() else -1
-        _explain_gaps(values, notes)
-    else:
-        notes.add(values, "the recording has no rows")
-    return episode_metrics(recording, FIELD_METRICS, values, notes, robot=robot, human=human, encounter_row=encounter)
+    if not len(recording):
+        notes.add(names, "the recording has no rows")
+        return Computed(values={}, robot=robot, human=human)
+    series = field_series(recording)
+    values = _proxemics(series) | _motion(series, recording) | _goal(series, recording, notes)
+    for metric in FIELD_METRICS:
+        if np.isnan(values.get(metric.name, NAN)) and metric.name not in notes.lines:
+            notes.add([metric.name], metric.undefined[:1].lower() + metric.undefined[1:].rstrip("."))
+    reached = int(np.argmax(series["goal"])) if series["goal"].any() else None
+    moments = {} if reached is None else {"goal": reached, "found": reached}
+    return Computed(values=values, robot=robot, human=human, moments=moments)
 
 
 def field_series(recording: Recording) -> Series:
-    """Per-row quantities and flags [T] of the profile. Motions of row k are those since row k - 1: NaN in row 0."""
+    """Computes the per-row quantities and flags [T]. The motion of row k is that since row k - 1, NaN in row 0."""
     robot, human = find_pair(recording)
     pose = recording.agent_column(robot, "base_pose").astype(np.float64)
     at = pose[:, [0, 2]]
-    towards = recording.agent_column(human, "base_pose")[:, [0, 2]].astype(np.float64) - at
+    other = recording.agent_column(human, "base_pose")
+    towards = other[:, [0, 2]].astype(np.float64) - at
     seconds = recording.columns["time_ns"] * 1e-9
     distance = np.linalg.norm(towards, axis=1)
     velocity = _rate(at, seconds)
@@ -101,8 +94,7 @@ def field_series(recording: Recording) -> Series:
     turn[1:] = wrap_angle(np.diff(heading))
     with np.errstate(invalid="ignore", divide="ignore"):
         turning = np.abs(turn) / np.diff(seconds, prepend=np.nan)
-    reach = recording.columns.get("metrics.geodesic_agents", distance).astype(np.float64)
-    facing = np.sum(heading_direction(heading).reshape(-1, 2) * normalized(towards), axis=1)
+    reach = recording.columns.get(GEODESIC, distance).astype(np.float64)
     series = {
         "dist_m": distance,
         "reach_m": reach,
@@ -118,7 +110,7 @@ def field_series(recording: Recording) -> Series:
         "public": distance >= SOCIAL_M,
         "intruding": distance < PERSONAL_M,
         "stalled": (speed < STALLED_M_S) & (turning < STALLED_RAD_S),
-        "goal": (reach >= 1.0) & (reach <= GOAL_M) & (facing > 0.5),
+        "goal": found_series(recording.agent_column(robot, "base_pose"), other, reach)["found"],
     }
     if CLEARANCE in recording.columns:
         series["clearance_m"] = recording.columns[CLEARANCE].astype(np.float64)
@@ -128,16 +120,16 @@ def field_series(recording: Recording) -> Series:
 def time_to_collision(
     offset: NDArray[np.float64], velocity: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [T, 2], [T, 2] -> [T].
+    """Returns the smallest t >= 0 [s] with ``|offset + velocity * t| = radius_m``, inf if there is none; [T, 2] x2 -> [T].
 
-    0 where the two overlap already; NaN where something is unknown.
+    0 where the two already overlap; NaN where offset or velocity is NaN.
     """
     a = np.sum(velocity * velocity, axis=1)
     b = np.sum(offset * velocity, axis=1)
     c = np.sum(offset * offset, axis=1) - radius_m * radius_m
     root = b * b - a * c
     with np.errstate(invalid="ignore", divide="ignore"):
-        # c / (root - b) is the smaller solution without the cancellation of (-b - root) / a
+        # c / (root - b) is the smaller root without the cancellation in (-b - root) / a.
         time = np.where((root >= 0) & (b < 0), c / (np.sqrt(np.maximum(root, 0)) - b), INF)
     time = np.where(c <= 0, 0.0, time)
     return np.where(np.isnan(a) | np.isnan(c), np.nan, time)
@@ -164,12 +156,12 @@ def _proxemics(series: Series) -> dict[str, float]:
 def _motion(series: Series, recording: Recording) -> dict[str, float]:
     robot, _ = find_pair(recording)
     at = recording.agent_column(robot, "base_pose")[:, [0, 2]].astype(np.float64)
-    known = np.flatnonzero(~np.isnan(at).any(axis=1))
-    if not len(known):
+    present = np.flatnonzero(~np.isnan(at).any(axis=1))
+    if not len(present):
         return {}
     dt = np.diff(recording.columns["time_ns"], prepend=recording.columns["time_ns"][:1]) * 1e-9
     length = float(np.nansum(series["speed_m_s"] * dt))
-    straight = float(np.linalg.norm(at[known[-1]] - at[known[0]]))
+    straight = float(np.linalg.norm(at[present[-1]] - at[present[0]]))
     values = {"PL": length, "PE": min(straight / length, 1.0) if length > 0 else NAN}
     speeds = series["speed_m_s"][~np.isnan(series["speed_m_s"])]
     if len(speeds):
@@ -186,24 +178,28 @@ def _goal(series: Series, recording: Recording, notes: Notes) -> dict[str, float
     seen = np.flatnonzero(~np.isnan(series["dist_m"]))
     if not len(seen):
         return {}
-    if "metrics.geodesic_agents" not in recording.columns:
-        notes.add(("SPL", "STL", "T_goal"), "no column metrics.geodesic_agents: ways are straight lines")
+    if GEODESIC not in recording.columns:
+        notes.add(("SPL", "STL", "T_goal"), f"no column {GEODESIC}: paths are taken as straight lines")
     goal = series["goal"]
     if not goal.any():
         return {"SPL": 0.0, "STL": 0.0}
     row = int(np.argmax(goal))
-    way = max(float(series["reach_m"][seen[0]]) - GOAL_M, 0.0)
-    if not np.isfinite(way):
-        notes.add(("SPL", "STL"), f"the way to the human is unknown in row {seen[0]}")
+    shortest = max(float(series["reach_m"][seen[0]]) - GOAL_M, 0.0)
+    if not np.isfinite(shortest):
+        notes.add(("SPL", "STL"), f"the distance to the human is unknown in row {seen[0]}")
         return {"T_goal": _seconds(recording, row)}
     steps = np.diff(recording.columns["time_ns"], prepend=recording.columns["time_ns"][:1]) * 1e-9
     driven = float(np.nansum((series["speed_m_s"] * steps)[: row + 1]))
     elapsed = _seconds(recording, row)
-    return {"SPL": _weighted(way, driven), "STL": _weighted(way / FULL_SPEED_M_S, elapsed), "T_goal": elapsed}
+    return {
+        "SPL": _weighted(shortest, driven),
+        "STL": _weighted(shortest / FULL_SPEED_M_S, elapsed),
+        "T_goal": elapsed,
+    }
 
 
 def _weighted(best: float, taken: float) -> float:
-    """best / max(best, taken); 1 where nothing was needed and nothing was taken."""
+    """best / max(best, taken); 1 if both are 0."""
     return best / max(best, taken) if max(best, taken) > 0 else 1.0
 
 
@@ -213,13 +209,28 @@ def _seconds(recording: Recording, row: int) -> float:
 
 
 def _rate(values: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second since the row before [T, 2]; NaN in row 0."""
+    """Change per second since the previous row [T, 2]; NaN in row 0."""
     rate = np.full(values.shape, np.nan)
     rate[1:] = np.diff(values, axis=0) / np.diff(seconds)[:, None]
     return rate
 
 
-def _explain_gaps(values: Mapping[str, float], notes: Notes) -> None:
-    for metric in FIELD_METRICS:
-        if np.isnan(values[metric.name]) and metric.name not in notes.lines:
-            notes.add([metric.name], metric.undefined[:1].lower() + metric.undefined[1:].rstrip("."))
+PROFILE = Profile(
+    name="field",
+    title="what papers on social navigation report: proxemics, efficiency, smoothness",
+    metrics=FIELD_METRICS,
+    compute=compute_field,
+    series=field_series,
+    report=ReportLayout(
+        title="Proxemics and motion",
+        columns=("PSC", "intrusions", "D_min", "TTC_min", "PL", "SPL", "STL", "T_goal", "V_mean", "A_mean", "J_mean"),
+        findings={
+            "PSC": "keeps personal space for this share of the time:",
+            "D_min": "comes as near as [m]",
+            "SPL": "has an SPL of",
+        },
+        ranking=("SPL", "PSC", "D_min"),
+        by_partner=("PSC", "D_min", "SPL"),
+        milestones=(Milestone(flag="goal", title="Goal reached by then", label="reaches the goal", metric="SPL"),),
+    ),
+)

@@ -1,19 +1,22 @@
-"""The profiles ``habitat`` and ``habitat@0.3.0``: what habitat-lab would have printed for a recording.
+"""The profiles ``habitat`` and ``habitat@0.3.0``: the values that habitat-lab would have printed for a recording.
 
 Row 0 of the recording stands for Habitat's reset, which it counts as step 1. The arithmetic is in
-`h3data.metrics.habitat.stats` and `h3data.metrics.habitat.reward`; golden data: tests/metrics/test_habitat.py.
+`h3data.metrics.habitat.stats` and `h3data.metrics.habitat.reward`; tests/metrics/test_habitat.py compares it with outputs of
+habitat-lab.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.geometry import pose_to_matrix
+from h3data.metrics.episode import Notes, first_moments
 from h3data.metrics.habitat.config import HabitatConfig
-from h3data.metrics.habitat.records import MAIN_METRICS, PAPER_RELEASE_METRICS, TRANSFORM
+from h3data.metrics.habitat.definitions import MAIN_METRICS, PAPER_RELEASE_METRICS, TRANSFORM
 from h3data.metrics.habitat.reward import (
     MAIN,
     PAPER_RELEASE,
@@ -23,72 +26,52 @@ from h3data.metrics.habitat.reward import (
     total_reward,
 )
 from h3data.metrics.habitat.stats import HabitatTrack, backup_and_yield, social_nav_stats
-from h3data.metrics.metric import (
-    INF,
-    NAN,
-    EpisodeMetrics,
-    Metric,
-    Notes,
-    Series,
-    episode_metrics,
-    find_agents,
-    note_missing,
-)
+from h3data.metrics.metric import INF, Metric, Series
+from h3data.metrics.profile import Computed, Profile
+from h3data.metrics.report_layout import Milestone, ReportLayout
+from h3data.metrics.requirements import find_agents, note_missing
 from h3data.recording.records import Recording
 
 STILL_M = 1e-3 / 30
 """Dead zone of backing up [m per step] where Habitat's own transforms are not recorded."""
 _ORACLE_RATE = {MAIN: "60", PAPER_RELEASE: "120"}
+"""Rate [Hz] at which each variant integrates its oracle: the key of ``info["habitat_min_steps"]``."""
 
 
-def habitat_metrics(variant: str = MAIN) -> tuple[Metric, ...]:
-    """What Habitat's measures emit, by its own keys."""
-    return MAIN_METRICS if variant == MAIN else PAPER_RELEASE_METRICS
-
-
-def measure_habitat(recording: Recording, variant: str = MAIN) -> EpisodeMetrics:
-    """The last values of Habitat's measures, and the sums of its rewards."""
-    notes = Notes()
-    metrics = habitat_metrics(variant)
+def compute_habitat(recording: Recording, notes: Notes, *, metrics: tuple[Metric, ...], variant: str) -> Computed:
+    """Computes the last values of Habitat's measures and the sums of its rewards."""
     robot, human = find_agents(recording)
-    lacking = note_missing(metrics, recording, notes)
-    values = dict.fromkeys((m.name for m in metrics), NAN)
-    series: Series = {}
-    if len(recording):
-        series = habitat_series(recording, variant)
-        for name in values.keys() - lacking:
-            values[name] = _final(name, series)
-        _explain_gaps(recording, series, variant, notes)
-    else:
-        notes.add(values, "the recording has no rows")
-    return episode_metrics(
-        recording, metrics, values, notes, robot=robot, human=human,
-        encounter_row=_first(series.get("found")), contact_row=_first(series.get("collision")),
-    )  # fmt: skip
+    missing = note_missing(metrics, recording, notes)
+    names = [m.name for m in metrics]
+    if not len(recording):
+        notes.add(names, "the recording has no rows")
+        return Computed(values={}, robot=robot, human=human)
+    series = habitat_series(recording, variant=variant)
+    values = {name: value for name in names if name not in missing and (value := _final(name, series)) is not None}
+    _explain_gaps(recording, series, variant, notes)
+    return Computed(values=values, robot=robot, human=human, moments=first_moments(series, ("found", "collision")))
 
 
-def habitat_series(recording: Recording, variant: str = MAIN) -> Series:
-    """Every key of ``SocialNavStats`` as emitted at every row [T], the rewards, and the flags that they come from."""
+def habitat_series(recording: Recording, *, variant: str) -> Series:
+    """Computes every key of ``SocialNavStats`` as emitted at every row [T], the rewards, and the flags behind them."""
     robot, human = find_agents(recording)
     columns = recording.columns
     config = HabitatConfig.from_info(recording.episode.info)
     track = _track(recording, robot, human)
     dead_zone = 0.0 if TRANSFORM in columns else STILL_M
     backs_up, yields = backup_and_yield(track, config.stats, dead_zone_m=dead_zone)
+    in_reach, faces = track.found(config.stats)
+    found = in_reach & faces
     shortest = _min_steps(recording, variant)
-    stats = social_nav_stats(track, config.stats, min_steps=shortest, avoids=(backs_up, yields))
-    facing = track.facing()
-    with np.errstate(invalid="ignore"):
-        in_reach = (track.geodesic >= config.stats.min_dis_human) & (track.geodesic <= config.stats.max_dis_human)
-        faces = facing > config.stats.robot_face_human_threshold
+    stats = social_nav_stats(track, config.stats, found=found, min_steps=shortest, backs_up=backs_up, yields=yields)
     series: dict[str, NDArray] = {
         **stats,
         "dist_m": track.distance().astype(np.float64),
         "geodesic_m": np.asarray(track.geodesic, np.float64),
-        "facing_dot": facing.astype(np.float64),
+        "facing_dot": track.facing().astype(np.float64),
         "in_reach": in_reach,
         "facing": faces,
-        "found": in_reach & faces,
+        "found": found,
         "near": track.distance() <= config.stats.dis_threshold_for_backup_yield,
         "backs_up": backs_up,
         "yields": yields,
@@ -118,15 +101,14 @@ def _rewards(
     return {"social_nav_reward": reward, "followed_steps": followed, "success": success, "reward": total}
 
 
-def _final(name: str, series: Series) -> float:
-    """The value of a metric that the recording has what it needs for."""
+def _final(name: str, series: Series) -> float | None:
+    """Value of a metric whose columns are recorded; None where the settings need data that is not."""
     if name == "num_agents_collide":
         return float(np.sum(series["collision"]))
-    if name == "nav_seek_success":
-        return float(series["success"][-1]) if "success" in series else NAN
-    if name in ("social_nav_reward", "reward"):
-        return float(np.sum(series[name])) if name in series else NAN
-    return float(series[name][-1])
+    key = {"nav_seek_success": "success"}.get(name, name)
+    if key not in series:
+        return None
+    return float(np.sum(series[key]) if name in ("social_nav_reward", "reward") else series[key][-1])
 
 
 def _track(recording: Recording, robot: int, human: int) -> HabitatTrack:
@@ -173,5 +155,35 @@ def _explain_gaps(recording: Recording, series: Series, variant: str, notes: Not
         notes.add(("avg_robot_to_human_dis_over_epi",), "a row has no pose")
 
 
-def _first(flags: NDArray | None) -> int:
-    return -1 if flags is None or not flags.any() else int(np.argmax(flags))
+_REPORT = ReportLayout(
+    title="Social navigation, as habitat-lab computes it",
+    findings={
+        "has_found_human": "finds the person in",
+        "found_human_rate_over_epi": "follows at a found rate of",
+        "nav_seek_success": "succeeds in",
+    },
+    ranking=("found_human_rate_over_epi", "has_found_human"),
+    milestones=(
+        Milestone(flag="found", title="Person found by then", label="finds the person", metric="has_found_human"),
+        Milestone(flag="collision", title="Person touched by then", label="first contact", metric="num_agents_collide"),
+    ),
+    distance_zone_m=(1.0, 2.0),
+)
+
+
+def _profile(name: str, title: str, metrics: tuple[Metric, ...]) -> Profile:
+    return Profile(
+        name=name,
+        title=title,
+        tasks=("social_nav", "gfx_replay"),
+        metrics=metrics,
+        compute=functools.partial(compute_habitat, metrics=metrics, variant=name),
+        series=functools.partial(habitat_series, variant=name),
+        report=_REPORT,
+    )
+
+
+MAIN_PROFILE = _profile(MAIN, "habitat-lab's main branch, bug for bug", MAIN_METRICS)
+PAPER_RELEASE_PROFILE = _profile(
+    PAPER_RELEASE, "habitat-lab 0.3.0, the paper's release, where it differs", PAPER_RELEASE_METRICS
+)

@@ -1,4 +1,4 @@
-"""The paper's social navigation metrics in words. The computation is in `h3data.metrics.paper.social_nav`."""
+"""Definitions of the paper's social navigation metrics; `h3data.metrics.paper.social_nav` computes them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ORACLE_READING = (
     "it has no {0}, unless the robot never finds the human: then {0} = 0 whatever l is."
 )
 
-PAPER_SOCIAL_NAV: tuple[Metric, ...] = (
+SOCIAL_NAV: tuple[Metric, ...] = (
     Metric(
         id="paper/social_nav/S@1",
         name="S",
@@ -34,7 +34,7 @@ PAPER_SOCIAL_NAV: tuple[Metric, ...] = (
         series=("found", "in_reach", "facing", "reach_m", "facing_dot"),
         binary=True,
         reading=_FOUND_READING,
-        habitat="The same, but the state after reset counts as a step too.",
+        habitat="The same, except that the state after reset counts as a step.",
     ),
     Metric(
         id="paper/social_nav/SPS@1",
@@ -92,7 +92,7 @@ PAPER_SOCIAL_NAV: tuple[Metric, ...] = (
         reading=(
             "The paper counts episodes that END in a collision; its episodes end at the first contact. A recording "
             "that goes on after a contact counts too, and a note says so. Without the column CR is undefined: that "
-            "nobody noted a contact does not mean that there was none."
+            "no contact was recorded does not mean that there was none."
         ),
         habitat="num_agents_collide counts per episode; it equals CR only while the first contact ends the episode.",
     ),
@@ -115,8 +115,8 @@ PAPER_SOCIAL_NAV: tuple[Metric, ...] = (
             "backs up whenever d < 1.5 m, so over near rows alone its published 0.24 would have to be close to 1."
         ),
         habitat=(
-            "d <= 1.5 m; a yield is anything below 1 'unit' = 0.25 m/s; backward is any negative rounding error, so "
-            "that a standing robot counts as backing up or yielding at random (their sum does not change)."
+            "d <= 1.5 m; a yield is anything below 1 'unit' = 0.25 m/s; backward is any negative rounding error, so a "
+            "standing robot counts as backing up or yielding at random (their sum does not change)."
         ),
     ),
     Metric(

@@ -1,4 +1,4 @@
-"""What habitat-lab's measures emit, in words, under its own keys (typing errors included)."""
+"""Definitions of what habitat-lab's measures emit, under its own keys (misspellings included)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from h3data.metrics.metric import INF, Direction, Metric
 
 TRANSFORM = "habitat.robot_transform"
-"""Optional column: the robot's root transform as Habitat had it, float32 [T, 4, 4], translation in the last column."""
+"""Optional column: the robot's root transform in habitat-sim, float32 [T, 4, 4], translation in the last column."""
 _FOUND = ("agent_<robot>.base_pose", "agent_<human>.base_pose", "metrics.geodesic_agents")
 _POSES = _FOUND[:2]
 _SHORTEST = (
@@ -35,10 +35,21 @@ def _metric(
     reading: str = "",
 ) -> Metric:
     return Metric(
-        id=f"habitat/social_nav/{name}@1", name=name, title=title, formula=formula, unit=unit, range=(low, high),
-        direction=direction, source=f"habitat-lab, {source}", columns=columns, optional=(TRANSFORM, *optional),
-        undefined=undefined, series=series, binary=binary, reading=reading,
-    )  # fmt: skip
+        id=f"habitat/social_nav/{name}@1",
+        name=name,
+        title=title,
+        formula=formula,
+        unit=unit,
+        range=(low, high),
+        direction=direction,
+        source=f"habitat-lab, {source}",
+        columns=columns,
+        optional=(TRANSFORM, *optional),
+        undefined=undefined,
+        series=series,
+        binary=binary,
+        reading=reading,
+    )
 
 
 MAIN_METRICS: tuple[Metric, ...] = (
@@ -128,8 +139,9 @@ MAIN_METRICS: tuple[Metric, ...] = (
         columns=_POSES,
         series=("near", "backs_up"),
         reading=(
-            "Standing and turning robots back up or yield by float32 rounding. With the column habitat.robot_transform "
-            "the same rows come out as in Habitat; without it motions below 1 mm/s are no backing up, and a note says so."
+            "For standing and turning robots float32 rounding decides between backing up and yielding. With the column "
+            "habitat.robot_transform the rows are Habitat's; without it motions below 1 mm/s do not count as backing up, "
+            "and a note says so."
         ),
     ),
     _metric(
@@ -158,10 +170,10 @@ MAIN_METRICS: tuple[Metric, ...] = (
         direction="higher",
         source="SocialNavSeekSuccess",
         optional=("info:habitat_config", "info:habitat_goal_pos"),
-        undefined="Distances are measured to the task's goal, and info:habitat_goal_pos is not there.",
+        undefined="Distances are measured to the task's goal, and info:habitat_goal_pos is missing.",
         series=("followed_steps", "success"),
         binary=True,
-        reading="Rows need not be consecutive, and success does not end. On main facing is ignored if it is not asked for.",
+        reading="Rows need not be consecutive, and success does not end. On main, facing is ignored unless required.",
     ),
     _metric(
         "social_nav_reward",
@@ -189,13 +201,13 @@ MAIN_METRICS: tuple[Metric, ...] = (
         optional=("metrics.total_collisions", "info:habitat_config", "info:habitat_goal_pos"),
         undefined="No column metrics.collision, or no success.",
         series=("reward",),
-        reading="After success every further row pays its 10 again, so that sums of thousands are right.",
+        reading="After success every further row pays its 10 again, so sums of thousands are correct.",
     ),
 )
 
 _CHANGED = {
-    "nav_seek_success": "In 0.3.0 following counts only if facing is asked for: without need_to_face_human, never success.",
-    "social_nav_reward": "In 0.3.0 the reward is its distance and its facing part alone. Not checked against a run of it.",
+    "nav_seek_success": "In 0.3.0 following counts only if facing is required: without need_to_face_human, never success.",
+    "social_nav_reward": "In 0.3.0 the reward has only its distance and facing parts. Not checked against a run of it.",
 }
 PAPER_RELEASE_METRICS: tuple[Metric, ...] = tuple(
     replace(

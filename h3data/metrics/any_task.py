@@ -1,0 +1,157 @@
+"""The profile ``task``: success, reward, time and contacts of any task, from the columns that its recorder writes.
+
+It measures every recording, including those of tasks that no other profile names: what a recording lacks is undefined.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.metrics.metric import INF, Metric, Series
+from h3data.metrics.profile import Profile
+from h3data.metrics.report_layout import Milestone, ReportLayout
+from h3data.recording.records import Recording
+
+SUCCESS, REWARD, COLLISION = "metrics.success", "metrics.reward", "metrics.collision"
+CUT_OFF = ("max_steps", "track_end")
+"""Values of ``info["ended"]`` of episodes that did not end by themselves."""
+_SOURCE = "h3data"
+
+
+def any_task_series(recording: Recording) -> Series:
+    """Computes the flags ``success`` and ``collision`` and the quantity ``reward``, each [T], as far as recorded."""
+    columns = recording.columns
+    series: dict[str, NDArray] = {
+        name.removeprefix("metrics."): _flags(columns[name]) for name in (SUCCESS, COLLISION) if name in columns
+    }
+    if REWARD in columns:
+        series["reward"] = columns[REWARD].astype(np.float64)
+    return series
+
+
+def _flags(column: NDArray) -> NDArray[np.bool_]:
+    # Not astype(bool): imported columns are floats with NaN where nothing was logged.
+    return np.asarray((column.reshape(len(column), -1) > 0).any(axis=1))
+
+
+def _success(recording: Recording) -> float:
+    return float(_flags(recording.columns[SUCCESS]).any())
+
+
+def _reward(recording: Recording) -> float:
+    return float(np.nansum(recording.columns[REWARD].astype(np.float64)))
+
+
+def _steps(recording: Recording) -> float:
+    return float(len(recording))
+
+
+def _time(recording: Recording) -> float:
+    return float(recording.columns["time_ns"][-1]) * 1e-9
+
+
+def _terminated(recording: Recording) -> float:
+    return float(str(recording.episode.info["ended"]) not in CUT_OFF)
+
+
+def _collisions(recording: Recording) -> float:
+    touches = _flags(recording.columns[COLLISION])
+    return float(np.count_nonzero(touches & ~np.concatenate([[False], touches[:-1]])))
+
+
+ANY_TASK_METRICS = (
+    Metric(
+        id="task/any/success@1",
+        name="success",
+        title="Success",
+        formula="1 if metrics.success holds in any row, else 0",
+        range=(0.0, 1.0),
+        direction="higher",
+        source=_SOURCE,
+        columns=(SUCCESS,),
+        undefined="No column metrics.success.",
+        series=("success",),
+        binary=True,
+        value=_success,
+    ),
+    Metric(
+        id="task/any/reward@1",
+        name="reward",
+        title="Total reward",
+        formula="sum of metrics.reward",
+        direction="higher",
+        source=_SOURCE,
+        columns=(REWARD,),
+        undefined="No column metrics.reward.",
+        series=("reward",),
+        reading="Rows without a reward (NaN) count as 0.",
+        value=_reward,
+    ),
+    Metric(
+        id="task/any/steps@1",
+        name="steps",
+        title="Steps",
+        formula="number of rows",
+        unit="steps",
+        range=(0.0, INF),
+        source=_SOURCE,
+        columns=("time_ns",),
+        undefined="The recording has no rows.",
+        value=_steps,
+    ),
+    Metric(
+        id="task/any/time@1",
+        name="time",
+        title="Duration",
+        formula="time_ns of the last row * 1e-9",
+        unit="s",
+        range=(0.0, INF),
+        source=_SOURCE,
+        columns=("time_ns",),
+        undefined="The recording has no rows.",
+        value=_time,
+    ),
+    Metric(
+        id="task/any/terminated@1",
+        name="terminated",
+        title="Ended by the task",
+        formula="0 if info:ended is max_steps or track_end, else 1",
+        range=(0.0, 1.0),
+        source=_SOURCE,
+        columns=("info:ended",),
+        undefined="No info:ended.",
+        binary=True,
+        reading="Success and failure both count as ended by the task, as Gymnasium's terminated does.",
+        value=_terminated,
+    ),
+    Metric(
+        id="task/any/collisions@1",
+        name="collisions",
+        title="Collisions",
+        formula="times that metrics.collision becomes true",
+        unit="times",
+        range=(0.0, INF),
+        direction="lower",
+        source=_SOURCE,
+        columns=(COLLISION,),
+        undefined="No column metrics.collision.",
+        series=("collision",),
+        value=_collisions,
+    ),
+)
+
+PROFILE = Profile(
+    name="task",
+    title="any task: success, reward, time, contacts",
+    metrics=ANY_TASK_METRICS,
+    series=any_task_series,
+    report=ReportLayout(
+        findings={"success": "succeeds in", "reward": "collects a reward of", "collisions": "collides this often:"},
+        ranking=("success", "reward", "collisions"),
+        milestones=(
+            Milestone(flag="success", title="Solved by then", label="solves the task", metric="success"),
+            Milestone(flag="collision", title="Collided by then", label="first contact", metric="collisions"),
+        ),
+    ),
+)

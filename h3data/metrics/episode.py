@@ -1,0 +1,95 @@
+"""The measurement of one episode: values, notes about them, and the rows in which something happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.metrics.metric import Metric
+from h3data.recording.records import STEP_NS
+
+NEVER = -1
+"""Row of a moment that did not happen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeMetrics:
+    """The metrics of one episode."""
+
+    episode_id: str
+    uid: str
+    profile: str
+    metrics: tuple[Metric, ...] = field(repr=False)
+    """What was measured, in the order of ``values``."""
+    values: Mapping[str, float]
+    """Values by metric name; NaN = this recording cannot tell, see ``notes``."""
+    notes: Mapping[str, str]
+    """Reasons by metric name: why it is undefined, or what replaced missing data."""
+    robot: int = -1
+    """Index of the robot that was measured; -1 = none in particular."""
+    human: int = -1
+    """Index of the human that was measured; -1 = none in particular."""
+    moments: Mapping[str, int] = field(default_factory=dict)
+    """First row in which a flag of the profile's series held: ``found``, ``collision``, ``done``; absent if never."""
+    rows: int
+    task: str = "social_nav"
+    """Task of the metrics; for profiles that measure any task, that of the recording."""
+    scene: str = ""
+    dt_ns: int = STEP_NS
+    """Nominal step of the recording [ns]."""
+    units: str = "SI"
+    """``info:units`` of the recording."""
+    protocol_deviations: str = ""
+    """Rules of the episode that differ from the paper's; empty for other profiles."""
+
+    @property
+    def encounter_row(self) -> int:
+        """Row in which the robot first found the human; -1 = never, or not looked for."""
+        return self.moments.get("found", NEVER)
+
+    @property
+    def contact_row(self) -> int:
+        """Row of the first recorded contact; -1 = none known."""
+        return self.moments.get("collision", NEVER)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The measurement as JSON types; NaN and infinities become None."""
+        return {
+            "episode_id": self.episode_id,
+            "uid": self.uid,
+            "profile": self.profile,
+            "scene": self.scene,
+            "steps": self.rows,
+            "robot": self.robot,
+            "human": self.human,
+            "encounter_row": self.encounter_row,
+            "contact_row": self.contact_row,
+            "values": {k: float(v) if np.isfinite(v) else None for k, v in self.values.items()},
+            "notes": dict(self.notes),
+            "set_up": self.protocol_deviations,  # the key that stored results have
+        }
+
+
+@dataclass
+class Notes:
+    """Notes on metrics, collected in order."""
+
+    lines: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(self, names: Iterable[str], text: str) -> None:
+        """Adds ``text`` to each of these metrics."""
+        for name in names:
+            self.lines.setdefault(name, []).append(text)
+
+    def joined(self, names: Iterable[str]) -> dict[str, str]:
+        """One text per metric that has notes."""
+        return {name: "; ".join(self.lines[name]) for name in names if name in self.lines}
+
+
+def first_moments(series: Mapping[str, NDArray[Any]], flags: Iterable[str]) -> dict[str, int]:
+    """Returns the first row in which each of these flags [T] holds; flags that are absent or never hold are left out."""
+    return {name: int(np.argmax(series[name])) for name in flags if name in series and series[name].any()}

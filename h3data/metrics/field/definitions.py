@@ -1,0 +1,236 @@
+"""Definitions of the profile ``field``: what papers on social navigation report beside Habitat's own numbers."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from h3data.metrics.metric import INF, Direction, Metric
+
+ROBOT_RADIUS_M = HUMAN_RADIUS_M = 0.25
+"""Radii for times to collision: those of Habitat's navmesh agent."""
+COMPLIANT_M = 1.0
+"""Personal space of PSC, centre to centre (Falcon, ICRA 2025; the iGibson challenge takes 0.5 m)."""
+INTIMATE_M, PERSONAL_M, SOCIAL_M = 0.45, 1.2, 3.6
+"""Outer limits of Hall's zones (E. T. Hall, The Hidden Dimension, 1966)."""
+STALLED_M_S, STALLED_RAD_S = 0.01, 0.02
+"""A robot is stalled below both (HuNavSim)."""
+FULL_SPEED_M_S = 2.5
+"""Speed of STL's ideal robot: the paper's robot."""
+GOAL_M = 2.0
+"""The goal is reached when the robot faces the person from this distance or less."""
+
+_ROBOT, _HUMAN = "agent_<robot>.base_pose", "agent_<human>.base_pose"
+_PAIR, _TIMED = (_ROBOT, _HUMAN), ("time_ns", _ROBOT)
+_NO_PAIR = "No row has a pose of both agents."
+_UNREACHABLE = _NO_PAIR + " Or the human cannot be reached in row 0."
+_TWO, _THREE, _FOUR = (f"Fewer than {n} rows with a pose." for n in ("two", "three consecutive", "four consecutive"))
+_FRANCIS = "Francis et al. 2025, Principles and Guidelines for Evaluating Social Robot Navigation"
+_HALL = "E. T. Hall 1966; as share of time in HuNavSim"
+_GOAL = (
+    "The goal is the person: reached in the first row with 1-2 m (geodesic, if recorded) and facing, as S. l is the length "
+    "of the path to within 2 m of the person's place in row 0, p the path driven until the goal."
+)
+
+
+def _metric(
+    group: str,
+    name: str,
+    title: str,
+    formula: str,
+    *,
+    columns: tuple[str, ...],
+    undefined: str,
+    unit: str = "1",
+    high: float = INF,
+    direction: Direction = "lower",
+    source: str = _FRANCIS,
+    series: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (),
+    reading: str = "",
+) -> Metric:
+    return Metric(
+        id=f"field/{group}/{name}@1",
+        name=name,
+        title=title,
+        formula=formula,
+        unit=unit,
+        range=(0.0, high),
+        direction=direction,
+        source=source,
+        columns=columns,
+        optional=optional,
+        undefined=undefined,
+        series=series,
+        reading=reading,
+    )
+
+
+_near = partial(_metric, "proxemics", columns=_PAIR, undefined=_NO_PAIR)
+_share = partial(_near, high=1.0, direction="neither", source=_HALL)
+_motion = partial(_metric, "navigation", columns=_TIMED, undefined=_TWO)
+_goal = partial(
+    _metric,
+    "navigation",
+    columns=("time_ns", *_PAIR),
+    optional=("metrics.geodesic_agents",),
+    undefined=_UNREACHABLE,
+    series=("goal",),
+    reading=_GOAL,
+)
+_clearance = partial(
+    _metric,
+    "navigation",
+    unit="m",
+    direction="higher",
+    columns=("metrics.robot_clearance",),
+    undefined="No column metrics.robot_clearance.",
+    series=("clearance_m",),
+)
+
+FIELD_METRICS: tuple[Metric, ...] = (
+    _share(
+        "PSC",
+        "Personal space compliance",
+        "rows with d >= 1.0 m / rows",
+        direction="higher",
+        source="Falcon (ICRA 2025), PSC",
+        series=("dist_m", "personal_space"),
+        reading="d is the L2 distance centre to centre; Falcon can also take the geodesic one. Between outlines of 0.25 m "
+        "radius it is the 0.5 m of Francis et al.'s space compliance.",
+    ),
+    _share(
+        "Z_intimate",
+        "In the intimate zone",
+        "rows with d < 0.45 m / rows",
+        direction="lower",
+        series=("intimate",),
+        reading="d centre to centre (HuNavSim measures between outlines). The four shares add up to 1.",
+    ),
+    _share("Z_personal", "In the personal zone", "rows with 0.45 <= d < 1.2 m / rows", series=("personal",)),
+    _share("Z_social", "In the social zone", "rows with 1.2 <= d < 3.6 m / rows", series=("social",)),
+    _share("Z_public", "In the public zone", "rows with d >= 3.6 m / rows", series=("public",)),
+    _near(
+        "intrusions",
+        "Intrusions",
+        "times that d falls below 1.2 m",
+        unit="times",
+        source="Hall's personal zone, counted as events",
+        series=("intruding",),
+        reading="A recording that begins inside counts as one. Rows without a pose end an intrusion.",
+    ),
+    _near("D_min", "Minimum distance", "min d", unit="m", direction="higher", series=("dist_m",)),
+    _near(
+        "TTC_min",
+        "Minimum time to collision",
+        "min over rows of the smallest t >= 0 with |x + v t| = r_robot + r_human",
+        unit="s",
+        direction="higher",
+        columns=("time_ns", *_PAIR),
+        undefined="Never on a collision course.",
+        series=("ttc_s",),
+        reading="x and v of the human relative to the robot, on the floor; v since the previous row. 0 while they overlap. "
+        "Radii: 0.25 m each.",
+    ),
+    _motion(
+        "PL",
+        "Path length",
+        "sum of |change of the robot's position| on the floor",
+        unit="m",
+        columns=(_ROBOT,),
+        undefined="No row has a pose of the robot.",
+        series=("speed_m_s",),
+        reading="Changes from or to a row without a pose do not count.",
+    ),
+    _motion(
+        "PE",
+        "Path efficiency",
+        "|last - first position| / PL",
+        high=1.0,
+        direction="higher",
+        columns=(_ROBOT,),
+        undefined="PL = 0: a robot that did not move has none.",
+        series=("speed_m_s",),
+    ),
+    _goal(
+        "SPL",
+        "Success weighted by path length",
+        "S * l / max(l, p)",
+        high=1.0,
+        direction="higher",
+        source="Anderson et al. 2018, On Evaluation of Embodied Navigation Agents",
+        columns=_PAIR,
+    ),
+    _goal(
+        "STL",
+        "Success weighted by time",
+        "S * T* / max(T*, T), T* = l / 2.5 m/s",
+        high=1.0,
+        direction="higher",
+        source="Falcon (ICRA 2025); iGibson social navigation challenge",
+    ),
+    _goal(
+        "T_goal",
+        "Time to goal",
+        "time of the first goal row - time of row 0",
+        unit="s",
+        undefined="The goal is never reached.",
+    ),
+    _motion(
+        "T_stalled",
+        "Stalled time",
+        "time with speed < 0.01 m/s and turning < 0.02 rad/s",
+        unit="s",
+        source=_FRANCIS + "; thresholds: HuNavSim",
+        series=("stalled",),
+    ),
+    _motion(
+        "V_mean",
+        "Mean speed",
+        "mean of v over rows",
+        unit="m/s",
+        direction="neither",
+        series=("speed_m_s",),
+        reading="v is the change of position since the previous row, over its time.",
+    ),
+    _motion("V_max", "Greatest speed", "max v", unit="m/s", direction="neither", series=("speed_m_s",)),
+    _motion(
+        "A_mean",
+        "Mean acceleration",
+        "mean of |change of the velocity vector| / time",
+        unit="m/s2",
+        undefined=_THREE,
+        series=("acceleration_m_s2",),
+    ),
+    _motion(
+        "A_max",
+        "Greatest acceleration",
+        "max of the same",
+        unit="m/s2",
+        undefined=_THREE,
+        series=("acceleration_m_s2",),
+    ),
+    _motion(
+        "J_mean",
+        "Mean jerk",
+        "mean of |change of the acceleration vector| / time",
+        unit="m/s3",
+        undefined=_FOUR,
+        series=("jerk_m_s3",),
+    ),
+    _motion("J_max", "Greatest jerk", "max of the same", unit="m/s3", undefined=_FOUR, series=("jerk_m_s3",)),
+    _motion(
+        "turning",
+        "Heading changes",
+        "sum of |change of heading|",
+        unit="rad",
+        source="HuNavSim, cumulative heading changes",
+        columns=(_ROBOT,),
+    ),
+    _clearance(
+        "C_min",
+        "Minimum clearing distance",
+        "min distance from the robot's centre to an obstacle",
+        reading="h3data.metrics.field.with_clearance adds the column from a map.",
+    ),
+    _clearance("C_mean", "Mean clearing distance", "mean of the same"),
+)

@@ -1,0 +1,49 @@
+"""Deviations of a recorded episode's rules from the protocol behind the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from h3data.recording import Recording
+
+_PACE = {"human.speed_mps": 2.5, "human.turn_rad_s": 2.5, "robot.max_speed_mps": 2.5, "robot.max_turn_rad_s": 2.5}
+PROTOCOL: dict[str, dict[str, Any]] = {
+    "social_nav": {
+        "max_steps": 1500,
+        "spawn_distance_m": 5.0,
+        "near_m": 1.0,
+        "far_m": 2.0,
+        "facing_dot": 0.5,
+        "end_on_collision": True,
+        **_PACE,
+    },
+    "rearrange": {"max_steps": 750, "objects": 2, "at_goal_m": 0.3, "end_on_collision": True, **_PACE},
+}
+"""The paper's rules (section 4, appendix) by task, under their names in ``info["spec"]``."""
+
+
+def protocol_deviations(recording: Recording) -> str:
+    """Returns text such as ``max_steps 60 (paper 1500), agents robot, robot (paper robot, human)``; empty if nothing deviates.
+
+    Rules that the recording does not state are taken to agree.
+    """
+    task, spec = recording.episode.task, recording.episode.info.get("spec")
+    if task not in PROTOCOL or not isinstance(spec, Mapping):
+        return ""
+    recorded = {name: _value(spec, name) for name in PROTOCOL[task]}
+    deviations = [
+        f"{name} {recorded[name]} (paper {paper})"
+        for name, paper in PROTOCOL[task].items()
+        if recorded[name] not in (None, paper)
+    ]
+    kinds = ", ".join(agent.kind for agent in recording.agents)
+    if kinds not in ("robot, human", ""):
+        deviations.append(f"agents {kinds} (paper robot, human)")
+    return ", ".join(deviations)
+
+
+def _value(spec: Mapping[str, Any], name: str) -> Any:
+    group, _, key = name.rpartition(".")
+    of = spec.get(group) if group else spec
+    return of.get(key) if isinstance(of, Mapping) else None

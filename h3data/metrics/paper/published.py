@@ -1,0 +1,30 @@
+"""Results of Habitat 3.0 as its tables print them, from ``published.toml`` in this folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from h3data.metrics.report_layout import PublishedContrasts, PublishedTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedResults:
+    """The published tables."""
+
+    social_nav: PublishedTable
+    rearrange: PublishedTable
+    hitl: PublishedTable
+    """Study with people in the loop."""
+    contrasts: PublishedContrasts
+    """Pairwise differences of task steps in that study."""
+
+
+@cache
+def published_results() -> PublishedResults:
+    """Returns the published tables."""
+    import msgspec
+
+    text = (files("h3data.metrics.paper") / "published.toml").read_bytes()
+    return msgspec.toml.decode(text, type=PublishedResults)

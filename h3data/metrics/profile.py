@@ -1,0 +1,126 @@
+"""A profile: one definition of the metrics of some tasks, with the functions that compute them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from h3data.errors import InputError
+from h3data.metrics.episode import EpisodeMetrics, Notes, first_moments
+from h3data.metrics.metric import NAN, Metric, Series
+from h3data.metrics.report_layout import ReportLayout
+from h3data.metrics.requirements import note_missing
+from h3data.recording.records import Recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Computed:
+    """What a profile computes for one recording."""
+
+    values: Mapping[str, float]
+    """Values by metric name; metrics left out are undefined."""
+    robot: int = -1
+    """Index of the robot that was measured; -1 = none in particular."""
+    human: int = -1
+    moments: Mapping[str, int] = field(default_factory=dict)
+    """As `EpisodeMetrics.moments`."""
+    protocol_deviations: str = ""
+
+
+def _no_series(_recording: Recording) -> Series:
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """One definition of the metrics of some tasks.
+
+    Example:
+        def grasped(recording):
+            return float((recording.columns["agent_0.grasp_body"] >= 0).any())
+
+        PROFILE = Profile(
+            name="fetch",
+            title="Fetching a cup",
+            tasks=("fetch",),
+            metrics=(
+                Metric(
+                    id="fetch/fetch/grasped@1",
+                    name="grasped",
+                    title="Cup grasped",
+                    formula="1 if the robot holds something in any row, else 0",
+                    columns=("agent_<robot>.grasp_body",),
+                    binary=True,
+                    value=grasped,
+                ),
+            ),
+        )
+    """
+
+    name: str
+    """First part of the ids of its metrics: ``paper``."""
+    title: str
+    """One line for lists."""
+    metrics: tuple[Metric, ...]
+    """In the order of tables."""
+    tasks: tuple[str, ...] = ()
+    """Values of `Episode.task` that it measures, its own name of the task first; empty = any task."""
+    compute: Callable[[Recording, Notes], Computed] | None = None
+    """Computes all metrics of a recording together and adds notes; None: each by its `Metric.value`."""
+    series: Callable[[Recording], Series] = _no_series
+    """Computes the per-row quantities and flags [T] behind the metrics."""
+    report: ReportLayout = field(default_factory=ReportLayout)
+
+    def __post_init__(self) -> None:
+        wrong = [m.id for m in self.metrics if m.profile != self.name]
+        without = [m.name for m in self.metrics if self.compute is None and m.value is None]
+        if not self.metrics:
+            raise InputError(f"Profile {self.name!r} has no metrics.")
+        if wrong:
+            raise InputError(f"Expected ids that begin with {self.name}/ in profile {self.name!r}, got {wrong[0]!r}.")
+        if without:
+            raise InputError(
+                f"Profile {self.name!r} has no function for {', '.join(without)}: give each metric a value=, "
+                "or the profile a compute=."
+            )
+
+    def measures(self, task: str) -> bool:
+        """Whether it measures recordings of a task."""
+        return not self.tasks or task in self.tasks
+
+    def measure(self, recording: Recording) -> EpisodeMetrics:
+        """Computes all its metrics of one recording.
+
+        Raises:
+            UnmeasurableError: the recording lacks agents, or what every metric needs.
+        """
+        notes = Notes()
+        computed = self._each(recording, notes) if self.compute is None else self.compute(recording, notes)
+        names = [m.name for m in self.metrics]
+        episode = recording.episode
+        return EpisodeMetrics(
+            episode_id=episode.episode_id,
+            uid=episode.uid,
+            profile=self.name,
+            metrics=self.metrics,
+            values={name: float(computed.values.get(name, NAN)) for name in names},
+            notes=notes.joined(names),
+            robot=computed.robot,
+            human=computed.human,
+            moments=computed.moments,
+            rows=len(recording),
+            task=self.tasks[0] if self.tasks else episode.task,
+            scene=episode.scene,
+            dt_ns=episode.dt_ns,
+            units=str(episode.info.get("units", "SI")),
+            protocol_deviations=computed.protocol_deviations,
+        )
+
+    def _each(self, recording: Recording, notes: Notes) -> Computed:
+        missing = note_missing(self.metrics, recording, notes)
+        if not len(recording):
+            notes.add((m.name for m in self.metrics if m.name not in missing), "the recording has no rows")
+            return Computed(values={})
+        values = {m.name: m.value(recording) for m in self.metrics if m.value and m.name not in missing}
+        flags = [milestone.flag for milestone in self.report.milestones]
+        return Computed(values=values, moments=first_moments(self.series(recording), flags) if flags else {})

@@ -1,0 +1,115 @@
+"""What a report shows of a profile: declared beside its metrics, rendered by `h3data_viewers.html_report`.
+
+Everything has a default, so a profile without a layout gets a table of all its metrics, their distributions, trajectories,
+and the best and worst episodes by its first metrics that have a better direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedRow:
+    """One row of a published table: a policy or a condition."""
+
+    name: str
+    policies: tuple[str, ...] = ()
+    """Names of the same policy in recordings, in lower case."""
+    values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """By metric: (mean,), (mean, standard deviation) or (mean, lower end, upper end of the 95% interval)."""
+    train: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The same with the partners of the training population."""
+    zsc: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The same with unseen partners (zero-shot coordination)."""
+
+    def with_partners(self, population: str) -> Mapping[str, tuple[float, ...]]:
+        """Returns the values with the partners of a population: ``train``, ``zsc``, or empty for all partners."""
+        return {"train": self.train, "zsc": self.zsc}.get(population, self.values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedTable:
+    """A table of a paper, to be shown beside measured values."""
+
+    paper: str
+    """Short name of the paper: ``Habitat 3.0``."""
+    source: str
+    """Paper, section and table."""
+    rows: tuple[PublishedRow, ...]
+
+    def row_of(self, policy: str) -> PublishedRow | None:
+        """Returns the row about a policy, None if there is none."""
+        return next((row for row in self.rows if policy.lower() in row.policies), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedContrast:
+    """A published pairwise difference."""
+
+    name: str
+    difference: float
+    p: str
+    """As printed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedContrasts:
+    """A published table of pairwise differences."""
+
+    paper: str
+    source: str
+    rows: tuple[PublishedContrast, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Milestone:
+    """An event of an episode: shown as a key frame, and as the share of episodes that have reached it by then."""
+
+    flag: str
+    """Flag of the profile's series; the event is its first row."""
+    title: str
+    """Title of the chart: ``Person found by then``."""
+    label: str
+    """Caption of the key frame: ``finds the person``."""
+    metric: str
+    """Metric that is undefined where a recording cannot tell; such episodes are left out of the chart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyLayout:
+    """Analysis of episodes that participants did under several conditions (info ``participant``, ``condition``)."""
+
+    columns: tuple[str, ...]
+    """Metrics of the table: 0/1 metrics by a binomial mixed model, others by their bootstrapped mean."""
+    steps: str
+    """Count metric, by a Poisson mixed model; its estimated means are contrasted."""
+    efficiency: str
+    """Metric whose value follows from the means of ``steps``: steps alone over steps with the robot, in percent."""
+    published: Callable[[], PublishedTable] | None = None
+    published_contrasts: Callable[[], PublishedContrasts] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportLayout:
+    """Sections, columns and wording of a report on one profile; metrics are given by name."""
+
+    title: str = ""
+    """Heading of its sections (default: the name of the task)."""
+    columns: tuple[str, ...] = ()
+    """Metrics of the main table (default: all)."""
+    percent: tuple[str, ...] = ()
+    """Ratios that the main table shows in percent, as the published table does."""
+    findings: Mapping[str, str] = field(default_factory=dict)
+    """Words before the value of a metric in the summary: ``{"S": "finds the person in"}`` (default: its title)."""
+    ranking: tuple[str, ...] = ()
+    """Metrics that rank episodes, most important first (default: the first three with a better direction)."""
+    by_partner: tuple[str, ...] = ()
+    """Metrics shown as heat maps of policies by partners (default: those of ``ranking``)."""
+    milestones: tuple[Milestone, ...] = ()
+    distance_zone_m: tuple[float, float] | None = None
+    """Distances shaded in charts of robot and person [m]."""
+    published: Callable[[], PublishedTable] | None = None
+    """Loads the published results for these metrics."""
+    study: StudyLayout | None = None

@@ -1,0 +1,106 @@
+"""What metrics need of a recording: agents, columns, keys of its info, events; and errors that name what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from h3data.errors import InputError
+from h3data.metrics.episode import Notes
+from h3data.metrics.metric import Metric
+from h3data.recording.records import Recording
+
+
+class UnmeasurableError(InputError):
+    """A recording lacks agents or data that metrics need."""
+
+    def __init__(self, message: str, reason: str) -> None:
+        self.reason = reason
+        """The same for all recordings with the same gap, so that they can be counted."""
+        super().__init__(message)
+
+
+class MissingColumnsError(UnmeasurableError):
+    """A recording lacks what every requested metric reads; the message says which metric needs which."""
+
+    def __init__(self, episode_id: str, needs: Mapping[str, Sequence[str]]) -> None:
+        self.needs = {name: tuple(columns) for name, columns in needs.items()}
+        """Missing columns by metric name."""
+        each = "; ".join(f"{name} needs {', '.join(columns)}" for name, columns in self.needs.items())
+        missing = sorted({column for columns in self.needs.values() for column in columns})
+        super().__init__(
+            f"Episode {episode_id!r} has nothing to measure: {each}.", f"nothing to measure: lacks {', '.join(missing)}"
+        )
+
+
+def find_agents(recording: Recording) -> tuple[int, int]:
+    """Returns the indices of the first robot and the first human; an `UnmeasurableError` names the agents instead."""
+    agents = recording.agents
+    chosen = [next((i for i, a in enumerate(agents) if a.kind == kind), None) for kind in ("robot", "human")]
+    robot, human = chosen
+    if robot is not None and human is not None:
+        return robot, human
+    missing = " and ".join(f"no {kind}" for kind, i in zip(("robot", "human"), chosen, strict=True) if i is None)
+    present = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "no agents at all"
+    hint = " Hint: the profile field measures any two agents." if len(agents) > 1 else ""
+    raise UnmeasurableError(
+        f"These metrics need a robot and a human; recording {recording.episode.episode_id!r} has {missing} "
+        f"(found: {present}).{hint}",
+        "needs a robot and a human",
+    )
+
+
+def find_pair(recording: Recording) -> tuple[int, int]:
+    """Returns the indices of two agents: the first robot and the first human, else the first two of any kind.
+
+    The first of them is measured, near the second. An `UnmeasurableError` says that there are fewer than two.
+    """
+    agents = recording.agents
+    if {"robot", "human"} <= {a.kind for a in agents}:
+        return find_agents(recording)
+    if len(agents) < 2:
+        present = ", ".join(f"{a.name} ({a.kind})" for a in agents) or "nobody"
+        raise UnmeasurableError(
+            f"These metrics need two agents; recording {recording.episode.episode_id!r} has {present}.",
+            "needs two agents",
+        )
+    return 0, 1
+
+
+def missing_columns(metric: Metric, recording: Recording) -> tuple[str, ...]:
+    """Returns the entries of ``metric.columns`` that a recording lacks."""
+    return tuple(name for name in metric.columns if not _has(recording, name))
+
+
+def note_missing(metrics: Sequence[Metric], recording: Recording, notes: Notes) -> set[str]:
+    """Returns the names of the metrics that lack something, each with a note; a `MissingColumnsError` if all do."""
+    needs = {m.name: missing for m in metrics if (missing := missing_columns(m, recording))}
+    if len(needs) == len(metrics):
+        raise MissingColumnsError(recording.episode.episode_id, needs)
+    for name, missing in needs.items():
+        notes.add([name], f"needs {', '.join(missing)}, which this recording does not have")
+    return set(needs)
+
+
+def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
+    """Returns the names of the columns that these metrics may read in recordings of up to ``agents`` agents."""
+    names: dict[str, None] = {}
+    for metric in metrics:
+        for name in (*metric.columns, *metric.optional):
+            if ":" in name:
+                continue
+            head, _, rest = name.partition(">.")
+            each = [f"agent_{i}.{rest}" for i in range(agents)] if head.startswith("agent_<") else [name]
+            names.update(dict.fromkeys(each))
+    return list(names)
+
+
+def _has(recording: Recording, name: str) -> bool:
+    kind, colon, key = name.partition(":")
+    if colon and kind == "info":
+        return recording.episode.info.get(key) is not None
+    if colon:
+        return any(event.kind == key for event in recording.events)
+    head, _, rest = name.partition(">.")
+    if head.startswith("agent_<"):
+        return any(f"agent_{i}.{rest}" in recording.columns for i in range(len(recording.agents)))
+    return name in recording.columns
