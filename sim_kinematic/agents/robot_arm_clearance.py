@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.bodies import Robot, solve_ik
+from h3data.bodies import Robot
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_to_matrix
 from h3data.scene import Scene
 from h3data.scene.records import Capsule
 from sim_kinematic.agents.arm_contact import arm_links
-from sim_kinematic.agents.stands import hand_turn
+from sim_kinematic.agents.hand_reach import hand_target, reach_posture
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of
 
@@ -96,7 +96,7 @@ class ArmClearance:
         if seen not in self._ways:
             if len(self._ways) >= WAYS_KEPT:
                 self._ways.clear()
-            line = reach_line(self._robot, np.array([distance, height, 0.0, *hand_turn(self._robot)]))
+            line = reach_line(self._robot, hand_target(self._robot, distance, height))
             self._ways[seen] = None if line is None else self._frames(*line)
         return self._ways[seen]
 
@@ -109,13 +109,11 @@ class ArmClearance:
 
 def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
     """Joint positions `APPROACH_M` over a pose7 [7] of the hand in the agent root frame, and at it; None: it is not reached."""
-    link = robot.links[robot.hand_link].name
-    at = solve_ik(robot, link, hand, offset=robot.hand_position)
+    at = reach_posture(robot, hand)
     if not at.reached:
         return None
     raised = hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0])
-    over = solve_ik(robot, link, raised, at.joint_pos, offset=robot.hand_position, restarts=0)
-    return over.joint_pos, at.joint_pos
+    return reach_posture(robot, raised, at.joint_pos, restarts=0).joint_pos, at.joint_pos
 
 
 @lru_cache(maxsize=8)

@@ -9,14 +9,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import Robot, solve_ik
+from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
+from sim_kinematic.agents.hand_reach import hand_turn, reach_bearing, reach_posture
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
-from sim_kinematic.agents.stands import hand_turn, nearest_stand, robot_stands
+from sim_kinematic.agents.stands import nearest_stand, robot_stands
 from sim_kinematic.avoidance.robot_base import footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import is_crowded, keep_clear
@@ -229,7 +230,7 @@ class RobotActor:
             left = float(self.free.geodesic(self.xz, via[0] if len(via) else goal, max_snap_m=1.0))
             stalled = since > AVOIDANCE.detour_after_steps[0]
             if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and stalled)):
-                error = self._error_to(point[[0, 2]])
+                error = self._error_to(point[[0, 2]], reach_bearing(self.robot))
                 if abs(error) < FACING_RAD:
                     return Ending("done")
                 self._step(0.0, self._turn(error), goal)
@@ -329,7 +330,7 @@ class RobotActor:
         return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
 
     def _posture(self, hand: Array) -> Array | None:
-        answer = solve_ik(self.robot, self.robot.hand_name, hand, offset=self.robot.hand_position)
+        answer = reach_posture(self.robot, hand)
         return answer.joint_pos if answer.reached else None
 
     def _reach_line(self, hand: Array) -> tuple[Array, Array]:
@@ -344,9 +345,10 @@ class RobotActor:
             self._step(0.0, 0.0, avoid=False)
             yield
 
-    def _error_to(self, xz: NDArray) -> float:
+    def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
+        """By how much it must turn to have a floor point [2] at a bearing to its left [rad]."""
         dx, dz = xz - self.xz
-        return float(wrap_angle(np.arctan2(-dz, dx) - self.heading))
+        return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
     def _seen(self) -> list[Seen]:
         """The others; one that holds something has not settled, however long it has been standing."""

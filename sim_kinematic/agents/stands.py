@@ -1,17 +1,17 @@
-"""Where to stand so that something is within reach: places on the free floor round a point, with the heading to take there."""
+"""Places to stand at so that something is within reach, on the free floor around a point, with the heading to take there."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies import Humanoid, Robot, solve_ik
+from h3data.bodies import Humanoid, Robot
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, ground_pose, quat_from_matrix
+from h3data.geometry import Array, ground_pose
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.hand_reach import reach_bearing, reach_distances
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.contact.clearance import clear_of_furniture
 from sim_kinematic.motion.spec import BaseSpec
@@ -20,23 +20,19 @@ from sim_kinematic.motion.step import least_clearance
 BEARINGS = 24
 """Directions from which a point is approached."""
 PERSON_DISTANCES_M = tuple(0.25 + 0.05 * k for k in range(13))
-ROBOT_DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
-"""One counts when the hand reaches the point from its two neighbours too: a base does not stand to the millimetre."""
+"""Distances from which a person reaches for a point."""
 HAND_SIDE_RAD = 0.25
 """A person stands so that the point is this far to the side of the hand that takes it."""
-HAND_PITCH_RAD = -0.6
-"""A robot's hand points this far below the horizon when it picks and places, always the same: so what it took standing
-stands again where it is put."""
 SWAY_M = 0.015
 """A person's distances count when the point is reached from this much nearer and farther as well."""
 CROWDED_M = 100.0
-"""A way this much longer is taken rather than standing where the other one stands."""
+"""A path longer by this is taken rather than standing where another agent stands."""
 ROOM_M = 0.02
-"""Free way that a robot's base has round it where it stands and turns."""
+"""Free space around a robot's base where it stands and turns."""
 
 
 def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand = "right") -> Array:
-    """Stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on the largest island."""
+    """Returns stands ``(x, z, heading)`` [N, 3] from which ``hand`` reaches a world point [3] [m], on the largest island."""
     point = np.asarray(point, np.float64)
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
     distances = np.array(PERSON_DISTANCES_M)
@@ -71,52 +67,36 @@ def discs_fit(free: FreeSpace, base: BaseSpec, xz: Array, heading: float) -> boo
 
 
 def robot_stands(free: FreeSpace, robot: Robot, base: BaseSpec, point: ArrayLike) -> Array:
-    """Stands ``(x, z, heading)`` [N, 3] from which a robot's hand, pitched by `HAND_PITCH_RAD`, reaches a world point [3]
-    [m], and where its base can turn all the way round."""
+    """Returns stands ``(x, z, heading)`` [N, 3] from which a robot's hand reaches a world point [3] [m]
+    (`sim_kinematic.agents.hand_reach`), and at which its base can turn all the way around."""
     point = np.asarray(point, np.float64)
-    stands = _on_island(free, _ring(point, _robot_distances(robot, float(point[1] - free.floor_y)), 0.0))
-    reach = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
-    return stands[free.signed_distance(stands[:, :2]) >= reach]
-
-
-@lru_cache(maxsize=1024)
-def _robot_distances(robot: Robot, height: float) -> Array:
-    """From how far away [D] [m] a robot's hand reaches what is ``height`` [m] above the floor: things lie on few heights."""
-    distances = np.array(ROBOT_DISTANCES_M)
-    targets = np.zeros((len(distances), 7))
-    targets[:, 0], targets[:, 1], targets[:, 3:] = distances, height, hand_turn(robot)
-    answer = solve_ik(robot, robot.links[robot.hand_link].name, targets, offset=robot.hand_position)
-    reached = answer.reached[1:-1] & answer.reached[:-2] & answer.reached[2:]
-    return distances[1:-1][reached]
-
-
-def hand_turn(robot: Robot) -> Array:
-    """Rotation (quaternion) of the hand's link in the agent root frame when it picks and places: pitched, not rolled."""
-    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
-    ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
-    return quat_from_matrix(np.stack([ahead, np.cross(up, ahead), up], axis=1))
+    distances = reach_distances(robot, float(point[1] - free.floor_y))
+    stands = _on_island(free, _ring(point, distances, -reach_bearing(robot)))
+    radius = max(abs(offset) for offset in base.disc_offsets_m) + base.disc_radius_m + ROOM_M
+    return stands[free.signed_distance(stands[:, :2]) >= radius]
 
 
 def nearest_stand(
     free: FreeSpace, stands: Array, start_xz: ArrayLike, crowded: NDArray[np.bool_] | NDArray[np.integer] | None = None,
     is_clear: Callable[[Array], bool] | None = None,
 ) -> tuple[int, float]:  # fmt: skip
-    """The stand with the shortest way from ``start_xz`` [2], and its length [m]; infinite when none can be got to.
+    """Returns the index of the stand with the shortest path from ``start_xz`` [2], and its length [m]; -1 and infinity if no
+    stand can be reached.
 
-    Those that are ``crowded`` [N] are taken only if all are, the less crowded first, and only one that ``is_clear``.
+    Stands that are ``crowded`` [N] are taken only if all are, the less crowded first; only those that are ``is_clear`` count.
     """
     if not len(stands):
         return -1, np.inf
-    ways = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
-    order = np.argsort(ways if crowded is None else ways + CROWDED_M * crowded, kind="stable")
-    for k in order[np.isfinite(ways[order])].tolist():
+    lengths = free.geodesic(np.broadcast_to(np.asarray(start_xz, np.float64), (len(stands), 2)), stands[:, :2])
+    order = np.argsort(lengths if crowded is None else lengths + CROWDED_M * crowded, kind="stable")
+    for k in order[np.isfinite(lengths[order])].tolist():
         if is_clear is None or is_clear(stands[k]):
-            return k, float(ways[k])
+            return k, float(lengths[k])
     return -1, np.inf
 
 
 def _ring(point: Array, distances: Array, side: float) -> Array:
-    """Places [D * BEARINGS, 3] round a point; the heading looks ``side`` [rad] to the left of it."""
+    """Places [D * BEARINGS, 3] around a point, each heading ``side`` [rad] to the left of it."""
     angle, distance = np.meshgrid(np.arange(BEARINGS) * (2 * np.pi / BEARINGS), distances)
     angle, distance = angle.ravel(), distance.ravel()
     x, z = point[0] - distance * np.cos(angle), point[2] + distance * np.sin(angle)

@@ -62,10 +62,11 @@ def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 
     )  # fmt: skip
 
 
-def drawn_episode(source: SceneSource, *, seed: int, spec: SocialNavSpec) -> SocialNavEpisode:
-    """The episode that ``seed`` draws in a scene under these rules."""
+def drawn_episode(source: SceneSource, *, seed: int, spec: SocialNavSpec, robot: str | None = None) -> SocialNavEpisode:
+    """Samples the episode of a seed in a scene under these rules, for one robot."""
     free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
-    return stored_episode(SocialNav().episode(open_scene(source), seed=seed, spec=spec, free=free))
+    scene, body = open_scene(source), robot or ROBOT_BODY
+    return stored_episode(SocialNav().episode(scene, seed=seed, spec=spec, free=free, robot=body))
 
 
 def episode_from(

@@ -169,6 +169,9 @@ class Task:
         roster = make_roster(self.agents if agents is None else agents, robot=robot, human=human)
         return self.sample(scene, free, seed, spec, roster)
 
+    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
+        """Raises an `InputError` if an agent cannot play the task; by default all can."""
+
     def sample_starts(
         self, scene: Scene, free: FreeSpace, seed: int, spec: Any, roster: Sequence[AgentSpec], stream: str = "starts"
     ) -> Array:

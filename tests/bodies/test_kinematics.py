@@ -52,7 +52,7 @@ def every_joint_robot(folder: Path) -> Robot:
         parent = name if k != 3 else "b"  # a branch
     path = folder / "every.urdf"
     path.write_text(f'<robot name="every">{body}</robot>')
-    return load_robot(path)
+    return load_robot(path, fill_in=False)
 
 
 def _postures(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarray:

@@ -35,3 +35,9 @@ def row_of_discs(back: float, front: float, radius: float) -> Array:
     """Returns places [D] [m] from ``back`` to ``front``, no farther apart than `SPACING` radii."""
     gaps = math.ceil((front - back) / (SPACING * radius) - 1e-9)
     return np.linspace(back, front, gaps + 1) if gaps > 0 else np.array([(back + front) / 2])
+
+
+def row_radius(places: Array, points: Array) -> float:
+    """Returns the least radius [m] of discs at places [D] along x that cover floor points ``(x, z)`` [N, 2]."""
+    gaps = np.hypot(points[:, None, 0] - places, points[:, None, 1])
+    return float(gaps.min(1).max())

@@ -108,6 +108,10 @@ class Robot:
     """The link that grasps; -1 = none."""
     hand_position: Array = field(default_factory=lambda: np.zeros(3))
     """Where it holds things, in the frame of that link, shape [3] [m]."""
+    hand_axes: Array = field(default_factory=lambda: np.eye(3))
+    """Forward, left and upward directions of the hand in the frame of that link, as columns [3, 3]."""
+    reach_bearing: float | None = None
+    """Bearing of what the robot reaches for [rad], to the left of its forward axis; None: not known."""
     legs: tuple[RobotLeg, ...] = ()
     cameras: tuple[RobotCamera, ...]
     to_base: Array
@@ -161,12 +165,13 @@ class Robot:
         """`arm_columns` of a robot that must have an arm.
 
         Raises:
-            InputError: it has no hand, or no joint moves it.
+            InputError: It has no hand, or no joint moves it.
         """
         if not self.arm_columns:
             why = "has no hand" if self.hand_link < 0 else f"has no joint that moves its hand {self.hand_name}"
             raise InputError(
-                f"Robot {self.name} {why}, so it has no arm to move. Hint: name a hand_link in robot.toml."
+                f"Robot {self.name} {why}, so it has no arm to move. Hint: name its hand_link in robot.toml (h3data robots "
+                f"init writes one). File: {self.file}"
             )
         return self.arm_columns
 

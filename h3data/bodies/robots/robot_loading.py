@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import resting_hull
+from h3data.bodies.robots.guess import guess_settings
 from h3data.bodies.robots.robot import Robot, RobotCamera, RobotLeg, RobotLink
 from h3data.bodies.robots.robot_files import RobotFiles, find_robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
+from h3data.bodies.robots.stand_ins import with_stand_ins
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
 from h3data.geometry import normalized, pose_from_matrix
 from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
@@ -26,26 +28,37 @@ Z_UP_TO_ROOT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 
 """URDF base frame (x forward, y left, z up) to agent root axes (x forward, y up, z right)."""
 
 
-def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z") -> Robot:
+def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in: bool = True) -> Robot:
     """Loads a robot once and shares it until its files change.
 
     Args:
         name_or_path: A name (`robot_names`), or the path of a URDF, of a ``robot.toml``, or of the folder of either.
         up: The axis of the URDF base frame that points up: ``z`` by URDF's rule; Habitat's own robots have ``y``.
+        fill_in: Whether to guess settings where there is no ``robot.toml`` (`h3data.bodies.robots.guess`) and to let boxes
+            stand in for missing meshes, with a warning. Else settings are the defaults, and missing meshes an error.
 
     Raises:
         InputError: There is no such robot.
         FormatError: Its files cannot be used.
+        MissingAssetError: Meshes are missing and not filled in.
     """
     files = find_robot(name_or_path)
-    return _loaded(files, up, *map(_version, files))
+    return _loaded(files, up, fill_in, *map(_version, files))
 
 
 @lru_cache(maxsize=32)
-def _loaded(files: RobotFiles, up: Literal["z", "y"], *versions: tuple[int, int]) -> Robot:
+def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
-    urdf = read_urdf(files.urdf)
-    robot = _robot(urdf, read_settings(files.settings, urdf), up)
+    urdf = read_urdf(files.urdf, allow_missing=fill_in)
+    if not fill_in:
+        robot = _robot(urdf, read_settings(files.settings, urdf), up)
+    else:
+        urdf, sure = with_stand_ins(urdf)
+        guessed = files.settings is None
+        settings = (
+            guess_settings(_robot(urdf, RobotSettings(), up), sure) if guessed else read_settings(files.settings, urdf)
+        )
+        robot = _robot(urdf, settings, up)
     return robot if len(robot.hull_discs) else replace(robot, hull_discs=resting_hull(robot))
 
 
@@ -98,6 +111,8 @@ def _robot(urdf: Urdf, settings: RobotSettings, up: Literal["z", "y"]) -> Robot:
         max_turn_rad_s=settings.max_turn_rad_s,
         hand_link=index[settings.hand_link] if settings.hand_link else -1,
         hand_position=np.array(settings.hand_position),
+        hand_axes=_hand_axes(settings),
+        reach_bearing=None if settings.reach_bearing_deg is None else np.radians(settings.reach_bearing_deg),
         legs=tuple(
             RobotLeg(
                 columns=(column[leg.joints[0]], column[leg.joints[1]], column[leg.joints[2]]), foot=np.array(leg.foot)
@@ -181,6 +196,12 @@ def _hull_points(mesh: Mesh) -> NDArray[np.float64]:
         return points[ConvexHull(points).vertices]
     except QhullError:  # flat: all its points are as good
         return np.unique(points, axis=0)
+
+
+def _hand_axes(settings: RobotSettings) -> Array:
+    forward = normalized(np.array(settings.hand_forward))
+    left = normalized(np.cross(settings.hand_up, forward))
+    return np.stack([forward, left, np.cross(forward, left)], axis=1)
 
 
 def _camera(settings: CameraSettings, link: int) -> RobotCamera:

@@ -62,6 +62,13 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Link that grasps; empty = the robot has no hand."""
     hand_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where things are held, in the frame of that link [m]."""
+    hand_forward: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Direction in which the hand reaches for things, in the frame of that link."""
+    hand_up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction in the frame of that link that points up when the hand is level."""
+    reach_bearing_deg: float | None = None
+    """Bearing of what the robot reaches for when it stands in front of it: 0 ahead, 90 to the left; by default the first of
+    ahead, right, left and behind in which the arm reaches."""
     legs: tuple[LegSettings, ...] = ()
     cameras: tuple[CameraSettings, ...] = ()
 
@@ -105,6 +112,8 @@ def read_settings(path: Path | None, urdf: Urdf) -> RobotSettings:
             faults.append(f"camera {camera.name} has no picture: look at its forward, up, hfov_deg, width and height")
     if settings.hand_link and settings.hand_link not in links:
         faults.append(f"hand_link is {settings.hand_link!r}, which is no link")
+    if np.linalg.norm(np.cross(settings.hand_forward, settings.hand_up)) < 1e-6:
+        faults.append("hand_forward and hand_up are parallel or zero")
     for name in (name for leg in settings.legs for name in leg.joints):
         if name not in movable or movable[name].width != 1:
             faults.append(f"a leg has the joint {name!r}, which is no movable one")

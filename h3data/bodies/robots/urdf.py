@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -18,7 +18,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from h3data.bodies.robots.urdf_parts import UrdfGeometry, UrdfPart, read_color, read_numbers, read_origin, read_parts
+from h3data.bodies.robots.urdf_parts import (
+    UrdfGeometry,
+    UrdfPart,
+    read_color,
+    read_inertia,
+    read_numbers,
+    read_origin,
+    read_parts,
+)
 from h3data.errors import FormatError, InputError, MissingAssetError
 from h3data.geometry import Array
 
@@ -39,6 +47,8 @@ class UrdfLink:
     collisions: tuple[UrdfPart, ...]
     inertial: Array
     """Centre-of-mass frame to link frame, shape [4, 4]; identity if the file gives none."""
+    inertia_box: Array | None = None
+    """Half the sides [3] [m] of a box of the same mass and moments of inertia in that frame; None if the file gives none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +100,17 @@ class Urdf:
         return tuple(j for j in self.joints if j.kind != "fixed" and j.mimic is None)
 
 
-def read_urdf(path: str | Path) -> Urdf:
-    """The robot described by a URDF file; all faults are told at once.
+def read_urdf(path: str | Path, *, allow_missing: bool = False) -> Urdf:
+    """Reads the robot described by a URDF file; all faults are reported at once.
+
+    Args:
+        path: The file.
+        allow_missing: Whether mesh files may be missing (`missing_meshes`).
 
     Raises:
-        InputError: there is no such file.
-        FormatError: it is not URDF, or not one that this can use.
-        MissingAssetError: mesh files that it names are not there.
+        InputError: There is no such file.
+        FormatError: It is not URDF, or not one that this can use.
+        MissingAssetError: Mesh files are missing.
     """
     path = Path(path)
     robot = _parse(path)
@@ -115,11 +129,11 @@ def read_urdf(path: str | Path) -> Urdf:
     root = _tree_root(links, joints, faults)
     if faults:
         raise FormatError(f"Not a usable URDF: {'; '.join(faults[:8])}. File: {path}")
-    missing = sorted({str(f) for f in _mesh_files(links) if not f.is_file()})
-    if missing:
+    missing = missing_meshes(links)
+    if missing and not allow_missing:
         raise MissingAssetError(
-            f"The URDF names {len(missing)} mesh file(s) that are not there. Hint: keep the folder of the URDF whole. "
-            f"Missing: {', '.join(missing[:4])}"
+            f"The URDF names {len(missing)} mesh file(s) that do not exist. Hint: keep the folder of the URDF whole. "
+            f"Missing: {', '.join(map(str, missing[:4]))}"
         )
     return Urdf(name=robot.get("name", path.stem), path=path, root=root, links=links, joints=joints)
 
@@ -147,11 +161,10 @@ def _parse(path: Path) -> ElementTree.Element:
     return robot
 
 
-def _mesh_files(links: tuple[UrdfLink, ...]) -> Iterator[Path]:
-    for link in links:
-        for part in (*link.visuals, *link.collisions):
-            if part.geometry.file is not None:
-                yield part.geometry.file
+def missing_meshes(links: Iterable[UrdfLink]) -> list[Path]:
+    """Returns the mesh files of links that do not exist, sorted."""
+    named = {part.geometry.file for link in links for part in (*link.visuals, *link.collisions)}
+    return sorted(file for file in named if file is not None and not file.is_file())
 
 
 def _link(
@@ -165,6 +178,7 @@ def _link(
         visuals=tuple(read_parts(element, "visual", folder, materials, faults)),
         collisions=tuple(read_parts(element, "collision", folder, materials, faults)),
         inertial=read_origin(element.find("inertial"), f"link {name}, inertial", faults),
+        inertia_box=read_inertia(element.find("inertial")),
     )
 
 

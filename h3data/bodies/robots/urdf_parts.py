@@ -10,6 +10,7 @@ from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.geometry import Array
 
@@ -73,6 +74,25 @@ def read_origin(element: ElementTree.Element | None, where: str, faults: list[st
         [-sp, cp * sr, cp * cr],
     ]
     return matrix
+
+
+def read_inertia(element: ElementTree.Element | None) -> NDArray[np.float64] | None:
+    """Returns half the sides [3] [m] of the solid box with the mass and the moments of inertia of ``<inertial>``, in its own
+    frame; None without them, or if they cannot be read: they only help to guess sizes.
+
+    From I_x = m (b^2 + c^2) / 12, and so on, for a box of sides a, b, c.
+    """
+    ignored: list[str] = []
+    mass_element = None if element is None else element.find("mass")
+    inertia = None if element is None else element.find("inertia")
+    if mass_element is None or inertia is None:
+        return None
+    (mass,) = read_numbers(mass_element.get("value"), 1, (0.0,), "mass", ignored)
+    ix, iy, iz = (read_numbers(inertia.get(name), 1, (0.0,), name, ignored)[0] for name in ("ixx", "iyy", "izz"))
+    differences = np.array([iy + iz - ix, ix + iz - iy, ix + iy - iz])
+    if mass <= 0 or differences.min() < -0.05 * max(ix, iy, iz):  # no body has such moments: a place-holder
+        return None
+    return np.sqrt(np.maximum(6 / mass * differences, 0.0)) / 2
 
 
 def read_color(element: ElementTree.Element | None, faults: list[str]) -> tuple[int, int, int] | None:

@@ -47,7 +47,7 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
     from h3data.bodies import load_robot
     from h3data.bodies.robots.urdf import read_urdf
 
-    robot = load_robot(urdf, up="y")
+    robot = load_robot(urdf, up="y", fill_in=False)
     described = {link.name: link for link in read_urdf(urdf).links}
     frames = link_frames(robot, default_positions(robot))
     links = []

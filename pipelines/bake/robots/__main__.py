@@ -56,6 +56,9 @@ def settings_text(design: Design, height: float) -> str:
         f'hand_link = "{design.hand[0]}"',
         f"hand_position = {_list(design.hand[1])}",
     ]
+    if design.hand_forward != (1.0, 0.0, 0.0):
+        lines.append(f"hand_forward = {_list(design.hand_forward)}")
+    lines.append(f"reach_bearing_deg = {design.reach_bearing_deg}")
     if design.base_profiles:
         lines += ["", "[base_profiles]", *(f"{name} = {_list(places)}" for name, places in design.base_profiles)]
     for joints, foot in design.legs:

@@ -175,6 +175,8 @@ def design() -> Design:
         rest=(0.0, 0.0, 0.60, 0.0, 1.57, -0.15, 0.0, 0.0, 0.0, -0.2),
         body_top_m=MAST_TOP + 0.1,
         hand=("hand", (0.0, -0.075 - FINGER + 0.010, -0.004)),
+        hand_forward=(0.0, -1.0, 0.0),
+        reach_bearing_deg=-90.0,
         cameras=(
             Camera(name="robot_arm", link="hand", position=(0, -0.081, 0.031), forward=ahead,
                    width=224, height=171, hfov_deg=55.0, note="224 wide, 171 high"),

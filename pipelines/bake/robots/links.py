@@ -65,6 +65,8 @@ class Design:
     """Discs that cover the whole resting robot; empty: computed when it is loaded."""
     base_profiles: tuple[tuple[str, tuple[float, ...]], ...] = ()
     hand: tuple[str, Vector]
+    hand_forward: Vector = (1.0, 0.0, 0.0)
+    reach_bearing_deg: float = 0.0
     legs: tuple[tuple[tuple[str, str, str], Vector], ...] = ()
     cameras: tuple[Camera, ...] = ()
 

@@ -85,7 +85,7 @@ class Job:
         if self.drawn_with is not None:
             from sim_kinematic.tasks.social_nav_episodes import drawn_episode
 
-            stored = drawn_episode(self.source, seed=self.seed, spec=self.drawn_with)
+            stored = drawn_episode(self.source, seed=self.seed, spec=self.drawn_with, robot=self.robot)
         if stored is not None:
             from sim_kinematic.tasks.social_nav_episodes import episode_from
 
@@ -281,6 +281,7 @@ def checked(choices: Choices) -> Choices:
     human = None if choices.human == ANY_BODY else choices.human
     bodies = {name: body for name, body in (("robot", choices.robot), ("human", human)) if body is not None}
     roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
+    task.check_roster(roster)
     kinds = kinds_of(roster)
     named = {"robot": choices.policy, "human": choices.partner}
     for kind, option in (("robot", "--policy"), ("human", "--partner")):

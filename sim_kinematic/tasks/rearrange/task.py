@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from h3data.bodies import load_humanoid, load_robot
+from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.recording import Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene
@@ -87,12 +87,18 @@ class Rearrange(Task):
     defaults: ClassVar[Mapping[str, str]] = {"robot": "complement", "human": "both"}
     cut_span: ClassVar[Mapping[str, Any]] = {"outcome": "running", "reason": ""}
 
+    def check_roster(self, roster: Sequence[AgentSpec]) -> None:
+        for agent in roster:
+            if isinstance(agent.body, Robot):
+                agent.body.require_arm()
+
     # --- episodes -----------------------------------------------------------------------------------------------------
     def sample(
         self, scene: Scene, free: FreeSpace, seed: int, spec: RearrangeSpec, roster: tuple[AgentSpec, ...]
     ) -> RearrangeEpisode:
         """Samples an episode for the first robot and the first person of the roster (the default bodies stand in for a
         missing one), so that objects, goals and the starts of those two are the same whoever else plays it."""
+        self.check_roster(roster)
         robot, human = pair_of(roster)
         starts, targets = draw_episode(scene, free, seed, spec, load_robot(robot), load_humanoid(human))
         return RearrangeEpisode(

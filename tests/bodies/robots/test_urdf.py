@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,9 @@ FILES = {
     "amass_male": "data/test_assets/urdf/amass_male.urdf",
 }
 
+load_plain = partial(load_robot, fill_in=False)
+"""As the files say, without guesses."""
+
 
 ROOT = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
 
@@ -47,7 +51,7 @@ def _joint(name: str, parent: str, child: str, kind: str = "fixed", more: str = 
 def test_forward_kinematics_equals_habitat(name: str) -> None:
     """Habitat's link pose is the centre-of-mass frame, and so is its object pose (reference/README.md, physics)."""
     golden = json.loads((HABITAT_SIM / "reference/physics/forward_kinematics.json").read_text())[name]
-    robot = load_robot(HABITAT_SIM / FILES[name], up="y")  # Habitat does not turn the base frame
+    robot = load_plain(HABITAT_SIM / FILES[name], up="y")  # Habitat does not turn the base frame
     order = [
         j["joint"] + part
         for j in golden["joints"]
@@ -72,7 +76,7 @@ def test_forward_kinematics_equals_habitat(name: str) -> None:
 
 @needs_real
 def test_real_files_load_with_meshes_and_shapes() -> None:
-    robots = {name: load_robot(HABITAT_SIM / path) for name, path in FILES.items()}
+    robots = {name: load_plain(HABITAT_SIM / path) for name, path in FILES.items()}
     counts = {"fridge": 2, "kuka": 7, "prim_chain": 2, "skinned_prism": 16, "amass_male": 68}
     assert {name: len(r.joint_names) for name, r in robots.items()} == counts
     kuka, fridge, chain = robots["kuka"], robots["fridge"], robots["prim_chain"]
@@ -91,7 +95,7 @@ def test_every_real_urdf_loads() -> None:
     files = sorted(HABITAT_SIM.parent.rglob("*.urdf"))
     assert len(files) == 10
     for path in files:
-        robot = load_robot(path)
+        robot = load_plain(path)
         assert np.isfinite(robot.link_matrices(ROOT, robot.rest[None])).all(), path
 
 
@@ -146,7 +150,7 @@ def test_joint_kinds(tmp_path: Path) -> None:
     body += _joint("slide", "a", "b", "prismatic", '<axis xyz="0 0 2"/><limit lower="-1" upper="1"/>')
     body += _joint("spin", "b", "c", "continuous", '<origin xyz="1 0 0"/><axis xyz="0 0 1"/>')
     body += _joint("weld", "c", "d", "fixed", '<origin xyz="0 1 0"/>')
-    robot = load_robot(_write(tmp_path, body), up="y")
+    robot = load_plain(_write(tmp_path, body), up="y")
     assert robot.joint_names == ("slide", "spin")
     assert list(robot.upper) == [1, np.inf]
     frames = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.array([[0.5, np.pi / 2]]))[0]
@@ -156,7 +160,7 @@ def test_joint_kinds(tmp_path: Path) -> None:
 
 def test_urdf_z_up_becomes_root_y_up(tmp_path: Path) -> None:
     body = '<link name="a"/><link name="b"/>' + _joint("j", "a", "b", "fixed", '<origin xyz="1 2 3"/>')
-    frames = load_robot(_write(tmp_path, body)).link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 0)))[0]
+    frames = load_plain(_write(tmp_path, body)).link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 0)))[0]
     np.testing.assert_allclose(frames[1, :3, 3], [1, 3, -2], atol=1e-12)  # forward, up, right
 
 
@@ -173,7 +177,7 @@ def test_a_mimic_joint_follows_the_one_that_leads_it(tmp_path: Path) -> None:
     body += _joint("first", "a", "b", "prismatic", f'{LIMIT}<axis xyz="1 0 0"/>')
     path = _write(tmp_path, body)
     assert [j.name for j in read_urdf(path).movable] == ["first"]
-    robot = load_robot(path, up="y")
+    robot = load_plain(path, up="y")
     assert robot.joint_names == ("first",)
     assert robot.link_names == ("a", "b", "c", "d")
     for x in (-1.0, 0.0, 0.3):
@@ -185,7 +189,7 @@ def test_a_mimic_joint_follows_the_one_that_leads_it(tmp_path: Path) -> None:
 
 def test_a_spherical_joint_takes_a_quaternion(tmp_path: Path) -> None:
     body = PAIR + _joint("ball", "a", "b", "spherical", '<origin xyz="0 1 0"/>')
-    robot = load_robot(_write(tmp_path, body), up="y")
+    robot = load_plain(_write(tmp_path, body), up="y")
     assert robot.joint_names == ("ball.x", "ball.y", "ball.z", "ball.w")
     np.testing.assert_array_equal(robot.rest, [0, 0, 0, 1])
     turned = robot.link_matrices(ROOT, np.array([[0, 0, 1.0, 1.0]]))[
@@ -301,13 +305,14 @@ def test_too_many_links_are_refused_and_many_are_read(tmp_path: Path) -> None:
         read_urdf(_write(tmp_path, body))
     chain = "".join(f'<link name="{k}"/>' for k in range(3000))
     chain += "".join(_joint(f"j{k}", str(k), str(k + 1), "revolute", LIMIT) for k in range(2999))
-    assert len(load_robot(_write(tmp_path, chain)).joint_names) == 2999
+    assert len(load_plain(_write(tmp_path, chain)).joint_names) == 2999
 
 
 def test_missing_meshes_are_listed(tmp_path: Path) -> None:
     body = '<link name="a"><visual><geometry><mesh filename="gone/one.glb"/></geometry></visual></link>'
-    with pytest.raises(MissingAssetError, match=r"names 1 mesh file.*one\.glb"):
-        read_urdf(_write(tmp_path, body))
+    for load in (read_urdf, load_plain):
+        with pytest.raises(MissingAssetError, match=r"names 1 mesh file.*one\.glb"):
+            load(_write(tmp_path, body))
 
 
 @pytest.mark.parametrize(
@@ -334,7 +339,7 @@ def test_cut_off_mesh_is_refused(tmp_path: Path) -> None:
     for cut in (0, 10, 100, len(whole) // 2, len(whole) - 4):
         (tmp_path / "a.glb").write_bytes(whole[:cut])
         with pytest.raises(H3DataError):  # failures are not kept
-            load_robot(path)
+            load_plain(path)
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:

@@ -9,10 +9,11 @@ from h3data.bodies import load_robot
 from h3data.geometry import pose_to_matrix
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.records import Box, instance_matrix
+from sim_kinematic.agents.hand_reach import DISTANCES_M
 from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, ArmClearance, arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import Action, Objects
-from sim_kinematic.agents.stands import ROBOT_DISTANCES_M, robot_stands
+from sim_kinematic.agents.stands import robot_stands
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.motion.state import NOBODY, WorldState
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -34,7 +35,7 @@ def behind_walls(free: FreeSpace, way: ArmClearance, height: float) -> tuple[np.
     rng = np.random.default_rng(0)
     while True:
         stand = np.append(free.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi))
-        distance = ROBOT_DISTANCES_M[6]
+        distance = DISTANCES_M[6]
         xz = stand[:2] + distance * np.array([np.cos(stand[2]), -np.sin(stand[2])])
         point = np.array([xz[0], free.floor_y + height, xz[1]])
         if (

@@ -1,0 +1,75 @@
+"""Boxes that stand in for missing meshes of a robot, so that a URDF by itself can be played and shown.
+
+A link's own collision shapes stand in for its visuals and the other way round. A link that has neither gets a box from its
+origin to the joints of its children, at least as large as the box with its mass and moments of inertia.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from h3data.bodies.robots.urdf import Urdf, UrdfLink, UrdfPart, missing_meshes
+from h3data.bodies.robots.urdf_parts import UrdfGeometry
+
+log = logging.getLogger(__name__)
+
+THICKNESS_M = 0.04
+"""Least side of a box."""
+REACH_M = 0.6
+"""Children whose joints are farther away are sensors or frames on the floor rather than ends of the link."""
+
+
+def with_stand_ins(urdf: Urdf) -> tuple[Urdf, frozenset[str]]:
+    """Returns a URDF without missing meshes, and the names of the links whose shapes are all their own.
+
+    Warns once, naming the missing files. Where no link at all has collision shapes, visuals become those.
+    """
+    missing = missing_meshes(urdf.links)
+    if missing:
+        named = ", ".join(str(path) for path in missing[:3]) + (", ..." if len(missing) > 3 else "")
+        log.warning(
+            "%s: boxes stand in for %d missing mesh file(s) (%s). Hint: keep the folder of the URDF whole. File: %s",
+            *(urdf.name, len(missing), named, urdf.path),
+        )
+    there = [_without(link, set(missing)) for link in urdf.links]
+    has_collisions = any(link.collisions for link in urdf.links)
+    links = []
+    for link, (visuals, collisions) in zip(urdf.links, there, strict=True):
+        box = (_box(urdf, link),) if link.visuals or link.collisions else ()
+        shown = visuals if len(visuals) == len(link.visuals) else visuals or collisions or box
+        solid = collisions if len(collisions) == len(link.collisions) else collisions or visuals or box
+        links.append(replace(link, visuals=shown, collisions=solid if has_collisions else shown))
+    sure = frozenset(link.name for link, (_, solid) in zip(urdf.links, there, strict=True) if solid == link.collisions)
+    return replace(urdf, links=tuple(links)), sure
+
+
+def _without(link: UrdfLink, missing: set) -> tuple[tuple[UrdfPart, ...], tuple[UrdfPart, ...]]:
+    """Visuals and collisions of a link that do not need missing files."""
+    visuals, collisions = (
+        tuple(part for part in parts if part.geometry.file not in missing) for parts in (link.visuals, link.collisions)
+    )
+    return visuals, collisions
+
+
+def _box(urdf: Urdf, link: UrdfLink) -> UrdfPart:
+    ends = [joint.origin[:3, 3] for joint in urdf.joints if joint.parent == link.name]
+    points = [np.zeros(3), *(end for end in ends if np.linalg.norm(end) <= REACH_M)]
+    if link.inertia_box is not None:
+        corners = np.array(np.meshgrid(*[(-half, half) for half in np.minimum(link.inertia_box, REACH_M)])).reshape(
+            3, -1
+        )
+        points += list((link.inertial[:3, :3] @ corners).T + link.inertial[:3, 3])
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    spare = np.maximum(THICKNESS_M - (high - low), 0.0) / 2
+    low, high = low - spare, high + spare
+    origin = np.eye(4)
+    origin[:3, 3] = (low + high) / 2
+    x, y, z = (high - low).tolist()
+    return UrdfPart(geometry=UrdfGeometry(kind="box", size=(x, y, z)), origin=origin, color=_color(link))
+
+
+def _color(link: UrdfLink) -> tuple[int, int, int] | None:
+    return next((part.color for part in link.visuals if part.color is not None), None)

@@ -1,0 +1,130 @@
+"""Postures that bring a robot's hand to something in the way in which it picks and places: pitched, not rolled.
+
+An arm of six joints or more takes the whole orientation. One with fewer, such as a lift with a sliding arm and a wrist, leaves
+out the yaw: what it holds turns about the vertical, and stands upright all the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies import Robot, RobotLink, solve_ik
+from h3data.geometry import Array, quat_from_matrix
+
+HAND_PITCH_RAD = -0.6
+"""A robot's hand points this far below the horizon when it picks and places, always the same: so an object that was taken
+standing stands again where it is placed."""
+ALL_DIRECTIONS = 6
+"""Joints that an arm needs for a given position and orientation."""
+FREE_YAW_RAD = 0.7
+"""How far the hand of an arm with fewer joints may turn from the reach direction; more would reach around things."""
+BEARINGS_RAD = (0.0, -np.pi / 2, np.pi / 2, np.pi)
+"""Directions in which an arm is tried: ahead, right, left, behind."""
+DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
+"""Distances from the robot's root at which things are reached for."""
+HEIGHTS_M = (0.45, 0.75, 0.95)
+"""Heights of tables and counters, by which the direction is chosen."""
+
+
+class Reached(NamedTuple):
+    """Postures for targets [*batch]."""
+
+    joint_pos: NDArray[np.float64]
+    """All joints of the robot, [*batch, J]."""
+    reached: NDArray[np.bool_]
+    """Whether the hand gets there, [*batch]."""
+
+
+def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, restarts: int = 32) -> Reached:
+    """Finds postures for pose7 targets [*batch, 7] of the hand in the agent root frame; options as of `solve_ik`."""
+    if len(robot.require_arm()) >= ALL_DIRECTIONS:
+        answer = solve_ik(robot, robot.hand_name, target, q0, offset=robot.hand_position, restarts=restarts)
+        return Reached(answer.joint_pos, answer.reached)
+    free = _with_free_yaw(robot)
+    start = None if q0 is None else np.append(q0, 0.0)
+    answer = solve_ik(free, free.hand_name, target, start, offset=free.hand_position, restarts=restarts)
+    return Reached(answer.joint_pos[..., :-1], answer.reached)
+
+
+def hand_turn(robot: Robot) -> Array:
+    """Returns the rotation (quaternion) of the hand's link in the agent root frame for what lies in its reach direction."""
+    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    ahead, up = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    level = np.stack([ahead, np.cross(up, ahead), up], axis=1)
+    return quat_from_matrix(_turned_left(reach_bearing(robot)) @ level @ robot.hand_axes.T)
+
+
+def reach_bearing(robot: Robot) -> float:
+    """Returns the bearing of what a robot reaches for [rad], to the left of its forward axis: its own, else the first of
+    `BEARINGS_RAD` in which its arm reaches anything, else 0."""
+    return _found_bearing(robot) if robot.reach_bearing is None else robot.reach_bearing
+
+
+@lru_cache(maxsize=32)
+def _found_bearing(robot: Robot) -> float:
+    for bearing in BEARINGS_RAD:
+        aimed = replace(robot, reach_bearing=bearing)
+        if any(len(reach_distances(aimed, height)) for height in HEIGHTS_M):
+            return bearing
+    return 0.0
+
+
+@lru_cache(maxsize=1024)
+def reach_distances(robot: Robot, height_m: float) -> Array:
+    """Returns the distances [D] [m] from the robot's root, in its reach direction, at which its hand reaches what is this far
+    above the floor. Things lie on few heights, so answers are kept.
+
+    One counts when both its neighbours are reached too: a base does not stand to the millimetre.
+    """
+    distances = np.array(DISTANCES_M)
+    targets = np.stack([hand_target(robot, d, height_m) for d in distances])
+    reached = reach_posture(robot, targets).reached
+    return distances[1:-1][reached[1:-1] & reached[:-2] & reached[2:]]
+
+
+def hand_target(robot: Robot, distance_m: float, height_m: float) -> Array:
+    """Returns the pose7 of the hand, in the agent root frame, for a point at a distance in the reach direction."""
+    bearing = reach_bearing(robot)
+    x, z = (distance_m, 0.0) if bearing == 0 else (distance_m * np.cos(bearing), -distance_m * np.sin(bearing))
+    return np.array([x, height_m, z, *hand_turn(robot)])
+
+
+def _turned_left(angle: float) -> NDArray[np.float64]:
+    """Rotation about the upward axis."""
+    if angle == 0:
+        return np.eye(3)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+@lru_cache(maxsize=32)
+def _with_free_yaw(robot: Robot) -> Robot:
+    """A robot whose hand turns freely about what is vertical when it picks, through where it holds things: one more joint."""
+    c, s = np.cos(HAND_PITCH_RAD), np.sin(HAND_PITCH_RAD)
+    vertical = robot.hand_axes @ np.array([s, 0.0, c])
+    origin = np.eye(4)
+    origin[:3, 3] = robot.hand_position
+    hand = robot.links[robot.hand_link]
+    wrist = RobotLink(name="free_yaw", parent=robot.hand_link, mesh=None, shapes=(), inertial=hand.inertial)
+    return replace(
+        robot,
+        links=(*robot.links, wrist),
+        joint_names=(*robot.joint_names, "free_yaw"),
+        rest=np.append(robot.rest, 0.0),
+        lower=np.append(robot.lower, -FREE_YAW_RAD),
+        upper=np.append(robot.upper, FREE_YAW_RAD),
+        joint_links=np.append(robot.joint_links, len(robot.links)),
+        hand_link=len(robot.links),
+        hand_position=np.zeros(3),
+        origins=np.concatenate([robot.origins, origin[None]]),
+        axes=np.concatenate([robot.axes, vertical[None]]),
+        kinds=np.append(robot.kinds, 1),
+        columns=np.append(robot.columns, len(robot.joint_names)),
+        gains=np.append(robot.gains, 1.0),
+        offsets=np.append(robot.offsets, 0.0),
+    )
