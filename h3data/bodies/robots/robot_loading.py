@@ -17,7 +17,7 @@ from h3data.bodies.robots.robot_files import RobotFiles, find_robot
 from h3data.bodies.robots.robot_settings import CameraSettings, RobotSettings, read_settings
 from h3data.bodies.robots.stand_ins import with_stand_ins
 from h3data.bodies.robots.urdf import Urdf, UrdfJoint, UrdfLink, UrdfPart, read_urdf
-from h3data.geometry import normalized, pose_from_matrix
+from h3data.geometry import Array, normalized, pose_from_matrix
 from h3data.mesh.loading import DEFAULT_COLOR, load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import flat_shaded, joined, moved, painted
