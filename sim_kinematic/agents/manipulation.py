@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Robot
-from h3data.bodies.tuple_math import from_axes, inverse, multiply, plus, turned
+from h3data.bodies.people.kernels.tuple_math import from_axes, inverse, multiply, plus, turned
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.kernels import kernel

@@ -16,7 +16,7 @@ from sim_kinematic.torch.state import HumanTensors
 
 PHASES = 128
 """Parts of her cycle; within each, things move straight. From one to the next they may jump: while she sets off or stops, her
-posture does, where a foot comes down (`h3data.bodies.people.leg_kernel.settle`)."""
+posture does, where a foot comes down (`h3data.bodies.people.kernels.legs.settle`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -38,7 +38,7 @@ def draw_in(quats: Array, arms: ArrayLike) -> None:
     if shares.shape not in ((2,), (len(quats), 2)) or not np.isfinite(shares).all():
         raise InputError(f"Expected how far two arms are drawn in, [{len(quats)}, 2], got shape {list(shares.shape)}.")
     if shares.any():
-        from h3data.bodies.people.clip_kernel import tuck_all
+        from h3data.bodies.people.kernels.clips import tuck_all
 
         every = np.ascontiguousarray(np.broadcast_to(np.clip(shares, 0.0, 1.0), (len(quats), 2)))
         tuck_all(quats, every, _SHOULDERS, _IN)

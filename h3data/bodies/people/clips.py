@@ -29,7 +29,7 @@ from h3data.geometry import Array, quat_from_axis_angle, quat_multiply, quat_rot
 from h3data.geometry import quat_sign_continuous as sign_continuous
 
 if TYPE_CHECKING:
-    from h3data.bodies.people.clip_kernel import ClipArrays
+    from h3data.bodies.people.kernels.clips import ClipArrays
 
 STAND_BELOW_MPS = 0.15
 """Slower than this nobody steps: the standing clip plays."""
@@ -181,7 +181,7 @@ def _floor_heights(ground: ArrayLike, frames: int) -> Array:
 
 
 def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Array) -> tuple[Array, Array]:
-    from h3data.bodies.people.leg_kernel import settle_all
+    from h3data.bodies.people.kernels.legs import settle_all
 
     quats, pelvis, ankle, foot = (a.copy() for a in (moving.quats, moving.pelvis, moving.ankle, moving.foot))
     settle_all(legs.measures, _standing_arrays(legs), quats, pelvis, ankle, foot, phase, blend, ground)
@@ -209,8 +209,8 @@ class ClipTable:
 
     @cached_property
     def arrays(self) -> ClipArrays:
-        """For `h3data.bodies.people.clip_kernel`."""
-        from h3data.bodies.people.clip_kernel import ClipArrays
+        """For `h3data.bodies.people.kernels.clips`."""
+        from h3data.bodies.people.kernels.clips import ClipArrays
 
         return ClipArrays(
             legs=self.legs.measures, first=self.first, frames=self.frames, quats=self.quats, pelvis=self.pelvis,
@@ -239,10 +239,10 @@ def sample_clips(
 
     ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
     ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see
-    `h3data.bodies.people.leg_kernel.settle`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
+    `h3data.bodies.people.kernels.legs.settle`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
     relative to the root. Frames are interpolated: the motion is continuous.
     """
-    from h3data.bodies.people.clip_kernel import sample_all
+    from h3data.bodies.people.kernels.clips import sample_all
 
     motion, phase, blend = (
         np.asarray(np.atleast_1d(values), dtype)

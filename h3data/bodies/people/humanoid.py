@@ -159,7 +159,7 @@ class Humanoid:
 
     def joint_matrices(self, base_pose: ArrayLike, quats: Array, pelvis: Array) -> Array:
         """World matrices of the joints, [T, 55, 4, 4], from agent roots [T, 7] and what `clip_pose` returned."""
-        from h3data.bodies.people.clip_kernel import joint_frames
+        from h3data.bodies.people.kernels.clips import joint_frames
 
         base = _doubles(base_pose).reshape(-1, 7)
         frames = np.empty((len(quats), JOINT_COUNT, 4, 4))
@@ -169,7 +169,7 @@ class Humanoid:
     def joint_matrices_free(self, root_pose: ArrayLike, joint_quat: ArrayLike) -> Array:
         """World matrices [T, 55, 4, 4] of a free-form pose: pelvis frames [T, 7] in the world (body axes: +Z forward) and
         the local rotations of the other joints [T, 54, 4], SMPL-X order."""
-        from h3data.bodies.people.clip_kernel import free_joint_frames
+        from h3data.bodies.people.kernels.clips import free_joint_frames
 
         quats = _doubles(joint_quat)
         frames = np.empty((len(quats), JOINT_COUNT, 4, 4))

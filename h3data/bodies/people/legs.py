@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from h3data.geometry import Array, quat_from_axis_angle, quat_to_matrix
 
 if TYPE_CHECKING:
-    from h3data.bodies.people.leg_kernel import LegMeasures
+    from h3data.bodies.people.kernels.legs import LegMeasures
 
 X, Y, Z = np.eye(3)
 SIDES = (("left", 1.0, 0.0), ("right", -1.0, 0.5))
@@ -42,8 +42,8 @@ class Legs:
 
     @cached_property
     def measures(self) -> LegMeasures:
-        """For `h3data.bodies.people.leg_kernel`."""
-        from h3data.bodies.people.leg_kernel import LegMeasures
+        """For `h3data.bodies.people.kernels.legs`."""
+        from h3data.bodies.people.kernels.legs import LegMeasures
 
         return LegMeasures(
             np.ascontiguousarray(self.hips, np.float64), float(self.thigh), float(self.shank), LEG_MAX * self.length,
@@ -96,7 +96,7 @@ class SolvedLegs:
 
 def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
     """Two-bone legs from the hips to the ankles in closed form; knees point where the feet do and a little out."""
-    from h3data.bodies.people.leg_kernel import write_all_legs
+    from h3data.bodies.people.kernels.legs import write_all_legs
 
     quats, angles = posture.quats.copy(), np.empty((*posture.ankle.shape[:2], 3))
     write_all_legs(legs.measures, quats, posture.pelvis, posture.ankle, posture.foot, angles)
@@ -108,7 +108,7 @@ def solve_legs(legs: Legs, posture: Posture) -> SolvedLegs:
 
 def within_reach(legs: Legs, posture: Posture) -> Posture:
     """The pelvis lowered where a foot would be out of reach."""
-    from h3data.bodies.people.leg_kernel import sink_pelvis
+    from h3data.bodies.people.kernels.legs import sink_pelvis
 
     pelvis = posture.pelvis.copy()
     sink_pelvis(legs.measures, posture.quats, pelvis, posture.ankle)
@@ -117,7 +117,7 @@ def within_reach(legs: Legs, posture: Posture) -> Posture:
 
 def lowest_point(legs: Legs, ankle: Array, foot: Array) -> Array:
     """Height [T, 2] [m] of each sole's lowest point, heel or toe tip, for ankles and angles as in `Posture`."""
-    from h3data.bodies.people.leg_kernel import lowest_points
+    from h3data.bodies.people.kernels.legs import lowest_points
 
     heights = np.empty(ankle.shape[:2])
     lowest_points(legs.feet, ankle, foot, heights)

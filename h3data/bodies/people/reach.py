@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from h3data.bodies.people import reach_kernel as kernel
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.humanoid_file import read_arrays
-from h3data.bodies.people.reach_kernel import ReachBody, reach_many
+from h3data.bodies.people.kernels.reach import ReachBody, reach_many
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError
@@ -104,7 +104,7 @@ class ReachPoses(NamedTuple):
     status: NDArray[np.int8]
     """Index into `STATUSES`, shape [T]."""
     measures: Array
-    """Shape [T, M]; columns are named in `h3data.bodies.people.reach_kernel`."""
+    """Shape [T, M]; columns are named in `h3data.bodies.people.kernels.reach`."""
 
 
 def reach(body: Humanoid, target: ArrayLike, hand: Hand = "right") -> ReachResult:

@@ -14,9 +14,9 @@ from numba import njit
 
 from bake.people.humanoid import write_npz
 from h3data.bodies import humanoid_names, load_humanoid
-from h3data.bodies.people import reach_kernel as k
+from h3data.bodies.people.kernels import reach as k
+from h3data.bodies.people.kernels.reach import ReachBody, pose_for
 from h3data.bodies.people.reach import TABLE_FILE, TABLE_FORMAT, Reacher, Table, reach_body
-from h3data.bodies.people.reach_kernel import ReachBody, pose_for
 from h3data.builtin import builtin_root
 from h3data.geometry import Array
 from h3data.kernels import kernel

@@ -13,10 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from h3data.bodies.people.leg_kernel import KNEES_OUT, solve_leg
-from h3data.bodies.people.legs import LEG_MAX
-from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.bodies.tuple_math import (
+from h3data.bodies.people.kernels.legs import KNEES_OUT, solve_leg
+from h3data.bodies.people.kernels.tuple_math import (
     cross,
     dot,
     from_axes,
@@ -32,6 +30,8 @@ from h3data.bodies.tuple_math import (
     turned,
     unit,
 )
+from h3data.bodies.people.legs import LEG_MAX
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel
 

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from h3data.bodies.people.leg_kernel import LegMeasures, settle, stand_on, write_legs
-from h3data.bodies.tuple_math import inverse, multiply, nlerp, normalized, put, row3, row4, turned
+from h3data.bodies.people.kernels.legs import LegMeasures, settle, stand_on, write_legs
+from h3data.bodies.people.kernels.tuple_math import inverse, multiply, nlerp, normalized, put, row3, row4, turned
 from h3data.geometry import Array
 from h3data.kernels import kernel
 

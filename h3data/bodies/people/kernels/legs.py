@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.bodies.tuple_math import (
+from h3data.bodies.people.kernels.tuple_math import (
     cross,
     dot,
     from_axes,
@@ -29,6 +28,7 @@ from h3data.bodies.tuple_math import (
     turned,
     unit,
 )
+from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel
 

@@ -1,0 +1,1 @@
+"""Compiled: clips, legs, the joint tree and reaching, for many poses or for one."""
