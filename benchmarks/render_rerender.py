@@ -17,7 +17,7 @@ from h3data.replay import CameraTrack, Replay, camera_track
 from h3data.replay.stage import Stage
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.outputs import Format, Target
-from h3data_pipelines.pictures.drawing import draw_files
+from h3data_pipelines.pictures.rendering import render_files
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
@@ -63,7 +63,7 @@ def run(emit: Emit) -> None:
 
 def _files(replay: Replay, track: CameraTrack, folder: Path, form: Format) -> None:
     targets = [Target.named(folder, "bench", "bench", output, form) for output in OUTPUTS]
-    draw_files(replay, [(track, targets)], steps=range(len(replay)), threads=1, description=form)
+    render_files(replay, [(track, targets)], steps=range(len(replay)), threads=1, description=form)
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import h3data
 from h3data.render import depth_to_rgb, instance_to_rgb
 from h3data.replay import camera_track
-from h3data_pipelines.pictures.drawing import draw_trajectories
+from h3data_pipelines.pictures.rendering import draw_trajectories
 
 HEIGHT = 420
 

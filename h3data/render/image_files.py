@@ -43,6 +43,11 @@ def _png_options() -> list[int]:
     return [word for option in options.items() for word in option]
 
 
+def write_image(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
+    """Writes RGB uint8 [H, W, 3] as PNG if ``path`` ends in ``.png``, else as JPEG."""
+    (write_png if os.fspath(path).lower().endswith(".png") else write_jpg)(path, image)
+
+
 def write_jpg(path: str | os.PathLike[str], image: NDArray[np.uint8], *, quality: int = 90) -> None:
     """Writes RGB uint8 [H, W, 3] as JPEG."""
     import cv2

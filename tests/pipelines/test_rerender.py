@@ -111,7 +111,7 @@ def test_what_is_complete_is_kept(episode: Path, tmp_path: Path, capsys: pytest.
         "near": {"rgb", "depth"}, "robot_arm": {"rgb", "depth"}
     }  # fmt: skip
     other = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, code=2)
-    assert "made of something else" in other["error"]
+    assert "made from another recording" in other["error"]
     changed = rerender(capsys, episode, "--steps", "0:7", "-o", tmp_path, *near, "--force")["recordings"][0]
     assert changed["kept"] == []
     assert len(json.loads(Path(first["cameras"]).read_text())["cameras"]["near"]["steps"]) == 7

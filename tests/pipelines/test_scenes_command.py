@@ -258,7 +258,7 @@ def test_a_bad_habitat_scene_is_reported_and_drawn(tmp_path: Path, capsys: pytes
     assert (np.abs(image.astype(int) - PROBLEM_COLOR).sum(-1) < 30).sum() > 200
     assert main(["scenes", "validate", str(config)]) == 1
     out = capsys.readouterr().out
-    assert "cm inside each other" in out
+    assert "overlap by " in out
     assert "bad.scene_dataset_config.json: " in out or "two_rooms.scene_dataset_config.json: " in out
 
 
@@ -362,7 +362,7 @@ def test_export_habitat_can_be_used_at_once(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("show", "small", "-o", "x.png"), "give a seed"),
+        (("show", "small", "-o", "x.png"), "add a seed"),
         (("show", "huge:3", "-o", "x.png"), "Unknown scenes"),
         (("show", "nowhere.glb", "-o", "x.png"), "no such scene"),
         (("show", "small:3", "-o", "x.gif"), "ends in .png"),
@@ -373,7 +373,7 @@ def test_export_habitat_can_be_used_at_once(tmp_path: Path, capsys: pytest.Captu
         (("export", "small:3", "small:3", "--to", "glb", "-o", "out"), "same name"),
         (("export", "small:3", "small:3", "--to", "habitat", "-o", "out"), "different names"),
         (("export", "--to", "glb", "-o", "out"), "at least one scene"),
-        (("export", "small", "--to", "glb", "-o", "out"), "give a seed"),
+        (("export", "small", "--to", "glb", "-o", "out"), "add a seed"),
         (("validate",), "at least one scene"),
         (("validate", "small:3", "--radius", "0"), "--radius"),
     ],

@@ -16,8 +16,8 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.cli import main
 from h3data_viewers import write_rrd
-from h3data_viewers.rerun.mesh_detail import thin_mesh
-from h3data_viewers.rerun.rerun_bodies import SKIN_VERTICES
+from h3data_viewers.rerun.entities import SKIN_VERTICES
+from h3data_viewers.rerun.mesh_budget import thin_mesh
 from sim_kinematic.motion.spec import SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 from tests.viewers.rerun_file import File
@@ -147,8 +147,8 @@ def test_people_have_the_replays_skin(folder: Path, tmp_path: Path, free: bool) 
 @pytest.mark.parametrize(
     ("first", "second", "message"),
     [
-        ("long.mcap", "long.mcap", "the same one twice"),
-        ("ds#1", "../{folder}/ds#1", "the same one twice"),
+        ("long.mcap", "long.mcap", "got the first one again"),
+        ("ds#1", "../{folder}/ds#1", "got the first one again"),
         ("long.mcap", "gone.mcap", "gone.mcap"),
         ("gone.mcap", "long.mcap", "gone.mcap"),
         ("long.mcap", "ds", "#0"),
@@ -183,7 +183,7 @@ def test_from_a_uri(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["view", str(uri)]) == 2
     assert "-o" in capsys.readouterr().err
     assert main(["view", str(uri), "--compare", str(uri), "-o", str(tmp_path / "f.rrd")]) == 2
-    assert "the same one twice" in capsys.readouterr().err
+    assert "got the first one again" in capsys.readouterr().err
 
 
 def test_the_default_place_is_beside_the_recording(folder: Path) -> None:

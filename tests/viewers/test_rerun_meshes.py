@@ -9,7 +9,7 @@ import pytest
 
 from h3data.mesh.mesh import Mesh, Texture
 from h3data_viewers import write_rrd
-from h3data_viewers.rerun.mesh_detail import baked_colors, thin_mesh, view_mesh
+from h3data_viewers.rerun.mesh_budget import baked_colors, thin_mesh, view_mesh
 from tests.viewers.rerun_file import File, Stage, Thing, example, sphere
 
 pytest.importorskip("rerun")
@@ -36,8 +36,8 @@ def test_meshes_without_normals_become_facets():
 
 
 def test_too_large_scenes_are_thinned(tmp_path, monkeypatch):
-    monkeypatch.setattr("h3data_viewers.rerun.rerun_bodies.MESH_BYTES", 40_000)
-    monkeypatch.setattr("h3data_viewers.rerun.rerun_bodies.SKIN_BYTES", 60_000)
+    monkeypatch.setattr("h3data_viewers.rerun.entities.MESH_BYTES", 40_000)
+    monkeypatch.setattr("h3data_viewers.rerun.entities.SKIN_BYTES", 60_000)
     big = sphere(4000)
     stage = Stage(example())
     stage.drawables = [Thing(name="statue", mesh=big, matrix=np.eye(4)), stage.drawables[5]]
@@ -96,7 +96,7 @@ def test_every_triangle_keeps_its_texture(tmp_path, normals):
 
 
 def test_textures_are_halved_until_they_fit(tmp_path, monkeypatch):
-    monkeypatch.setattr("h3data_viewers.rerun.rerun_bodies.TEXTURE_BYTES", 2 * (48 + 3 * 16 * 256))
+    monkeypatch.setattr("h3data_viewers.rerun.entities.TEXTURE_BYTES", 2 * (48 + 3 * 16 * 256))
     stage = Stage(example())
     mesh = two_textures(normals=True)
     stage.drawables = [Thing(name=n, mesh=mesh, matrix=np.eye(4)) for n in "ab"]

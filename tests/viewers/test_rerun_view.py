@@ -18,10 +18,10 @@ from h3data.geometry import (
 from h3data.recording.records import STEP_NS, Agent, InputEvent, Recording
 from h3data.render.camera import look_at, orthographic, pinhole
 from h3data_viewers import CameraFeed, write_rrd
-from h3data_viewers.rerun import rerun_bodies
-from h3data_viewers.rerun.rerun_cameras import frame_steps
-from h3data_viewers.rerun.rerun_sink import Sink
-from h3data_viewers.rerun.rerun_tracks import lanes_of, log_scalars
+from h3data_viewers.rerun import transforms
+from h3data_viewers.rerun.cameras import frame_steps
+from h3data_viewers.rerun.sink import Sink
+from h3data_viewers.rerun.timeseries import lanes_of, log_scalars
 from tests.viewers.rerun_file import STEPS, File, Stage, example
 
 pytest.importorskip("rerun")
@@ -72,7 +72,7 @@ def test_things_at_rest_cost_one_row(written):
 @pytest.mark.parametrize("block", [1, 10, 7])
 def test_blocks_of_steps_show_the_same(tmp_path, monkeypatch, written, block):
     recording, stage, file = written
-    monkeypatch.setattr(rerun_bodies, "BLOCK_STEPS", block)
+    monkeypatch.setattr(transforms, "BLOCK_STEPS", block)
     again = File(write_rrd(recording, tmp_path / "e.rrd", replay=stage))
     for entity in ("/world/spot", "/world/alex", "/world/spot/leg", "/world/objects/cup"):
         assert again.column(entity, "Transform3D:translation")[0].tolist() == (
@@ -83,7 +83,7 @@ def test_blocks_of_steps_show_the_same(tmp_path, monkeypatch, written, block):
 
 
 def test_what_appears_late_is_hidden_before(tmp_path, monkeypatch):
-    monkeypatch.setattr(rerun_bodies, "BLOCK_STEPS", 4)
+    monkeypatch.setattr(transforms, "BLOCK_STEPS", 4)
     recording = example()
     pose = recording.agent_column(1, "base_pose").copy()
     pose[:13] = np.nan
@@ -220,21 +220,21 @@ def test_camera_pictures(tmp_path):
     assert stills.at("/world/cameras/cam", "Pinhole:resolution", 0) == [[320.0, 240.0]]
 
     own = CameraFeed(camera=feed.camera, video=clip, steps=np.arange(20) * 2)
-    whole = File(write_rrd(example(), tmp_path / "video.rrd", cameras=[own], pictures="video"))
+    whole = File(write_rrd(example(), tmp_path / "video.rrd", cameras=[own], images="video"))
     steps, stamps = whole.column("/world/cameras/cam/image", "VideoFrameReference:timestamp")
     assert steps.tolist() == list(range(0, 40, 2))
     assert len({s[0] for s in stamps}) == 20
     assert frame_steps(20, 60).tolist() == list(range(0, 60, 3))
 
 
-@pytest.mark.parametrize("pictures", ["stills", "video"])
-def test_a_bad_video_is_refused_and_leaves_nothing(tmp_path, pictures):
+@pytest.mark.parametrize("images", ["stills", "video"])
+def test_a_bad_video_is_refused_and_leaves_nothing(tmp_path, images):
     bad = tmp_path / "bad.mp4"
     bad.write_bytes(b"not a video at all" * 50)
     target = tmp_path / "out.rrd"
     camera = pinhole(64, 48, hfov_deg=60)
-    with pytest.raises(InputError, match="Not a video"):
-        write_rrd(example(), target, cameras=[CameraFeed(camera=camera, video=bad)], pictures=pictures)
+    with pytest.raises(InputError, match=r"Expected a (readable )?video"):
+        write_rrd(example(), target, cameras=[CameraFeed(camera=camera, video=bad)], images=images)
     with pytest.raises(InputError, match="do not exist"):
         write_rrd(example(), target, cameras=[CameraFeed(camera=camera, video=tmp_path / "none.mp4")])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.mp4"]
@@ -249,7 +249,7 @@ def test_videos_by_name_need_a_replay_that_knows_cameras(tmp_path):
 def test_a_file_is_replaced_only_on_request_and_only_by_a_whole_one(tmp_path, capfd):
     target = tmp_path / "e.rrd"
     target.write_bytes(b"precious")
-    with pytest.raises(InputError, match="file already"):
+    with pytest.raises(InputError, match="already exists"):
         write_rrd(example(), target)
 
     class Broken(Stage):
@@ -287,8 +287,8 @@ def test_drawn_pictures_and_lenses_without_a_frustum(tmp_path):
 
     pictures = [(step, np.full((24, 32, 3), (200, 2 * step, 0), np.uint8)) for step in range(0, STEPS, 7)]
     feeds = [
-        CameraFeed(camera=pinhole(64, 48, hfov_deg=60, name="drawn"), drawn=iter(pictures)),
-        CameraFeed(camera=orthographic(64, 48, width_m=3.0, name="plan"), drawn=iter(pictures[:1])),
+        CameraFeed(camera=pinhole(64, 48, hfov_deg=60, name="drawn"), stills=iter(pictures)),
+        CameraFeed(camera=orthographic(64, 48, width_m=3.0, name="plan"), stills=iter(pictures[:1])),
     ]
     file = File(write_rrd(example(), tmp_path / "e.rrd", cameras=feeds))
     steps, blobs = file.column("/world/cameras/drawn/image", "EncodedImage:blob")

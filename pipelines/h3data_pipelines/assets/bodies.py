@@ -1,4 +1,4 @@
-"""``h3data bodies``: who there is to simulate, what they look like, and new ones."""
+"""``h3data bodies``: lists, shows and bakes the bodies of people."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEADINGS_DEG = {"front": -90.0, "back": 90.0, "side": 0.0}
 
 @dataclass(frozen=True)
 class BodiesShow:
-    """Draw people: standing, one cycle of their walk, or reaching. Without -o only list them.
+    """Render people standing, walking or reaching. Without -o, only list them.
 
     Examples:
         h3data bodies show
@@ -29,25 +29,28 @@ class BodiesShow:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Built-in bodies or .npz files; nothing means all built-in ones."""
+    """Built-in bodies or .npz files (default: all built-in bodies)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
     view: Literal["front", "back", "side", "walk", "reach"] = "front"
-    """From where; walk draws one cycle, seen from the right; reach draws them reaching, and one who picks and places."""
+    """Direction of view; or walk: one gait cycle from the right; or reach: reaching poses, and the first body picking up
+    and placing a mug."""
     speed: float = 1.3
-    """For --view walk [m/s]."""
+    """Walking speed for --view walk [m/s]."""
     lod: bool = False
-    """Draw the light meshes."""
+    """Render the low-detail meshes."""
     width: int = 1600
-    """Of the picture [pixels]."""
+    """Width of the image [pixels]."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.render.image_files import write_image
+
         people = [load_humanoid(name) for name in self.names or humanoid_names()]
         rows = [_row(body) for body in people]
         lines = [
-            f"{r['name']:<12} {r['height_m']:.2f} m  {r['vertices']:>6} vertices, light {r['lod_vertices']}"
+            f"{r['name']:<12} {r['height_m']:.2f} m  {r['vertices']:>6} vertices, low detail {r['lod_vertices']}"
             for r in rows
         ]
         if self.out is None:
@@ -56,14 +59,16 @@ class BodiesShow:
             raise InputError(f"--width must be from 200 to 8000, got {self.width}.")
         if not 0 < self.speed <= 4:
             raise InputError(f"--speed must be above 0 and at most 4 m/s, got {self.speed}.")
-        target = _picture(self.out, force=self.force)
-        image = self._draw(people)
-        _write(target, image)
+        if self.out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+            raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
+        target = claim_file(self.out, force=self.force)
+        image = self._render(people)
+        write_image(target, image)
         height, width = image.shape[:2]
         data = {"file": str(target), "width": width, "height": height, "bodies": rows}
         return Outcome(text=f"wrote {target} ({width}x{height}, {len(people)} bodies)", data=data)
 
-    def _draw(self, people: list[Humanoid]) -> Any:
+    def _render(self, people: list[Humanoid]) -> Any:
         from h3data.render.sheets.people_sheet import sheet_picture, walk_picture
 
         if self.view == "walk":
@@ -78,128 +83,129 @@ class BodiesShow:
 
 @dataclass(frozen=True)
 class BodiesBake:
-    """Make a body: from phenotype parameters (extra `bodies`: pip install 'h3data[bodies]'), or from your own SMPL-X file.
+    """Bake a body from phenotype parameters (needs pip install 'h3data[bodies]') or from your own SMPL-X model file.
 
-    The file then serves wherever a body's name does: --human me.npz.
+    The resulting file can be given wherever a body's name is expected: --human me.npz. Baking runs in a checkout of the
+    repository only.
 
     Examples:
         h3data bodies bake -o me.npz --gender 0.3 --stature 1.82 --weight 0.6 --age 0.8
-        h3data bodies bake -o her.npz --gender 1 --stature 1.58 --skin 150,100,74 --shirt 60,120,90 --shorts
+        h3data bodies bake -o short.npz --gender 1 --stature 1.58 --skin 150,100,74 --shirt 60,120,90 --shorts
         h3data bodies bake -o smplx.npz --smplx SMPLX_NEUTRAL.npz --betas 0.5 -1.2 0.3
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """File to write (.npz); its name becomes the body's name."""
+    """.npz file to write; its stem becomes the body's name."""
     gender: float = 0.5
-    """0 male to 1 female."""
+    """From 0 (male) to 1 (female)."""
     age: float = 0.67
-    """0.67 young to 1 old; adults only."""
+    """From 0.6 (young adult) to 1 (old)."""
     stature: float = 1.70
-    """[m]."""
+    """Standing height [m]."""
     weight: float = 0.45
-    """0 thin to 1 heavy."""
+    """From 0 (thin) to 1 (heavy)."""
     muscle: float = 0.5
-    """0 to 1."""
+    """Muscularity from 0 to 1."""
     african: float = 0.0
-    """Share of features; the rest of the two is Caucasian."""
+    """Share of African features; what --african and --asian leave is Caucasian."""
     asian: float = 0.0
-    """Share of features."""
+    """Share of Asian features."""
     skin: str = "200,150,118"
-    """sRGB."""
+    """Skin colour (sRGB)."""
     shirt: str = "86,128,160"
-    """sRGB."""
+    """Colour of the shirt (sRGB)."""
     trousers: str = "64,70,84"
-    """sRGB."""
+    """Colour of the trousers (sRGB)."""
     shoes: str = "90,86,84"
-    """sRGB."""
+    """Colour of the shoes (sRGB)."""
     hair: str = "60,44,34"
-    """sRGB."""
+    """Colour of the hair (sRGB)."""
     hairline: Literal["over ears", "short"] = "over ears"
-    """How the hair is cut."""
+    """Length of the hair."""
     long_sleeves: bool = False
-    """Instead of a T-shirt."""
+    """A long-sleeved shirt instead of a T-shirt."""
     shorts: bool = False
-    """Instead of long trousers."""
+    """Shorts instead of long trousers."""
     smplx: Path | None = None
-    """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); then only --betas and --skin count."""
+    """Your own licensed SMPL-X model file (SMPLX_NEUTRAL.npz); of the options above, only --skin applies to it."""
     betas: tuple[float, ...] = ()
-    """Shape coefficients of SMPL-X."""
+    """Shape coefficients for --smplx."""
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         if self.out.suffix != ".npz":
             raise InputError(f"Expected a file name that ends in .npz, got: {self.out}")
-        limits = (("gender", 0, 1), ("age", 0.6, 1), ("stature", 1.4, 2.1), ("weight", 0, 1), ("muscle", 0, 1),
-                  ("african", 0, 1), ("asian", 0, 1 - self.african))  # fmt: skip
-        for name, low, high in limits:
+        limits = {
+            "gender": (0, 1),
+            "age": (0.6, 1),
+            "stature": (1.4, 2.1),
+            "weight": (0, 1),
+            "muscle": (0, 1),
+            "african": (0, 1),
+            "asian": (0, 1 - self.african),
+        }
+        for name, (low, high) in limits.items():
             if not low <= getattr(self, name) <= high:
                 raise InputError(f"--{name} must be from {low} to {high}, got {getattr(self, name)}.")
         colors = {name: _color(name, getattr(self, name)) for name in ("skin", "shirt", "trousers", "shoes", "hair")}
         target = claim_file(self.out, force=self.force)
-        if self.smplx is not None:
-            from bake.people.smplx import bake_smplx
-
-            bake_smplx(self.smplx, target, betas=self.betas, color=colors["skin"])
-        else:
+        try:
             self._bake(target, colors)
+        except ModuleNotFoundError as error:
+            if (error.name or "").startswith("bake"):
+                hint = "Run the command in a checkout of the repository: the package has the baked bodies only."
+            else:
+                hint = "pip install 'h3data[bodies]'"
+            raise InputError(f"Baking needs the module {error.name}, which is not installed. Hint: {hint}") from None
         load_humanoid.cache_clear()
         body = load_humanoid(target)
         return Outcome(text=f"wrote {target}: {body}", data={"file": str(target), **_row(body)})
 
     def _bake(self, target: Path, colors: dict[str, tuple[int, int, int]]) -> None:
+        if self.smplx is not None:
+            from bake.people.smplx import bake_smplx
+
+            bake_smplx(self.smplx, target, betas=self.betas, color=colors["skin"])
+            return
         from bake.people.designs import BodySpec, Outfit, phenotype
         from bake.people.humanoid import bake_bodies
 
-        made = phenotype(
+        parameters = phenotype(
             self.gender, age=self.age, muscle=self.muscle, weight=self.weight, african=self.african, asian=self.asian
         )
         outfit = Outfit(
-            skin=colors["skin"], shirt=colors["shirt"], trousers=colors["trousers"], shoes=colors["shoes"],
-            hair=colors["hair"], hairline=self.hairline, long_sleeves=self.long_sleeves, shorts=self.shorts,
-        )  # fmt: skip
-        try:
-            bake_bodies({target.stem: BodySpec(phenotype=made, stature_m=self.stature, outfit=outfit)}, target.parent)
-        except ModuleNotFoundError as error:
-            raise InputError(f"Baking needs {error.name}. Hint: pip install 'h3data[bodies]'.") from None
+            skin=colors["skin"],
+            shirt=colors["shirt"],
+            trousers=colors["trousers"],
+            shoes=colors["shoes"],
+            hair=colors["hair"],
+            hairline=self.hairline,
+            long_sleeves=self.long_sleeves,
+            shorts=self.shorts,
+        )
+        spec = BodySpec(phenotype=parameters, stature_m=self.stature, outfit=outfit)
+        bake_bodies({target.stem: spec}, target.parent)
 
 
 BODIES = Group(
-    "People: show the built-in ones, bake new ones.",
+    "Bodies of people: list and show the built-in ones, bake new ones.",
     {"show": BodiesShow, "bake": BodiesBake},
 )
 
 
 def _row(body: Humanoid) -> dict[str, Any]:
     return {
-        "name": body.name, "height_m": body.height_m, "vertices": len(body.mesh.vertices),
-        "lod_vertices": len(body.lod_mesh.vertices), "phenotype": dict(body.phenotype),
-    }  # fmt: skip
+        "name": body.name,
+        "height_m": body.height_m,
+        "vertices": len(body.mesh.vertices),
+        "lod_vertices": len(body.lod_mesh.vertices),
+        "phenotype": dict(body.phenotype),
+    }
 
 
 def _color(name: str, text: str) -> tuple[int, int, int]:
     parts = text.split(",")
     if len(parts) != 3 or not all(p.strip().isdecimal() and int(p) <= 255 for p in parts):
-        raise InputError(f"--{name} must be a colour as 200,150,118 (sRGB, 0 to 255), got {text!r}.")
+        raise InputError(f"--{name} must be an sRGB colour such as 200,150,118 (0 to 255 each), got {text!r}.")
     return int(parts[0]), int(parts[1]), int(parts[2])
-
-
-def _picture(path: Path, *, force: bool) -> Path:
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise InputError(f"Expected a file name that ends in .png or .jpg, got: {path}")
-    return claim_file(path, force=force)
-
-
-def _write(path: Path, image: Any) -> None:
-    from h3data.render import write_png
-
-    if path.suffix.lower() == ".png":
-        write_png(path, image)
-        return
-    import cv2
-
-    from h3data.files import part_file
-
-    data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
-    with part_file(path) as part:
-        part.write_bytes(data.tobytes())

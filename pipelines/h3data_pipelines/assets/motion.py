@@ -1,4 +1,4 @@
-"""``h3data motion``: motion of other programs (AMASS, Habitat, BVH) on our bodies, and what it looks like."""
+"""``h3data motion``: imports motion capture (AMASS, Habitat, BVH) and shows it on our bodies."""
 
 from __future__ import annotations
 
@@ -21,23 +21,24 @@ from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_
 
 KindChoice = Annotated[
     Literal["auto", "motion", "amass", "habitat", "bvh"],
-    tyro.conf.arg(help="What the files are; auto looks into them."),
+    tyro.conf.arg(help="Format of the files; auto detects it from their contents."),
 ]
-UpChoice = Annotated[Literal["z", "y"], tyro.conf.arg(help="AMASS: axis of the file's world that points up.")]
-FpsChoice = Annotated[float | None, tyro.conf.arg(help="AMASS: frames per second, for files that do not say.")]
+UpChoice = Annotated[Literal["z", "y"], tyro.conf.arg(help="AMASS: up axis of the file's world frame.")]
+FpsChoice = Annotated[float | None, tyro.conf.arg(help="AMASS: frame rate [1/s] of files that do not state it.")]
 NamesChoice = Annotated[
-    str | None, tyro.conf.arg(help="BVH: joint names, one of cmu, mixamo, lafan or a TOML file; default: what fits.")
+    str | None,
+    tyro.conf.arg(help="BVH: joint names: cmu, mixamo, lafan or a TOML file (default: the convention that matches)."),
 ]
 UnitChoice = Annotated[
-    float | None, tyro.conf.arg(help="BVH: metres per unit; default: what makes the legs a person's.")
+    float | None, tyro.conf.arg(help="BVH: metres per unit (default: the unit that gives legs of human length).")
 ]
 
 
 @dataclass(frozen=True)
 class MotionImport:
-    """Read motion files and store each as one .npz that every command here reads. Folders are walked.
+    """Convert motion files to .npz files that all h3data commands read. Folders are searched recursively.
 
-    Without --body the motion stays as recorded and is fitted to a body when it is used; with it, it is fitted now.
+    Without --body, the motion stays as recorded and is retargeted whenever it is used; with --body, it is retargeted once.
 
     Examples:
         h3data motion import walk.bvh -o motions/
@@ -46,18 +47,18 @@ class MotionImport:
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """Motion files (.npz, .pkl, .bvh) or folders that hold some."""
+    """Motion files (.npz, .pkl, .bvh) or folders of them."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the motions; files of a folder keep their place below it."""
+    """Folder for the converted motions; files from a folder keep their relative paths."""
     body: str | None = None
-    """Built-in body or .npz file to fit them to."""
+    """Built-in body or .npz file to retarget to."""
     kind: KindChoice = "auto"
     up: UpChoice = "z"
     fps: FpsChoice = None
     names: NamesChoice = None
     unit_m: UnitChoice = None
     source: str = ""
-    """Origin and licence, kept in the files."""
+    """Origin and licence, stored in the files."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -68,7 +69,8 @@ class MotionImport:
         body = load_humanoid(self.body) if self.body else None
         sources = _collect(self.paths, self.out)
         if len(sources) == 1 and sources[0][0] in self.paths:
-            return _report([self._one(*sources[0], body, options, set())])  # refused as a whole if it cannot be read
+            # A single file that cannot be read is an error of the command, not a row of its report.
+            return _report([self._convert(*sources[0], body, options, set())])
         rows: list[dict[str, Any]] = []
         written: set[Path] = set()
         for path, target in tqdm(sources, desc="motion import", unit="file", disable=None):
@@ -82,18 +84,18 @@ class MotionImport:
                 rows.append({"source": str(path), "status": "failed", "reason": str(error)})
                 continue
             try:
-                rows.append(self._one(path, target, body, options, written))
+                rows.append(self._convert(path, target, body, options, written))
             except H3DataError as error:
                 rows.append({"source": str(path), "status": "failed", "reason": str(error)})
         return _report(rows)
 
-    def _one(
+    def _convert(
         self, path: Path, target: Path, body: Humanoid | None, options: ReadOptions, written: set[Path]
     ) -> dict[str, Any]:
         kind: MotionKind = motion_kind(path) if self.kind == "auto" else self.kind
         motion = read_motion(path, kind=kind, options=options)
         if target in written:
-            raise InputError(f"Another input of this run became {target}. Import this one with another -o: {path}")
+            raise InputError(f"Another input of this run was written to {target}. Give this one a different -o: {path}")
         row: dict[str, Any] = {"source": str(path), "status": "imported", "kind": kind, "motion": str(target)}
         if body is not None:
             motion = retarget(motion, body)
@@ -107,7 +109,7 @@ class MotionImport:
 
 @dataclass(frozen=True)
 class MotionShow:
-    """Draw motion: poses side by side (.png, .jpg), or a video (.mp4). Without -o only say what is in the files.
+    """Render motion as poses side by side (.png, .jpg) or as a video (.mp4). Without -o, only print facts about it.
 
     Examples:
         h3data motion show walk.bvh
@@ -117,17 +119,17 @@ class MotionShow:
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """Motion files of any kind: imported ones, AMASS, Habitat, BVH."""
+    """Motion files: imported, AMASS, Habitat or BVH."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG, JPEG or MP4 file to write."""
     body: str = "neutral_0"
-    """Who performs it: built-in body or .npz file."""
+    """Built-in body or .npz file that performs the motion."""
     frames: int = 8
-    """Poses in a strip."""
+    """Number of poses per motion."""
     cycle: bool = False
-    """Find one cycle and show that."""
+    """Find and show a single gait cycle."""
     width: int = 1600
-    """Of the picture [pixels]; videos have 960x540."""
+    """Width of the image [pixels]; videos are 960x540."""
     kind: KindChoice = "auto"
     up: UpChoice = "z"
     fps: FpsChoice = None
@@ -147,7 +149,7 @@ class MotionShow:
         if video and len(self.paths) > 1:
             raise InputError(f"A video shows one motion, got {len(self.paths)} files.")
         if video and self.cycle:
-            raise InputError("--cycle is for pictures; a video shows the whole motion.")
+            raise InputError("--cycle applies to images only; a video shows the whole motion.")
         options = _options(self.up, self.fps, self.names, self.unit_m, "")
         body = load_humanoid(self.body)
         motions = [retarget(read_motion(p, kind=self.kind, options=options), body) for p in self.paths]
@@ -160,7 +162,7 @@ class MotionShow:
         if video:
             data["frames"] = write_video(motions[0], body, self.body, target)
         else:
-            self._draw(motions, body, target)
+            self._write_strips(motions, body, target)
         return Outcome(text=f"{text}\nwrote {target}", data=data)
 
     def _row(self, motion: Motion, body: Humanoid) -> dict[str, Any]:
@@ -169,14 +171,15 @@ class MotionShow:
         if self.cycle:
             clip = trim_to_cycle(motion, body)
             row |= {
-                "cycle_s": clip.period_s, "stride_m": clip.stride_m, "speed_mps": clip.speed_mps,
+                "cycle_s": clip.period_s,
+                "stride_m": clip.stride_m,
+                "speed_mps": clip.speed_mps,
                 "turn_deg": float(np.degrees(clip.turn_rad)),
-            }  # fmt: skip
+            }
         return row
 
-    def _draw(self, motions: list[Motion], body: Humanoid, target: Path) -> None:
-        from h3data.render import write_png
-        from h3data.render.image_files import write_jpg
+    def _write_strips(self, motions: list[Motion], body: Humanoid, target: Path) -> None:
+        from h3data.render.image_files import write_image
         from h3data.render.sheets.motion_sheet import clip_picture, motion_picture
 
         strips = []
@@ -186,11 +189,11 @@ class MotionShow:
             else:
                 strip = motion_picture(motion, body, frames=self.frames, width=self.width)
             strips.append(_labelled(strip, motion.name))
-        (write_png if target.suffix.lower() == ".png" else write_jpg)(target, np.concatenate(strips))
+        write_image(target, np.concatenate(strips))
 
 
 MOTION = Group(
-    "Motion capture on our bodies: import AMASS, Habitat and BVH files, show them.",
+    "Motion capture: import AMASS, Habitat and BVH files, show them on our bodies.",
     {"import": MotionImport, "show": MotionShow},
 )
 
@@ -206,37 +209,41 @@ def _options(
 
 
 def _collect(paths: tuple[Path, ...], out: Path) -> list[tuple[Path, Path]]:
-    """Every file with the motion that it becomes; files of a folder keep their place below it."""
+    """Pairs of input file and output file; files from a folder keep their relative paths."""
     sources: list[tuple[Path, Path]] = []
     for path in paths:
         if path.is_dir():
-            found = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in SUFFIXES)
-            if not found:
-                raise InputError(f"No {', '.join(SUFFIXES)} file in this folder: {path}")
-            sources += [(p, out / p.relative_to(path).parent / f"{p.stem}.npz") for p in found]
+            files = sorted(p for p in path.rglob("*") if p.is_file() and p.suffix.lower() in SUFFIXES)
+            if not files:
+                raise InputError(f"Expected {', '.join(SUFFIXES)} files, there are none in this folder: {path}")
+            sources += [(p, out / p.relative_to(path).parent / f"{p.stem}.npz") for p in files]
         elif path.exists():
             sources.append((path, out / f"{path.stem}.npz"))
         else:
-            raise InputError(f"There is no such file or folder. Expected motion (.npz, .pkl, .bvh): {path}")
+            raise InputError(f"Expected a motion file (.npz, .pkl, .bvh) or a folder, this does not exist: {path}")
     return sources
 
 
 def _facts(motion: Motion) -> dict[str, Any]:
     return {
-        "frames": len(motion), "fps": motion.fps, "seconds": round(motion.duration_s, 3), "way_m": round(motion.way_m, 3),
-        "leg_m": motion.leg_m, "body": motion.body, "source_note": motion.source,
-    }  # fmt: skip
+        "frames": len(motion),
+        "fps": motion.fps,
+        "seconds": round(motion.duration_s, 3),
+        "way_m": round(motion.way_m, 3),
+        "leg_m": motion.leg_m,
+        "body": motion.body,
+        "source_note": motion.source,
+    }
 
 
 def _line(row: dict[str, Any]) -> str:
-    text = f"{row['name']:<28} {row['seconds']:8.2f} s {row['fps']:6g} frames/s  way {row['way_m']:6.2f} m"
+    text = f"{row['name']:<28} {row['seconds']:8.2f} s {row['fps']:6g} frames/s  path {row['way_m']:6.2f} m"
     if "slide_mm" in row:
-        text += f"  feet slide {row['slide_mm']:.2f} mm a step"
+        text += f"  feet slide {row['slide_mm']:.2f} mm per step"
     if "cycle_s" in row:
-        way = f"{row['speed_mps']:.2f} m/s, stride {row['stride_m']:.2f} m" if row["speed_mps"] > 0 else "on the spot"
-        text += f"\n  cycle of {row['cycle_s']:.2f} s, {way}" + (
-            f", turns {row['turn_deg']:.0f} degrees" if abs(row["turn_deg"]) > 0 else ""
-        )
+        pace = f"{row['speed_mps']:.2f} m/s, stride {row['stride_m']:.2f} m" if row["speed_mps"] > 0 else "in place"
+        turn = f", turns {row['turn_deg']:.0f} degrees" if row["turn_deg"] else ""
+        text += f"\n  cycle of {row['cycle_s']:.2f} s, {pace}{turn}"
     return text
 
 
@@ -245,10 +252,10 @@ def _report(rows: list[dict[str, Any]]) -> Outcome:
     lines = []
     for row in rows:
         if row["status"] == "imported":
-            fitted = f", fitted to {row['body']}" if row["body"] else ""
+            retargeted = f", retargeted to {row['body']}" if row["body"] else ""
             lines.append(
                 f"imported {row['kind']:<8} {row['source']} -> {row['motion']}  {row['seconds']:.2f} s at {row['fps']:g}/s, "
-                f"way {row['way_m']:.2f} m{fitted}"
+                f"path {row['way_m']:.2f} m{retargeted}"
             )
         else:
             lines.append(f"{row['status']:<8} {row['source']}: {row['reason']}")
@@ -271,7 +278,10 @@ def _labelled(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 
 
 def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
-    """An MP4 of a body (built-in, or the file ``name``) that performs a motion, at 30 frames/s; returns their number."""
+    """Writes an MP4 of a body performing a motion, at 30 frames/s, and returns the number of frames.
+
+    ``name`` is that of a built-in body or the path of the body's .npz file.
+    """
     from h3data.recording.motion_recording import motion_recording
     from h3data.render import VideoWriter
     from h3data.replay import Replay, follow_camera

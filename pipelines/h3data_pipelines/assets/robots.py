@@ -41,6 +41,8 @@ class RobotsShow:
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.render.image_files import write_image
+
         robots = [load_robot(name, up=self.up) for name in self.names or robot_names()]
         rows = [_row(robot) for robot in robots]
         if self.out is None:
@@ -51,7 +53,7 @@ class RobotsShow:
             raise InputError(f"Expected a file name that ends in .png or .jpg, got: {self.out}")
         target = claim_file(self.out, force=self.force)
         image = self._draw(robots)
-        _write(target, image)
+        write_image(target, image)
         height, width = image.shape[:2]
         data = {"file": str(target), "width": width, "height": height, "robots": rows}
         return Outcome(text=f"wrote {target} ({width}x{height}, {len(robots)} robots)", data=data)
@@ -134,10 +136,3 @@ def _line(row: dict[str, Any]) -> str:
         f"{row['name']:<12} {row['links']:>3} links {len(row['joints']):>3} joints {row['triangles']:>6} triangles  "
         f"cameras: {cameras}"
     )
-
-
-def _write(path: Path, image: Any) -> None:
-    from h3data.render import write_png
-    from h3data.render.image_files import write_jpg
-
-    (write_png if path.suffix.lower() == ".png" else write_jpg)(path, image)

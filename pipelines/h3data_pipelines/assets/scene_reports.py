@@ -1,9 +1,10 @@
-"""What a scene holds and what is wrong with it, as plain JSON: the facts behind ``h3data scenes``."""
+"""Measurements and validation of scenes as JSON data, for ``h3data scenes``."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ AGENT_RADIUS_M, AGENT_HEIGHT_M = 0.25, 1.41
 
 
 def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any]:
-    """What a scene holds, in numbers; ``free`` is None if nobody can stand in it."""
+    """Counts and areas of a scene as JSON data; ``free`` is None for a scene without free floor."""
     rectangles = [np.asarray(r.rectangles, np.float64) for r in scene.rooms]
     floor = sum(float(np.sum((r[:, 2] - r[:, 0]) * (r[:, 3] - r[:, 1]))) for r in rectangles)
     return {
@@ -41,81 +42,90 @@ def scene_size(name: str, scene: Scene, free: FreeSpace | None) -> dict[str, Any
 
 
 def presets_and_sets() -> Outcome:
-    """What ships with h3data, in two tables."""
+    """Tables of the built-in home presets and scene sets."""
     presets = [
         {
-            "preset": name, "area_m2": p.area_m2, "bedrooms": p.bedrooms, "bathrooms": p.bathrooms,
+            "preset": name,
+            "area_m2": p.area_m2,
+            "bedrooms": p.bedrooms,
+            "bathrooms": p.bathrooms,
             "seeds": "0, 1, 2, ...",
         }
         for name, p in HOME_PRESETS.items()
-    ]  # fmt: skip
-    found = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
+    ]
+    scene_sets = [find_scene_set(f"{name}/{split}") for name, splits in builtin_sets().items() for split in splits]
     sets = [
         {
-            "set": s.label, "scenes": len(s.scenes), "episodes_per_scene": s.social_nav.episodes_per_scene,
-            "episodes": s.episodes, "spawn_distance_m": s.social_nav.spawn_distance_m, "about": s.about,
+            "set": s.label,
+            "scenes": len(s.scenes),
+            "episodes_per_scene": s.social_nav.episodes_per_scene,
+            "episodes": s.episodes,
+            "spawn_distance_m": s.social_nav.spawn_distance_m,
+            "about": s.about,
         }
-        for s in found
+        for s in scene_sets
         if s is not None
-    ]  # fmt: skip
+    ]
     parts = [
         text_table(
             ("preset", "floor m2", "bedrooms", "bathrooms", "seeds"), [[cell(v) for v in r.values()] for r in presets]
         ),
-        "A home is preset:seed, e.g. small:3. Any seed from 0 gives one.",
+        "Name a home as preset:seed, e.g. small:3, with any seed from 0.",
         text_table(
-            ("set", "scenes", "episodes each", "episodes", "starts apart m", "about"),
+            ("set", "scenes", "episodes each", "episodes", "spawn distance m", "about"),
             [[cell(v) for v in r.values()] for r in sets],
         ),
-        "A scene of a set is set#number, e.g. h3-homes/test#3. A .toml file is a set of your own (docs/scene-sets.md).",
+        "Name a scene of a set as set#number, e.g. h3-homes/test#3. Define your own sets in .toml files "
+        "(docs/scene-sets.md).",
     ]
     return Outcome(text="\n\n".join(parts), data={"presets": presets, "sets": sets})
 
 
-def load_as_far_as_possible(source: SceneSource) -> tuple[Scene, str]:
-    """The scene, without what is missing, and what that is (empty: nothing)."""
+def _load_without_missing(source: SceneSource) -> tuple[Scene, str]:
+    """Loads a scene without assets whose files are missing, and a text that names them (empty if none are)."""
     from h3data.habitat.scenes.scene_instance import load_habitat_scene
 
     try:
         return open_scene(source), ""
-    except (MissingAssetError, SceneError) as fault:
+    except (MissingAssetError, SceneError) as error:
         if not isinstance(source, SceneFile) or source.strict or not Path(source.path).exists():
             raise
         try:
             scene = load_habitat_scene(source.path, source.scene or None, allow_missing=True, assets=source.assets)
-            return scene, str(fault)
+            return scene, str(error)
         except SceneError:
-            raise fault from None
+            raise error from None
 
 
 def validate_scene(
     named: NamedScene, *, radius_m: float = AGENT_RADIUS_M, picture: Path | None = None
 ) -> dict[str, Any]:
-    """Everything that is wrong with a scene, as plain JSON; drawn to ``picture`` if that is given."""
+    """Finds the problems of a scene, as JSON data; with ``picture``, also marks them on a floor plan (PNG)."""
     from h3data.render import write_png
     from h3data.render.sheets.scene_map import scene_map
     from h3data.scene.validation import Problem, find_problems, free_space_for_validation
 
-    scene, missing = load_as_far_as_possible(named.source)
+    scene, missing = _load_without_missing(named.source)
     problems = [Problem(kind="missing_asset", subject=scene.name, text=missing)] if missing else []
     notes = [str(w) for w in scene.source.get("warnings", ())]
     try:
-        loose = free_space_for_validation(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
-    except SceneError as fault:
-        problems.append(Problem(kind="no_floor", subject=scene.name, text=str(fault)))
-        loose = picture = None
-    if loose is not None:
-        problems += find_problems(scene, loose, radius_m=radius_m)
-    overlaps, doubtful = _overlaps(scene)
+        wide = free_space_for_validation(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
+    except SceneError as error:
+        problems.append(Problem(kind="no_floor", subject=scene.name, text=str(error)))
+        wide = picture = None
+    if wide is not None:
+        problems += find_problems(scene, wide, radius_m=radius_m)
+    overlaps, hull_overlaps = _overlaps(scene)
     problems += overlaps
-    if doubtful:
+    if hull_overlaps:
         notes.append(
-            f"{doubtful} pairs overlap only as convex hulls, which fill the hollows of shelves and chairs: not counted"
+            f"{hull_overlaps} pairs overlap only as convex hulls, which fill hollows such as shelves: not counted"
         )
     if picture is not None:
         free = FreeSpace.from_scene(scene, radius_m=radius_m, height_m=AGENT_HEIGHT_M)
         image = scene_map(scene, free, problems=problems)
-        written(picture, lambda: write_png(picture, image))
+        with readable_os_errors(picture):
+            write_png(picture, image)
     rows = [
         {
             "kind": p.kind,
@@ -125,38 +135,38 @@ def validate_scene(
         }
         for p in problems
     ]
-    free_m2 = 0.0 if loose is None else float(loose.polygon.buffer(loose.radius_m - radius_m).area)
+    free_m2 = 0.0 if wide is None else float(wide.polygon.buffer(wide.radius_m - radius_m).area)
     return {"scene": named.name, "problems": rows, "notes": notes, "free_m2": round(free_m2, 3)}
 
 
-def _of_one_object(first: str, second: str) -> bool:
-    """Whether two instances are links of the same articulated object: a door touches the body that it closes."""
+def _same_object(first: str, second: str) -> bool:
+    """Whether two instances are links of one articulated object, which may touch: a door and its cabinet, say."""
     return "/" in first and first.split("/")[0] == second.split("/")[0]
 
 
 def _overlaps(scene: Scene) -> tuple[list[Problem], int]:
-    """Things inside each other, and the number of pairs that may be so only because one is a hull of a hollow thing."""
+    """Overlapping objects, and the number of further pairs that may overlap only because one is a filled hull."""
     from h3data.scene.validation import Problem, hull_fills_hollows
     from sim_kinematic.contact import overlapping_instances
 
     hollow = {name for name, asset in scene.assets.items() if hull_fills_hollows(asset)}
     asset_of = {i.name: i.asset for i in scene.instances}
-    found = [o for o in overlapping_instances(scene) if not _of_one_object(o.first, o.second)]
-    sure = [o for o in found if not {asset_of[o.first], asset_of[o.second]} & hollow]
+    overlaps = [o for o in overlapping_instances(scene) if not _same_object(o.first, o.second)]
+    certain = [o for o in overlaps if not {asset_of[o.first], asset_of[o.second]} & hollow]
     problems = [
         Problem(
             kind="overlap",
             subject=f"{o.first} / {o.second}",
-            text=f"{100 * o.depth_m:.1f} cm inside each other",
+            text=f"overlap by {100 * o.depth_m:.1f} cm",
             position=o.point,
         )
-        for o in sure
+        for o in certain
     ]
-    return problems, len(found) - len(sure)
+    return problems, len(overlaps) - len(certain)
 
 
 def short_name(name: str) -> str:
-    """How tables name a scene: a path by its last part."""
+    """Name of a scene in tables: the last part of a path."""
     return Path(name).name if "/" in name else name
 
 
@@ -166,7 +176,7 @@ def cell(value: Any) -> str:
 
 
 def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns, numbers to the right."""
+    """Formats a table with aligned columns, numbers to the right."""
     widths = [max(len(h), *(len(r[k]) for r in rows)) if rows else len(h) for k, h in enumerate(heads)]
 
     def line(cells: Sequence[str]) -> str:
@@ -176,8 +186,10 @@ def text_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(line(row) for row in (heads, *rows))
 
 
-def written(path: Path, write: Callable[[], object]) -> None:
+@contextmanager
+def readable_os_errors(path: Path) -> Iterator[None]:
+    """Turns an `OSError` while writing ``path`` into an `InputError`."""
     try:
-        write()
+        yield
     except OSError as error:
-        raise InputError(f"Cannot write the picture ({error.strerror or error}): {path}") from None
+        raise InputError(f"Cannot write the image ({error.strerror or error}): {path}") from None

@@ -1,4 +1,4 @@
-"""``h3data scenes``: which homes there are, what they look like, their files in other formats, what is wrong with them."""
+"""``h3data scenes``: lists, renders, exports and validates scenes."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from h3data_pipelines.assets.scene_reports import (
     AGENT_RADIUS_M,
     cell,
     presets_and_sets,
+    readable_os_errors,
     scene_size,
     short_name,
     text_table,
     validate_scene,
-    written,
 )
 from h3data_pipelines.command import (
     AssetsOption,
@@ -40,14 +40,14 @@ from h3data_pipelines.command import (
 )
 
 _SCENE_HELP = (
-    "small:3 (built-in home), h3-homes/test (a set) or the path of a scene (.scene_instance.json, .stage_config.json, "
-    ".glb)."
+    "a built-in home such as small:3, a scene set such as h3-homes/test, or the path of a scene (.scene_instance.json, "
+    ".stage_config.json, .glb)."
 )
 
 
 @dataclass(frozen=True)
 class ScenesList:
-    """List what can be simulated in: presets of built-in homes and sets of scenes, or the sizes of given scenes.
+    """List home presets and scene sets or, for given scenes, their sizes and contents.
 
     Examples:
         h3data scenes list
@@ -59,9 +59,9 @@ class ScenesList:
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
     """A preset (small, medium, large), one home (small:3), a set (h3-homes/test, a .toml file), one of its scenes
-    (h3-homes/test#3) or paths of scenes; nothing lists presets and sets."""
+    (h3-homes/test#3) or paths of scenes (default: list presets and sets)."""
     homes: int = 4
-    """How many homes of a preset."""
+    """Number of homes to list per preset."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -72,20 +72,24 @@ class ScenesList:
             raise InputError(f"--homes must be at least 1, got {self.homes}.")
         if not self.scenes:
             return presets_and_sets()
-        if all(text.endswith(DATASET_ENDING) for text in self.scenes):  # names only: a dataset may have hundreds
-            names = [
-                named.name
-                for named in _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
-            ]
+        scenes = _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
+        # Names only: a Habitat dataset may have hundreds of scenes, and measuring each takes seconds.
+        if all(text.endswith(DATASET_ENDING) for text in self.scenes):
+            names = [named.name for named in scenes]
             return Outcome(text="\n".join(names), data={"scenes": [{"scene": name} for name in names]})
-        rows = [
-            _row(named) for named in _all_named(self.scenes, self.homes, self.assets, self.strict, self.allow_missing)
-        ]
+        rows = [_row(named) for named in scenes]
         columns = {
-            "scene": "scene", "id": "id", "rooms": "rooms", "floor_m2": "floor m2", "free_m2": "free m2",
-            "assets": "assets", "instances": "things", "movable": "movable", "receptacles": "receptacles",
+            "scene": "scene",
+            "id": "id",
+            "rooms": "rooms",
+            "floor_m2": "floor m2",
+            "free_m2": "free m2",
+            "assets": "assets",
+            "instances": "objects",
+            "movable": "movable",
+            "receptacles": "receptacles",
             "triangles": "triangles",
-        }  # fmt: skip
+        }
         if not any(row["id"] for row in rows):
             del columns["id"]
         cells = [[cell(row[key]) for key in columns] for row in rows]
@@ -94,7 +98,7 @@ class ScenesList:
 
 @dataclass(frozen=True)
 class ScenesShow:
-    """Draw one scene: a plan with rooms, free floor and receptacles, or a view at eye level.
+    """Render a scene as a plan with rooms, free floor and receptacles, or as a view at eye level.
 
     Examples:
         h3data scenes show small:3 -o home.png
@@ -105,15 +109,15 @@ class ScenesShow:
     """
 
     scene: tyro.conf.Positional[str]
-    """small:3 (built-in home), h3-homes/test#3 (one of a set), or the path of a scene."""
+    """A built-in home (small:3), a scene of a set (h3-homes/test#3) or the path of a scene."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """PNG file to write."""
     view: Literal["plan", "eye"] = "plan"
-    """From above, or as somebody sees it who stands in a room."""
+    """plan: from above. eye: from the eye level of a person in a room."""
     room: str = ""
-    """Which room, for --view eye (default: the largest)."""
+    """Room to stand in for --view eye (default: the largest)."""
     pixels_per_m: float = 80.0
-    """Size of the plan."""
+    """Scale of the plan [pixels/m]."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -130,17 +134,18 @@ class ScenesShow:
         if not 4 <= self.pixels_per_m <= 1000:
             raise InputError(f"--pixels-per-m must be from 4 to 1000, got {self.pixels_per_m}.")
         if self.room and self.view != "eye":
-            raise InputError("--room chooses where to stand: add --view eye.")
+            raise InputError("--room applies to --view eye only: add --view eye.")
         free = _free(named)
         if free is None and self.view == "eye":
-            raise InputError(f"Nobody can stand in {named.name}, so there is no view --view eye.")
+            raise InputError(f"--view eye needs free floor to stand on, {named.name} has none. Hint: use --view plan.")
         if free is None:
             image, _ = plan_picture(scene, pixels_per_m=self.pixels_per_m)
         elif self.view == "eye":
             image = eye_level_picture(scene, free, room=self.room or None)
         else:
             image = scene_map(scene, free, pixels_per_m=self.pixels_per_m)
-        written(target, lambda: write_png(target, image))
+        with readable_os_errors(target):
+            write_png(target, image)
         height, width = image.shape[:2]
         data = {"file": str(target), "width": width, "height": height, **_row(named)}
         return Outcome(text=f"wrote {target} ({width}x{height})", data=data)
@@ -148,8 +153,9 @@ class ScenesShow:
 
 @dataclass(frozen=True)
 class ScenesExport:
-    """Write scenes for other programs: a Habitat scene dataset that habitat-sim loads, or one GLB each. With a set, its
-    episodes come too, as a Habitat episode file.
+    """Export scenes as one Habitat scene dataset, which habitat-sim loads, or as one GLB file each.
+
+    The export of a scene set as a Habitat dataset includes its episodes.
 
     Examples:
         h3data scenes export h3-homes/test -o exports/h3-homes_test
@@ -158,14 +164,14 @@ class ScenesExport:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """A set (h3-homes/test, a .toml file), small:3 (built-in homes), h3-homes/test#3 or paths of scenes. Several share the
-    objects of one Habitat dataset."""
+    """A set (h3-homes/test, a .toml file), one of its scenes (h3-homes/test#3), built-in homes (small:3) or paths of
+    scenes. Scenes of one Habitat dataset share their objects."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder: of the dataset, which must be new, or for the .glb files."""
+    """Folder to write to; that of a Habitat dataset must be new."""
     to: Literal["habitat", "glb"] = "habitat"
-    """Format: habitat (configs, stage, one GLB per object, receptacles, lights, regions) or glb (opens in any viewer)."""
+    """habitat: configs, stage, one GLB per object, receptacles, lights, regions. glb: one file that any viewer opens."""
     episodes: int | None = None
-    """How many episodes of a set to write, for habitat (default: all; 0: none)."""
+    """Number of episodes of a set to export for habitat (default: all; 0: none)."""
     assets: AssetsOption = ()
     strict: StrictFlag = False
     allow_missing: MissingFlag = False
@@ -177,10 +183,9 @@ class ScenesExport:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
         if self.episodes is not None and self.episodes < 0:
             raise InputError(f"--episodes must be at least 0, got {self.episodes}.")
-        sets = [found for text in self.scenes if "#" not in text and (found := find_scene_set(text)) is not None]
-        whole = [text for text in self.scenes if text in HOME_PRESETS]
-        if whole:
-            raise InputError(f"Which home? {whole[0]!r} is a preset: give a seed as well, e.g. {whole[0]}:0.")
+        sets = [s for text in self.scenes if "#" not in text and (s := find_scene_set(text)) is not None]
+        for text in self.scenes:
+            _refuse_preset(text)
         scenes = [_renamed(named) for named in _all_named(self.scenes, 1, self.assets, self.strict, self.allow_missing)]
         if self.to == "habitat":
             files, first = self._to_habitat(scenes, sets)
@@ -191,9 +196,13 @@ class ScenesExport:
         episodes = [str(f) for f in files if f.parent.name == "episodes"]
         text = "\n".join([f"wrote {names} as {self.to}: {len(files)} files, {size / 1e6:.1f} MB", first, *episodes])
         data = {
-            "format": self.to, "scenes": [s.name for s in scenes], "path": first, "episodes": episodes,
-            "files": len(files), "bytes": size,
-        }  # fmt: skip
+            "format": self.to,
+            "scenes": [s.name for s in scenes],
+            "path": first,
+            "episodes": episodes,
+            "files": len(files),
+            "bytes": size,
+        }
         return Outcome(text=text, data=data)
 
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
@@ -203,12 +212,12 @@ class ScenesExport:
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]
         name = stems[0] if sets else None
         config = f"{name}{DATASET_ENDING}"
-        drawn = {
-            f"social_nav_{stem}.json.gz": _episodes(of, self.episodes, config)
-            for stem, of in zip(stems, sets, strict=True)
+        episode_files = {
+            f"social_nav_{stem}.json.gz": _episodes(scene_set, self.episodes, config)
+            for stem, scene_set in zip(stems, sets, strict=True)
         }
         dataset = export_habitat_dataset(scenes, self.out, name=name, force=self.force)
-        for file, episodes in drawn.items():
+        for file, episodes in episode_files.items():
             if len(episodes):
                 (self.out / "episodes").mkdir(exist_ok=True)
                 write_episodes(episodes, self.out / "episodes" / file)
@@ -219,7 +228,7 @@ class ScenesExport:
 
         files = [self.out / f"{re.sub(r'[^A-Za-z0-9_-]+', '_', s.name)}.glb" for s in scenes]
         if len(set(files)) < len(files):
-            raise InputError("Two of the scenes have the same name, so their files would overwrite each other.")
+            raise InputError("Two scenes have the same name: their files would overwrite each other.")
         for file in files:
             claim_file(file, force=self.force)
         for scene, file in zip(scenes, files, strict=True):
@@ -229,8 +238,8 @@ class ScenesExport:
 
 @dataclass(frozen=True)
 class ScenesValidate:
-    """Look for faults: cut-off floor, unreachable rooms, passages of nearly an agent's width, things inside each other,
-    things that float or are sunk, receptacles out of reach, missing assets. Exit code 1 when there are any.
+    """Check scenes for problems: disconnected floor, unreachable rooms, narrow passages, overlapping, floating or sunken
+    objects, receptacles out of reach, missing assets. Exits with code 1 if there are any.
 
     Examples:
         h3data scenes validate small:3 medium:0
@@ -242,9 +251,9 @@ class ScenesValidate:
     scenes: tyro.conf.Positional[tuple[str, ...]]
     """A preset (small, medium, large), one home (small:3), a set (h3-homes/test, a .toml file) or paths of scenes."""
     homes: int = 4
-    """How many homes of a preset."""
+    """Number of homes to check per preset."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """PNG with the problems drawn into the plan; for several scenes a folder, one PNG each."""
+    """PNG file for a plan with the problems marked; for several scenes, a folder of them."""
     radius: float = AGENT_RADIUS_M
     """Radius of the agent [m]."""
     assets: AssetsOption = ()
@@ -259,15 +268,15 @@ class ScenesValidate:
             raise InputError(f"--radius must be from 0.05 to 2 m, got {self.radius}.")
         if self.homes < 1:
             raise InputError(f"--homes must be at least 1, got {self.homes}.")
-        every = list(
-            {named.name: named for named in _all_named(self.scenes, self.homes, self.assets, self.strict)}.values()
-        )
-        targets = self._targets([named.name for named in every])
+        scenes = {named.name: named for named in _all_named(self.scenes, self.homes, self.assets, self.strict)}
+        targets = self._targets(list(scenes))
         reports = [
-            validate_scene(named, radius_m=self.radius, picture=targets.get(named.name))
-            for named in tqdm(every, desc="validate", unit="scene", disable=True if len(every) < 5 else None)
+            validate_scene(named, radius_m=self.radius, picture=targets.get(name))
+            for name, named in tqdm(
+                scenes.items(), desc="validate", unit="scene", disable=True if len(scenes) < 5 else None
+            )
         ]
-        faults = sum(len(r["problems"]) for r in reports)
+        problems = sum(len(r["problems"]) for r in reports)
         cells = [
             [short_name(r["scene"]), p["kind"].replace("_", " "), p["subject"], p["text"]]
             for r in reports
@@ -278,8 +287,8 @@ class ScenesValidate:
         lines += ["", text_table(("scene", "problem", "where", "what"), cells)] if cells else []
         lines += [f"note: {short_name(r['scene'])}: {note}" for r in reports for note in r["notes"]]
         lines += [f"wrote {target}" for target in targets.values()]
-        data = {"faults": faults, "scenes": reports}
-        return Outcome(text="\n".join(lines), data=data, exit_code=1 if faults else 0)
+        data = {"faults": problems, "scenes": reports}
+        return Outcome(text="\n".join(lines), data=data, exit_code=1 if problems else 0)
 
     def _targets(self, names: Sequence[str]) -> dict[str, Path]:
         if self.out is None:
@@ -291,12 +300,12 @@ class ScenesValidate:
             for name in names
         }
         if len(set(stems.values())) < len(stems):
-            raise InputError("Two of the scenes have the same name, so their pictures would overwrite each other.")
+            raise InputError("Two scenes have the same name: their images would overwrite each other.")
         return {name: claim_file(self.out / f"{stem}.png", force=self.force) for name, stem in stems.items()}
 
 
 SCENES = Group(
-    "Homes to simulate in: list them, draw them, export them to other formats, look for faults.",
+    "Scenes to simulate in: list, render, export and validate them.",
     {"list": ScenesList, "show": ScenesShow, "export": ScenesExport, "validate": ScenesValidate},
 )
 
@@ -306,20 +315,26 @@ def _named(
     text: str, homes: int, assets: Sequence[Path], strict: bool, allow_missing: bool = False
 ) -> tuple[NamedScene, ...]:
     if allow_missing and strict:
-        raise InputError("Choose one: --strict refuses what is missing, --allow-missing leaves it out.")
+        raise InputError("Choose either --strict, which refuses missing files, or --allow-missing, which skips them.")
     return named_scenes(text, homes=homes, assets=assets, strict=strict, allow_missing=allow_missing)
 
 
-def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
+def _refuse_preset(text: str) -> None:
     if text in HOME_PRESETS:
-        raise InputError(f"Which home? {text!r} is a preset: give a seed as well, e.g. {text}:0.")
-    found = _named(text, 1, assets, strict, allow_missing)
-    if len(found) != 1 and text.endswith(DATASET_ENDING):
-        names = ", ".join(f"#{n.source.scene}" for n in found[:8] if isinstance(n.source, SceneFile))
-        raise InputError(f"Which scene? The dataset has {len(found)}, add one to its path ({names or 'none'}): {text}")
-    if len(found) != 1:
-        raise InputError(f"Which scene? {text!r} is a set of {len(found)}: name one as {text}#0.")
-    return found[0]
+        raise InputError(f"Expected a single home, {text!r} is a preset: add a seed, e.g. {text}:0.")
+
+
+def _one(text: str, assets: Sequence[Path], strict: bool, allow_missing: bool) -> NamedScene:
+    _refuse_preset(text)
+    scenes = _named(text, 1, assets, strict, allow_missing)
+    if len(scenes) != 1 and text.endswith(DATASET_ENDING):
+        names = ", ".join(f"#{n.source.scene}" for n in scenes[:8] if isinstance(n.source, SceneFile))
+        raise InputError(
+            f"Expected a single scene, the dataset has {len(scenes)}: add one to its path ({names or 'none'}): {text}"
+        )
+    if len(scenes) != 1:
+        raise InputError(f"Expected a single scene, {text!r} is a set of {len(scenes)}: name one, e.g. {text}#0.")
+    return scenes[0]
 
 
 def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:
@@ -327,7 +342,7 @@ def _all_named(texts: Sequence[str], *options: Any) -> list[NamedScene]:
 
 
 def _renamed(named: NamedScene) -> Scene:
-    """The scene; one of a set by its id."""
+    """Opens a scene; a scene of a set is named by its id."""
     scene = open_scene(named.source)
     return replace(scene, name=named.id) if named.id else scene
 
@@ -337,30 +352,32 @@ def _row(named: NamedScene) -> dict[str, Any]:
 
 
 def _free(named: NamedScene) -> FreeSpace | None:
-    """The free floor; None if there is none, as for a single chair."""
-    open_scene(named.source)  # tells what is wrong with the scene itself
+    """Free space of the default agent; None if there is none, as in a file that holds a single chair."""
+    open_scene(named.source)  # outside the try: errors of the scene itself must reach the user
     try:
         return open_free_space(named.source, AGENT_RADIUS_M, AGENT_HEIGHT_M)
     except SceneError:
         return None
 
 
-def _episodes(scenes: SceneSet, wanted: int | None, config: str) -> EpisodeSet:
-    """The first episodes of a set for a Habitat dataset, in the order in which `h3data generate` plays them."""
+def _episodes(scenes: SceneSet, max_count: int | None, config: str) -> EpisodeSet:
+    """First episodes of a set in Habitat's format, in the order in which `h3data generate` plays them."""
     from h3data.habitat.episodes.social_nav_episodes import social_nav_episode
     from sim_kinematic.tasks.social_nav_episodes import set_episode
 
-    count = scenes.episodes if wanted is None else min(wanted, scenes.episodes)
-    made = []
+    count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)
+    episodes = []
     for i in tqdm(range(count), desc=f"episodes of {scenes.label}", disable=True if count < 50 else None):
         entry, index = scenes.place(i)
-        made.append(
+        episodes.append(
             social_nav_episode(
-                set_episode(scenes, entry, index), episode_id=str(i),
-                scene_id=f"scenes/{entry.id}.scene_instance.json", scene_dataset_config=config,
+                set_episode(scenes, entry, index),
+                episode_id=str(i),
+                scene_id=f"scenes/{entry.id}.scene_instance.json",
+                scene_dataset_config=config,
             )
-        )  # fmt: skip
-    return EpisodeSet(episodes=tuple(made))
+        )
+    return EpisodeSet(episodes=tuple(episodes))
 
 
 def _png(path: Path, *, force: bool) -> Path:

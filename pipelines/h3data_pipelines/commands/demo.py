@@ -26,7 +26,7 @@ from h3data_pipelines.command import (
     write_text,
 )
 from h3data_pipelines.outputs import Target
-from h3data_pipelines.pictures.drawing import core_count, draw_files
+from h3data_pipelines.pictures.rendering import core_count, render_files
 
 FILES = (
     "episode.mcap",
@@ -135,7 +135,7 @@ def _videos(recording: Recording, out: Path) -> dict[str, Path]:
         tracks = [camera_track(replay, wanted[name][0]) for name in names]
         targets = [Target(output, "h264", out / f"{name}.mp4") for name in names]
         views = [(track, [target]) for track, target in zip(tracks, targets, strict=True)]
-        draw_files(replay, views, steps=range(len(recording)), threads=core_count(), description=f"render {output}")
+        render_files(replay, views, steps=range(len(recording)), threads=core_count(), description=f"render {output}")
     return {wanted[name][0]: out / f"{name}.mp4" for name in wanted}
 
 

@@ -24,7 +24,7 @@ from h3data_pipelines.command import (
     remove_dataset,
 )
 from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
-from h3data_pipelines.pictures.drawing import core_count
+from h3data_pipelines.pictures.rendering import core_count
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,4 @@
-"""Commands that show recordings: pictures, videos, reports, Rerun files."""
+"""Commands that show recordings.
+
+`rerender` writes videos and images from any camera (`rendering` is its frame loop), `viewing` Rerun files, `report` HTML.
+"""

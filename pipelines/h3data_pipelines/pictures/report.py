@@ -1,4 +1,4 @@
-"""``h3data report``: one HTML file about datasets, to be handed on; its tables as Markdown and LaTeX."""
+"""``h3data report``: a self-contained HTML report on datasets, with its tables as Markdown and LaTeX on request."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportCommand:
-    """Write one self-contained HTML file about runs: the paper's tables with its numbers beside yours, distributions,
-    trajectories, paired differences, worst and best episodes with key frames.
+    """Write a self-contained HTML report on runs: the paper's tables next to your numbers, distributions, trajectories,
+    paired differences, and the best and worst episodes with key frames.
 
-    Each DIR is a dataset, a folder of .mcap files or one .mcap file. Episodes are grouped by the policy that they name;
-    runs over the same episodes are compared one by one. A file learning.csv in a dataset gives learning curves.
+    Each input is a dataset, a folder of .mcap files or a single .mcap file. Episodes are grouped by policy; runs over the
+    same episodes are compared episode by episode. A file learning.csv in a dataset adds learning curves.
 
     Examples:
         h3data report ds/ -o report.html
@@ -32,17 +32,17 @@ class ReportCommand:
     datasets: tyro.conf.Positional[tuple[Path, ...]]
     """Datasets, folders of .mcap files, .mcap files."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html")
-    """The HTML file."""
+    """HTML file to write."""
     title: str = ""
-    """Its title (default: the tasks)."""
+    """Title of the report (default: the tasks)."""
     markdown: Path | None = None
-    """Write the tables to this Markdown file too."""
+    """Also write the tables to this Markdown file."""
     latex: Path | None = None
-    """Write the tables to this LaTeX file too (needs booktabs)."""
+    """Also write the tables to this LaTeX file (needs booktabs)."""
     pictures: int = 6
-    """Episodes of each task that are shown with key frames."""
+    """Number of episodes per task shown with key frames."""
     assets: tuple[Path, ...] = ()
-    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
+    """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -53,17 +53,19 @@ class ReportCommand:
             raise InputError("Expected at least one dataset or recording.")
         if self.pictures < 0:
             raise InputError(f"--pictures must not be negative, got {self.pictures}.")
-        wanted = [path for path in (self.out, self.markdown, self.latex) if path is not None]
-        if len({path.resolve() for path in wanted}) < len(wanted):
+        targets = [path for path in (self.out, self.markdown, self.latex) if path is not None]
+        if len({path.resolve() for path in targets}) < len(targets):
             raise InputError("-o, --markdown and --latex must be different files.")
-        for path in wanted:
+        for path in targets:
             claim_file(path, force=self.force)
         report = write_report(self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets)
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
             write_text(self.latex, report.to_latex())
-        return Outcome(text=_text(report, wanted), data=self._data(report), exit_code=int(bool(report.data.unmeasured)))
+        return Outcome(
+            text=_text(report, targets), data=self._data(report), exit_code=int(bool(report.data.unmeasured))
+        )
 
     def _data(self, report: Report) -> dict[str, Any]:
         return {

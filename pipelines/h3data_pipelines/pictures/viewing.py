@@ -1,4 +1,4 @@
-"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready layout."""
+"""``h3data view``: one recording, or two side by side, as a Rerun file with a ready-made layout."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from h3data_pipelines.commands.importing import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
 if TYPE_CHECKING:
-    from h3data_viewers import Shown
+    from h3data_viewers import ShownRecording
 
 
 @dataclass(frozen=True)
 class View:
-    """Write a recording as a Rerun file: 3-D scene, moving bodies, goals, distance plot, action lanes, event log.
+    """Write a recording as a Rerun file: 3-D scene, moving bodies, goals, distance plots, action lanes, event log.
 
     Examples:
         h3data view out/demo/episode.mcap -o episode.rrd
@@ -32,15 +32,15 @@ class View:
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file, or an episode of a dataset as ds#0; or its URI."""
+    """.mcap file or episode of a dataset such as ds#0, as a path or URI."""
     compare: Path | None = None
-    """Another one, shown beside it on the same timeline."""
+    """Second recording, shown next to the first on the same timeline."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The .rrd file (default: beside the recording)."""
+    """.rrd file to write (default: next to the recording)."""
     camera: tuple[str, ...] = ()
-    """Cameras to draw pictures of, every fifth step: names as in rerender, or .toml or .json files."""
+    """Cameras to render at every fifth step: names as in rerender, or .toml or .json files."""
     assets: tuple[Path, ...] = ()
-    """Folders below which recorded asset files are searched (default: H3DATA_ASSETS)."""
+    """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -49,7 +49,7 @@ class View:
 
         paths = [self.recording] if self.compare is None else [self.recording, self.compare]
         if len(paths) == 2 and _same(*paths):
-            raise InputError(f"--compare needs another recording, this is the same one twice: {self.compare}")
+            raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
         replays = [Replay(recording, assets=self.assets, detail=False) for recording in recordings]
@@ -64,15 +64,15 @@ class View:
         missing = {uri: count for replay in reversed(replays) for uri, count in replay.missing.items()}
         return Outcome(text=text, data={"rrd": str(out), "bytes": out.stat().st_size, "missing": missing})
 
-    def _shown(self, path: Path, recording: Recording, replay: Replay) -> Shown:
-        from h3data_viewers import Shown, drawn_feed
+    def _shown(self, path: Path, recording: Recording, replay: Replay) -> ShownRecording:
+        from h3data_viewers import ShownRecording, rendered_feed
 
-        feeds = [drawn_feed(replay, name) for name in self.camera]
-        return Shown(recording=recording, replay=replay, cameras=feeds, name=str(place(path)))
+        feeds = [rendered_feed(replay, name) for name in self.camera]
+        return ShownRecording(recording=recording, replay=replay, cameras=feeds, name=str(place(path)))
 
     def _beside(self) -> Path:
         if isinstance(place(self.recording), RemotePath):
-            raise InputError(f"Say where to write the .rrd file, with -o: the recording is not local: {self.recording}")
+            raise InputError(f"The recording is not local: give the .rrd file to write with -o. {self.recording}")
         stem = recording_stem(self.recording)
         if self.compare is not None:
             stem += f"_and_{recording_stem(self.compare)}"

@@ -1,4 +1,4 @@
-"""Where the entities of one recording go in a Rerun file."""
+"""Output stream for the entities of one recording in a Rerun file."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ Rows = NDArray[np.integer] | Sequence[int]
 
 @dataclass(frozen=True, eq=False)
 class Sink:
-    """A stream that takes the entities of one recording, at its times and below its own root."""
+    """A Rerun stream bound to the time column and the root entity of one recording."""
 
     stream: rr.RecordingStream
     time_ns: NDArray[np.int64]
     """Column ``time_ns`` of the recording, shape [T]."""
     label: str = ""
-    """Root of all its entities; empty if the file shows nothing else."""
+    """Root of all its entities; empty if the file holds no other recording."""
 
     def path(self, entity: str) -> str:
-        """Absolute path of an entity."""
+        """Returns the absolute path of an entity."""
         return f"/{self.label}/{entity}" if self.label else f"/{entity}"
 
     def static(self, entity: str, *parts: Any) -> None:
-        """Log what does not change."""
+        """Logs components that never change."""
         self.stream.log(self.path(entity), *parts, static=True, strict=True)
 
     def columns(self, entity: str, rows: Rows | None, columns: Iterable[rr.ComponentColumn]) -> None:
-        """Log one value per row of ``rows``, all rows if None; row T lies one step after the last one."""
+        """Logs one value at each of ``rows``, or at every row if None; row T is one step after the last."""
         self.stream.send_columns(self.path(entity), self._at(rows), columns, strict=True)
 
     def moments(self, entity: str, time_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]) -> None:
-        """Log one value at each of ``time_ns``, which lie between rows: its step is the first row that is no earlier."""
+        """Logs one value at each of ``time_ns``, which may lie between rows; the step is that of the next row."""
         import rerun as rr
 
         steps = np.searchsorted(self.time_ns, time_ns)

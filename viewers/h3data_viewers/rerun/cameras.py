@@ -1,4 +1,4 @@
-"""Cameras in a Rerun file: frustum, track, and what they saw, as stills that every viewer shows or as the video itself."""
+"""Cameras in a Rerun file: frustum, track, and images, as stills that every viewer shows or as an embedded video."""
 
 from __future__ import annotations
 
@@ -14,63 +14,63 @@ from numpy.typing import NDArray
 from h3data.errors import InputError
 from h3data.render.camera import Camera
 from h3data.replay import Replay, camera_track
-from h3data_viewers.rerun.rerun_bodies import LoggedTrack, decompose, entity_part, step_blocks
-from h3data_viewers.rerun.rerun_sink import Sink
+from h3data_viewers.rerun.entities import entity_part
+from h3data_viewers.rerun.sink import Sink
+from h3data_viewers.rerun.transforms import LoggedTrack, decompose, step_blocks
 
-Pictures = Literal["stills", "video"]
+ImageStorage = Literal["stills", "video"]
 STILL_WIDTH = 320
 STILL_EVERY = 5
-"""Frames per still. Together 1.4 MB and 0.7 CPU-s for 1,500 frames of a 640x480 video."""
+"""Video frames per still. Stills of a 1,500-frame 640x480 video take 1.4 MB and 0.7 s of CPU time."""
 JPEG_QUALITY = 80
 BATCH = 64
-"""Stills that are held before they go to the file."""
+"""Stills held in memory before they are written."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraFeed:
-    """A camera to show: where it was, and what it saw."""
+    """A camera to show, with its track and its images."""
 
     camera: Camera
     """Intrinsics and name."""
     poses: NDArray[np.floating] | None = None
-    """4x4 camera (OpenCV) to world at every step, [T, 4, 4], or [1, 4, 4]; None: `Camera.pose` for ever."""
+    """Camera-to-world matrices (OpenCV axes), [T, 4, 4] or [1, 4, 4] for a static camera; None: `Camera.pose`."""
     video: Path | None = None
     """An MP4 file."""
     steps: NDArray[np.integer] | None = None
-    """Step that each video frame shows; None: the frames are spread evenly over the recording."""
-    drawn: Iterable[tuple[int, NDArray[np.uint8]]] | None = None
-    """In place of a video: steps and their pictures, sRGB [H, W, 3]."""
+    """Step of each video frame; None: the frames are spread evenly over the recording."""
+    stills: Iterable[tuple[int, NDArray[np.uint8]]] | None = None
+    """Pairs of step and sRGB image [H, W, 3], instead of a video."""
 
     @property
-    def seen(self) -> bool:
-        """Whether there are pictures."""
-        return self.video is not None or self.drawn is not None
+    def has_images(self) -> bool:
+        return self.video is not None or self.stills is not None
 
 
-def drawn_feed(replay: Replay, name: str) -> CameraFeed:
-    """A camera of a replay, by name or file as `h3data.replay.camera_track`, with stills drawn for the viewer."""
+def rendered_feed(replay: Replay, name: str) -> CameraFeed:
+    """Returns a camera of a replay, by name or file as in `h3data.replay.camera_track`, with newly rendered stills."""
     track = camera_track(replay, name)
     shrink = min(1.0, STILL_WIDTH / track.camera.width)
     small = replace(track, camera=scaled(track.camera, shrink))
     steps = range(0, len(replay), STILL_EVERY)
     frames = replay.frames([small], steps, outputs=("rgb",))
-    pictures = ((step, images[0]["rgb"]) for step, images in frames)
-    return CameraFeed(camera=track.camera, poses=track.poses, drawn=pictures)
+    stills = ((step, images[0]["rgb"]) for step, images in frames)
+    return CameraFeed(camera=track.camera, poses=track.poses, stills=stills)
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """The same view in a picture of another size."""
-    return replace(
-        camera, width=max(round(camera.width * factor), 1), height=max(round(camera.height * factor), 1),
-        fx=camera.fx * factor, fy=camera.fy * factor, cx=camera.cx * factor, cy=camera.cy * factor,
-    )  # fmt: skip
+    """Returns a camera with the same view whose images are ``factor`` times as large, at least 1x1 pixel."""
+    scaled_intrinsics = {name: getattr(camera, name) * factor for name in ("fx", "fy", "cx", "cy")}
+    width, height = (max(round(side * factor), 1) for side in (camera.width, camera.height))
+    return replace(camera, width=width, height=height, **scaled_intrinsics)
 
 
-def log_camera(sink: Sink, feed: CameraFeed, *, pictures: Pictures) -> str:
-    """Log one camera, its track and its pictures; returns the path of its entity.
+def log_camera(sink: Sink, feed: CameraFeed, *, images: ImageStorage) -> str:
+    """Logs a camera, its track and its images, and returns the path of its entity.
 
-    ``video`` embeds the file as it is: smooth, but Rerun's desktop viewer plays H.264 only beside an installed FFmpeg
-    (AV1 without). ``stills`` are JPEGs of some frames that every viewer shows. Only perspective cameras have a frustum.
+    With ``images="video"`` the video file is embedded unchanged: smooth, but Rerun's desktop viewer plays H.264 only
+    where FFmpeg is installed (AV1 plays without). With ``images="stills"`` it is stored as JPEGs of every fifth frame,
+    which every viewer shows. Only perspective cameras get a frustum.
     """
     import rerun as rr
 
@@ -85,11 +85,11 @@ def log_camera(sink: Sink, feed: CameraFeed, *, pictures: Pictures) -> str:
         for steps in step_blocks(len(poses)):
             track.log(steps, np.asarray(poses[steps], np.float64))
     small = scaled(camera, min(1.0, STILL_WIDTH / camera.width))
-    if len(sink.time_ns) and feed.drawn is not None:
-        _log_stills(sink, f"{entity}/image", _encoded(feed.drawn))
+    if len(sink.time_ns) and feed.stills is not None:
+        _log_stills(sink, f"{entity}/image", ((step, _jpeg(rgb[..., ::-1])) for step, rgb in feed.stills))
         camera = small
     elif len(sink.time_ns) and feed.video is not None:
-        if pictures == "video":
+        if images == "video":
             _log_video(sink, f"{entity}/image", feed.video, feed.steps)
         else:
             _log_stills(sink, f"{entity}/image", _stills_of_video(sink, feed, (small.width, small.height)))
@@ -106,7 +106,7 @@ def log_camera(sink: Sink, feed: CameraFeed, *, pictures: Pictures) -> str:
 
 
 def frame_steps(frames: int, steps: int) -> NDArray[np.int64]:
-    """Step that each of ``frames`` video frames shows if they are spread evenly over ``steps`` rows, shape [frames]."""
+    """Returns the step of each of ``frames`` video frames spread evenly over ``steps`` steps, shape [frames]."""
     return np.floor(np.arange(frames) * steps / max(frames, 1)).astype(np.int64)
 
 
@@ -117,7 +117,7 @@ def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] 
     try:
         stamps = np.asarray(asset.read_frame_timestamps_nanos())
     except RuntimeError as error:
-        raise InputError(f"Not a video that Rerun can read ({error}): {video}") from None
+        raise InputError(f"Expected a video that Rerun can read ({error}): {video}") from None
     rows = frame_steps(len(stamps), len(sink.time_ns)) if steps is None else np.asarray(steps)
     count = min(len(stamps), len(rows))
     sink.static(entity, asset)
@@ -126,19 +126,14 @@ def _log_video(sink: Sink, entity: str, video: Path, steps: NDArray[np.integer] 
 
 
 def _log_stills(sink: Sink, entity: str, stills: Iterable[tuple[int, bytes]]) -> None:
-    """Log JPEGs by step, some at a time."""
+    """Logs pairs of step and JPEG, `BATCH` at a time."""
     import rerun as rr
 
-    waiting = iter(stills)
-    while batch := list(islice(waiting, BATCH)):
+    remaining = iter(stills)
+    while batch := list(islice(remaining, BATCH)):
         blobs = [image for _, image in batch]
         columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(blobs))
         sink.columns(entity, [step for step, _ in batch], columns)
-
-
-def _encoded(drawn: Iterable[tuple[int, NDArray[np.uint8]]]) -> Iterator[tuple[int, bytes]]:
-    for step, rgb in drawn:
-        yield step, _jpeg(rgb[..., ::-1])
 
 
 def _jpeg(bgr: NDArray[Any]) -> bytes:
@@ -148,8 +143,9 @@ def _jpeg(bgr: NDArray[Any]) -> bytes:
 
 
 def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> list[tuple[int, bytes]]:
-    """Some frames with the steps that they show; how many there are in all is known only at the end."""
+    """Decodes every fifth frame of the feed's video into pairs of step and JPEG."""
     assert feed.video is not None
+    # Containers report unreliable frame counts: the number of frames, hence their steps, is known after decoding.
     stills = list(_stills(feed.video, size))
     if not stills:
         raise InputError(f"The camera's video has no frames: {feed.video}")
@@ -159,7 +155,7 @@ def _stills_of_video(sink: Sink, feed: CameraFeed, size: tuple[int, int]) -> lis
 
 
 def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
-    """``(frame number, JPEG)`` of some frames; last comes ``(number of frames, b"")``."""
+    """Yields ``(frame number, JPEG)`` of every fifth frame, then ``(number of frames, b"")``."""
     import av
     import av.error
 
@@ -174,6 +170,6 @@ def _stills(video: Path, size: tuple[int, int]) -> Iterator[tuple[int, bytes]]:
                     yield number, _jpeg(pixels)
                 number += 1
     except (av.error.FFmpegError, IndexError) as error:
-        raise InputError(f"Not a video that can be read ({error}): {video}") from None
+        raise InputError(f"Expected a readable video ({error}): {video}") from None
     if number:
         yield number, b""

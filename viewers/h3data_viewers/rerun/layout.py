@@ -1,4 +1,4 @@
-"""The first arrangement of the Rerun window: homes in 3-D; cameras, distances, lanes and log beside or below."""
+"""Initial layout of the Rerun window: homes in 3-D; cameras, distances, lanes and log beside or below them."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Side:
-    """What was logged of one recording."""
+class LoggedRecording:
+    """Entity paths under which one recording was logged."""
 
     label: str
-    """Root of its entities; empty if it is shown alone."""
+    """Root of its entities; empty if the file holds no other recording."""
     name: str
-    """Title of its home."""
+    """Title of its 3-D view."""
     world: str
-    """Path of its home; the paths below are absolute, too."""
+    """Absolute path of its home, like all paths below."""
     focus: NDArray[np.floating]
-    """Box [2, 3] that the 3-D view shows first [m]."""
+    """Box [2, 3] that the 3-D view shows initially [m]."""
     hidden: Sequence[str]
-    """What is switched off: ceilings."""
+    """Entities that are hidden initially: ceilings."""
     cameras: Sequence[str]
     plotted: Sequence[str]
     lanes: Sequence[str]
     log: str
-    """Root of the log; empty without one."""
+    """Root of the event log; empty if there is none."""
     inputs: str
-    """Root of people's raw input; empty without any."""
+    """Root of people's raw input; empty if none was recorded."""
 
 
-def layout(sides: Sequence[Side], *, timeline: str) -> rrb.Blueprint:
-    """A blueprint for what was logged; rows without content are left out, and all sides share plots, lanes and log.
+def layout(recordings: Sequence[LoggedRecording], *, timeline: str) -> rrb.Blueprint:
+    """Arranges views of the logged recordings, which share plots, lanes and log; rows without content are omitted.
 
-    One home stands on the left; several stand side by side above the rest.
+    A single home stands to the left of the other views, several stand side by side above them.
     """
     import rerun.blueprint as rrb
 
-    homes = [_home(side) for side in sides]
+    homes = [_home_view(recording) for recording in recordings]
     rows: list[rrb.View | rrb.Container] = []
     shares: list[float] = []
-    cameras = [(entity, side) for side in sides for entity in side.cameras]
-    if cameras:
-        views = [
-            rrb.Spatial2DView(origin=entity, name=f"{side.label} {entity.rsplit('/', 1)[-1]}".lstrip())
-            for entity, side in cameras
-        ]
+    views = [
+        rrb.Spatial2DView(origin=entity, name=f"{recording.label} {entity.rsplit('/', 1)[-1]}".lstrip())
+        for recording in recordings
+        for entity in recording.cameras
+    ]
+    if views:
         rows.append(views[0] if len(views) == 1 else rrb.Grid(*views, grid_columns=min(len(views), 3)))
         shares.append(1.3 if len(views) <= 3 else 2.0)
-    plotted = [entity for side in sides for entity in side.plotted]
+    plotted = [entity for recording in recordings for entity in recording.plotted]
     if plotted:
         rows.append(
             rrb.TimeSeriesView(
@@ -65,11 +65,11 @@ def layout(sides: Sequence[Side], *, timeline: str) -> rrb.Blueprint:
             )
         )
         shares.append(1.0)
-    lanes = [entity for side in sides for entity in side.lanes]
+    lanes = [entity for recording in recordings for entity in recording.lanes]
     if lanes:
         rows.append(rrb.StateTimelineView(origin="/", contents=lanes, name="Actions"))
         shares.append(0.35 + 0.22 * len(lanes))
-    for name, roots in (("Events", [side.log for side in sides]), ("Input", [side.inputs for side in sides])):
+    for name, roots in (("Events", [r.log for r in recordings]), ("Input", [r.inputs for r in recordings])):
         if any(roots):
             rows.append(rrb.TextLogView(origin="/", contents=[f"{root}/**" for root in roots if root], name=name))
             shares.append(0.7)
@@ -83,22 +83,22 @@ def layout(sides: Sequence[Side], *, timeline: str) -> rrb.Blueprint:
     return rrb.Blueprint(root, time, collapse_panels=True)
 
 
-def _home(side: Side) -> rrb.View:
+def _home_view(recording: LoggedRecording) -> rrb.View:
     import rerun.blueprint as rrb
 
-    eye, target = bird_view(side.focus)
+    eye, target = bird_view(recording.focus)
     return rrb.Spatial3DView(
-        origin=side.world,
-        name=side.name,
-        overrides={entity: rrb.EntityBehavior(visible=False) for entity in side.hidden},
+        origin=recording.world,
+        name=recording.name,
+        overrides={entity: rrb.EntityBehavior(visible=False) for entity in recording.hidden},
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0)),
         line_grid=False,
     )
 
 
 def bird_view(focus: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Eye and target [3] of a view from above and the side (+Z) that shows the box ``focus`` [2, 3]."""
+    """Returns eye and target [3] of a view that shows the box ``focus`` [2, 3] from above and slightly from +Z."""
     lo, hi = focus
     target = np.array([(lo[0] + hi[0]) / 2, lo[1], (lo[2] + hi[2]) / 2])
-    reach = max(hi[0] - lo[0], 1.25 * (hi[2] - lo[2]), 3.0)  # depth needs more room: the window is wide
-    return target + reach * np.array([0.0, 1.0, 0.42]), target
+    distance = max(hi[0] - lo[0], 1.25 * (hi[2] - lo[2]), 3.0)  # z counts more because the window is wide
+    return target + distance * np.array([0.0, 1.0, 0.42]), target

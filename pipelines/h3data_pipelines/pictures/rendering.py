@@ -1,4 +1,4 @@
-"""Drawing recordings into files: the loop that keeps all cores busy, and what is drawn over pictures."""
+"""The frame loop that renders recordings into files on all cores, and trajectories drawn over top-down images."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 ROBOT_COLOR, HUMAN_COLOR = (255, 176, 32), (64, 150, 255)
 TRAJECTORY_STRIDE = 6
-"""Trajectories are drawn through every sixth step: 0.2 s."""
+"""Steps between the points of a drawn trajectory: 0.2 s."""
 DEPTH_RANGE_M = (0.0, 10.0)
 
 
-def draw_files(
+def render_files(
     replay: Replay,
     views: Sequence[tuple[CameraTrack, Sequence[Target]]],
     *,
@@ -33,11 +33,11 @@ def draw_files(
     annotate: bool = True,
     description: str = "render",
 ) -> None:
-    """Draw ``steps`` from every camera into its targets.
+    """Renders ``steps`` from every camera into its targets.
 
-    ``threads`` threads pose, draw and prepare frames (colours, PNG); each video has one more that encodes. A few frames
-    are under way at a time, so memory stays constant. The files do not depend on the number of threads, and appear under
-    their names when they are complete.
+    ``threads`` threads pose, render and prepare frames (colour maps, PNG encoding); each target has one more thread that
+    encodes or writes. Few frames are in flight at a time, so memory stays constant. The files do not depend on the number
+    of threads, and they get their final names only when complete.
     """
     outputs: list[Output] = list(dict.fromkeys(target.output for _, targets in views for target in targets))
     fps = frames_per_second(replay, steps)
@@ -64,23 +64,23 @@ def draw_files(
 
 
 class _InOrder:
-    """A thread that does ``work`` on one thing after the other; a few at most wait for it."""
+    """A thread that applies ``work`` to items in the order of submission, with a bounded queue."""
 
-    WAITING = 4
+    QUEUE_LENGTH = 4
 
     def __init__(self, work: Callable[[Any], None]) -> None:
         self._work = work
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="h3data-encode")
         self._pending: list[Future[None]] = []
 
-    def submit(self, thing: Any) -> None:
-        """Raises what the work on an earlier thing raised."""
-        while len(self._pending) >= self.WAITING:
+    def submit(self, item: Any) -> None:
+        """Queues an item, waiting while the queue is full; raises what ``work`` raised for an earlier item."""
+        while len(self._pending) >= self.QUEUE_LENGTH:
             self._pending.pop(0).result()
-        self._pending.append(self._pool.submit(self._work, thing))
+        self._pending.append(self._pool.submit(self._work, item))
 
     def finish(self) -> None:
-        """Wait until all is done."""
+        """Waits until all items are done; raises what ``work`` raised."""
         while self._pending:
             self._pending.pop(0).result()
 
@@ -92,18 +92,18 @@ class _InOrder:
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def frames_per_second(replay: Replay, steps: range) -> float:
-    """Of a video of ``steps`` that runs at the speed of life; at least 1, as players want it."""
+    """Frame rate at which a video of ``steps`` runs in real time, but at least 1: players reject lower rates."""
     times = replay.recording.columns["time_ns"]
     return max(1e9 / float(np.median(np.diff(times))) / steps.step, 1.0) if len(times) > 1 else 30.0
 
 
 def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, annotate: bool) -> ToPicture:
-    """How a rendered image becomes what the target stores."""
+    """Returns the conversion from a rendered image to the stored one."""
     from h3data.render import depth_to_rgb, instance_to_rgb
     from h3data.render.image_files import depth_to_mm, stored_ids
 
@@ -127,8 +127,11 @@ def _picture(replay: Replay, track: CameraTrack, target: Target, first: int, *, 
 
 
 def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
-    """Nearest and farthest depth [m] that the colours of a depth video span: 0 to 10 m as a rule, what there is for
-    cameras far away from everything, such as those from above."""
+    """Nearest and farthest depth [m] of a depth video's colour scale.
+
+    The scale is 0 to 10 m, which keeps videos comparable. Where the median depth is larger, as for cameras high above a
+    home, it spans the depths of the image instead.
+    """
     hits = depth[depth > 0]
     if not len(hits) or np.median(hits) <= DEPTH_RANGE_M[1]:
         return DEPTH_RANGE_M
@@ -137,7 +140,7 @@ def depth_range(depth: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTrack, step: int) -> None:
-    """Draw on ``image`` where each agent has been up to ``step``, and its name."""
+    """Draws each agent's trajectory up to ``step`` and its name on ``image`` [H, W, 3], in place."""
     from h3data.render.overlay import draw_label, draw_polyline
 
     camera = track.at(step)
@@ -149,5 +152,5 @@ def draw_trajectories(image: NDArray[np.uint8], replay: Replay, track: CameraTra
         color = ROBOT_COLOR if agent.kind == "robot" else HUMAN_COLOR
         line = base[::TRAJECTORY_STRIDE] + np.array([0.0, 0.03, 0.0])
         draw_polyline(image, camera, np.concatenate([line, base[-1:]]), color=color, thickness=2)
-        above = base[-1] - camera.pose[:3, 1] * 0.55  # upwards in the picture
+        above = base[-1] - camera.pose[:3, 1] * 0.55  # the camera's y axis points down in the image
         draw_label(image, camera, above, agent.name, color=color, scale=0.6)

@@ -1,4 +1,4 @@
-"""Per-step numbers, coloured action lanes and the event log of a recording, as Rerun columns."""
+"""Plots, action lanes and event log of a recording as Rerun columns."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from h3data.metrics import find_agents
 from h3data.metrics.paper.social_nav import following_rows, l2_distance
 from h3data.recording.log_lines import LogLine, log_lines
 from h3data.recording.records import Recording
-from h3data_viewers.rerun.rerun_sink import Sink
+from h3data_viewers.rerun.sink import Sink
 
 NOTHING = "-"
-"""Lane state while nothing runs."""
+"""Lane state while no skill or motion is running."""
 ENDED = "ended"
-"""Lane state after the last step, where another recording goes on."""
-KNOWN_COLORS = {
+"""Lane state after the last step, in files whose other recording is longer."""
+STATE_COLORS = {
     NOTHING: 0x3A3A3AFF,
     "apart": 0x616161FF,
     "near": 0xFFB300FF,
@@ -28,12 +28,12 @@ KNOWN_COLORS = {
     ENDED: 0x1A1A1AFF,
 }
 CURVE_COLORS = ((0x1565C0FF, 0x64B5F6FF, 0x4DD0E1FF), (0xD84315FF, 0xFFB74DFF, 0xF06292FF))
-"""Of the first and the second recording in one plot."""
+"""Curve colours of the first and of the second recording in a shared plot."""
 PALETTE = (0x1E88E5FF, 0x8E24AAFF, 0x00897BFF, 0xF4511EFF, 0x6D4C41FF, 0x3949ABFF, 0xC0CA33FF, 0xD81B60FF, 0x00ACC1FF)
 
 
 def agent_pair(recording: Recording) -> tuple[int, int] | None:
-    """The robot and the human that metrics are about, or None."""
+    """Returns the robot and the human that metrics are computed for, or None if there is no such pair."""
     try:
         return find_agents(recording)
     except InputError:
@@ -42,10 +42,12 @@ def agent_pair(recording: Recording) -> tuple[int, int] | None:
 
 # --- plots ------------------------------------------------------------------------------------------------------------
 def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, bounds: bool = True) -> tuple[str, ...]:
-    """Log every per-step scalar below ``metrics/``; returns the paths of the distances, which belong in one plot.
+    """Logs every per-step scalar below ``metrics/`` and returns the paths of the distances, which share one plot.
 
-    ``shade`` 0, 1, ... colours and names the curves by the recording, for plots that several share. ``bounds``: log
-    the distances between which following counts, too.
+    Args:
+        shade: index of the recording, which then sets the colour and the name of its curves; for plots that several
+            recordings share.
+        bounds: whether to log the two distances between which the robot counts as following.
     """
     import rerun as rr
 
@@ -54,14 +56,14 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
         for name, column in recording.columns.items()
         if name.startswith("metrics.") and column.ndim == 1 and column.dtype.kind in "fiub"
     }
-    plotted = [name for name in curves if name.startswith(("dist", "geodesic"))]  # metres; other units stay apart
+    plotted = [name for name in curves if name.startswith(("dist", "geodesic"))]  # metres only: one axis per plot
     pair = agent_pair(recording)
     if pair is not None and "dist_agents" not in curves:
         curves["distance_l2"] = l2_distance(recording, *pair)
         plotted.append("distance_l2")
     for name, column in curves.items():
         values = column.astype(np.float64)
-        values[np.isinf(values)] = np.nan  # no path: a gap in the curve, not a cliff
+        values[np.isinf(values)] = np.nan  # infinite: no path; NaN leaves a gap in the curve
         if shade is not None and name in plotted:
             color = CURVE_COLORS[shade][plotted.index(name) % 3]
             style = rr.SeriesLines(names=[f"{sink.label} {name}"], colors=np.array([color], np.uint32), widths=[2.0])
@@ -79,7 +81,7 @@ def log_scalars(sink: Sink, recording: Recording, *, shade: int | None = None, b
 
 # --- lanes ------------------------------------------------------------------------------------------------------------
 def lanes_of(recording: Recording) -> dict[str, list[str]]:
-    """State per row of every lane, by lane name: skills and motions of each agent, and the encounter of the pair."""
+    """Returns the state of every lane at each row, by lane name: skills, motions, and the encounter of the pair."""
     lanes: dict[str, list[str]] = {}
     for i, agent in enumerate(recording.agents):
         skill = _skill_states(recording, i)
@@ -95,15 +97,15 @@ def lanes_of(recording: Recording) -> dict[str, list[str]]:
 
 
 def log_lanes(sink: Sink, recording: Recording, *, ends: bool = False) -> tuple[str, ...]:
-    """Log the lanes below ``actions/``; returns their paths. ``ends``: they show where the recording ends."""
+    """Logs the lanes below ``actions/`` and returns their paths; with ``ends``, they show where the recording ends."""
     import rerun as rr
 
     lanes = {name: states for name, states in lanes_of(recording).items() if states}
     for name, lane in lanes.items():
         states = [*lane, ENDED] if ends else lane
         values = list(dict.fromkeys(states))
-        unknown = [v for v in values if v not in KNOWN_COLORS]
-        colors = {v: PALETTE[k % len(PALETTE)] for k, v in enumerate(unknown)} | KNOWN_COLORS
+        uncolored = [v for v in values if v not in STATE_COLORS]
+        colors = {v: PALETTE[k % len(PALETTE)] for k, v in enumerate(uncolored)} | STATE_COLORS
         rgba = np.array([colors[v] for v in values], np.uint32)
         config = rr.StateConfiguration(values=values, labels=values, colors=rgba)
         sink.static(f"actions/{name}", config)
@@ -132,7 +134,7 @@ def _coded(names: tuple[str, ...], code: int) -> str:
 
 
 def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]:
-    """How the robot stands to the human in each row: apart, near, following (1-2 m and facing), too close, contact."""
+    """Classifies each row: apart, near, following (1-2 m and facing the human), too close, or contact."""
     distance = l2_distance(recording, robot, human)
     following = following_rows(recording, robot, human)
     contact = recording.columns.get("metrics.collision", np.zeros(len(recording), np.bool_))
@@ -144,13 +146,16 @@ def _encounter_states(recording: Recording, robot: int, human: int) -> list[str]
 
 # --- log --------------------------------------------------------------------------------------------------------------
 def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
-    """Log events and skills as text below ``log/``; returns whether there are any. ``ends``: the end is one, too."""
+    """Logs events and skills as text below ``log/``; returns whether there are any.
+
+    With ``ends``, the end of the recording is logged as an event.
+    """
     import rerun as rr
 
     lines = log_lines(recording)
     if ends:
-        why = str(recording.episode.info.get("ended", ""))
-        lines.append(LogLine("events", len(recording), "the recording ends" + (f" ({why})" if why else "")))
+        reason = str(recording.episode.info.get("ended", ""))
+        lines.append(LogLine("events", len(recording), "the recording ends" + (f" ({reason})" if reason else "")))
     last = len(recording) if ends else max(len(recording) - 1, 0)
     for source in dict.fromkeys(line.source for line in lines):
         group = [line for line in lines if line.source == source]
@@ -161,11 +166,12 @@ def log_events(sink: Sink, recording: Recording, *, ends: bool = False) -> bool:
 
 
 def log_inputs(sink: Sink, recording: Recording) -> bool:
-    """Log raw input of people as text below ``input/``, at its own times; returns whether there is any."""
+    """Logs raw input of people as text below ``input/``, at the times it arrived; returns whether there is any."""
     import rerun as rr
 
-    for user in sorted({given.user for given in recording.inputs}):
-        own = [given for given in recording.inputs if given.user == user]
-        columns = rr.TextLog.columns(text=[f"{g.kind} {g.payload}".rstrip() for g in own], level=["INFO"] * len(own))
-        sink.moments(f"input/user_{user}", np.array([given.time_ns for given in own], np.int64), columns)
+    for user in sorted({event.user for event in recording.inputs}):
+        events = [event for event in recording.inputs if event.user == user]
+        text = [f"{event.kind} {event.payload}".rstrip() for event in events]
+        columns = rr.TextLog.columns(text=text, level=["INFO"] * len(events))
+        sink.moments(f"input/user_{user}", np.array([event.time_ns for event in events], np.int64), columns)
     return bool(recording.inputs)

@@ -1,4 +1,4 @@
-"""Meshes light enough for a viewer file: fewer vertices by clustering, small textures, facets where normals are missing."""
+"""Meshes reduced for a viewer file: vertices thinned by clustering, textures scaled down, flat facets without normals."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from h3data.mesh.mesh_operations import face_texture_indices
 from h3data.srgb import bytes_to_linear, linear_to_bytes
 
 BAKED_SIDE_PX = 64
-"""Textures whose colours go to the vertices are reduced to this first: a texel then stands for its surroundings."""
+"""Size to which textures are reduced before their colours go to the vertices: each texel then averages its area."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ThinMesh:
-    """A subset of a mesh's vertices, and triangles between them."""
+    """A subset of a mesh's vertices and the triangles between them."""
 
     keep: NDArray[np.int64]
-    """Indices of the kept vertices in the full mesh, shape [K]: also thins any later positions of the same vertices."""
+    """Indices of the kept vertices in the full mesh, shape [K]; they thin other poses of the mesh just as well."""
     faces: NDArray[np.int32]
     """Indices into ``keep``, shape [F, 3]."""
 
 
 def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
-    """At most ``max_vertices`` vertices that represent the mesh: one per cell of a grid, by bisection of the cell size.
+    """Thins a mesh to at most ``max_vertices`` vertices: one per occupied cell of a grid, whose size is bisected.
 
-    A mesh that is small enough stays as it is. Kept vertices are original ones, so a skinned mesh thinned in its rest
-    pose stays valid in every pose.
+    A mesh that is small enough is kept whole. The kept vertices are original ones rather than cell averages, so a
+    skinned mesh thinned in its rest pose is valid in every pose.
     """
     count = len(mesh.vertices)
     if count <= max_vertices or count == 0:
@@ -48,12 +48,12 @@ def thin_mesh(mesh: Mesh, max_vertices: int) -> ThinMesh:
             fine = size
     _, keep = np.unique(best, return_index=True)
     faces = best[mesh.faces].astype(np.int32)
-    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return ThinMesh(keep=keep, faces=faces[whole])
+    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    return ThinMesh(keep=keep, faces=faces[~collapsed])
 
 
 def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np.int64]:
-    """Number of the occupied grid cell of each vertex, 0..cells-1, shape [V]."""
+    """Index of each vertex's grid cell among the occupied cells, shape [V]."""
     cell = np.floor((mesh.vertices - origin) / size).astype(np.int64)
     cell = np.minimum(cell, (1 << 20) - 1)
     key = (cell[:, 0] << 40) | (cell[:, 1] << 20) | cell[:, 2]
@@ -62,29 +62,29 @@ def _cluster(mesh: Mesh, origin: NDArray[np.float32], size: float) -> NDArray[np
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewMesh:
-    """Arrays as the viewer wants them: triangles with one texture at most."""
+    """Arrays in the layout of Rerun's `Mesh3D`: triangles with at most one texture."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32] | None
-    """None: every three vertices are a triangle of their own, which the viewer shades flat."""
+    """Vertex indices [F, 3]; None: every three consecutive vertices form a triangle, which the viewer shades flat."""
     colors: NDArray[np.uint8]
     normals: NDArray[np.float32] | None
     uv: NDArray[np.float32] | None = None
     texture: Texture | None = None
-    """What a surface shows is texel times vertex colour. The viewer takes every texel as opaque."""
+    """The surface colour is texel times vertex colour. The viewer treats every texel as opaque."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays without the texture, colours with alpha."""
+        """Bytes of the arrays without the texture; colours count with alpha."""
         arrays = (self.vertices, self.faces, self.normals, self.uv)
         return 4 * len(self.colors) + sum(a.nbytes for a in arrays if a is not None)
 
 
 def view_mesh(mesh: Mesh, *, max_vertices: int | None = None) -> list[ViewMesh]:
-    """A mesh for the viewer, one part per texture and one for what has none; flat facets where it has no normals.
+    """Splits a mesh into parts for the viewer: one per texture and one for untextured faces.
 
-    Above ``max_vertices`` it is thinned. Its textures become vertex colours then, since the borders between pieces of a
-    texture do not outlive that.
+    A mesh without normals becomes flat facets. A mesh with more than ``max_vertices`` is thinned, and its textures become
+    vertex colours, because thinning merges vertices across the seams of a texture atlas.
     """
     if max_vertices is not None and len(mesh.vertices) > max_vertices:
         thin = thin_mesh(mesh, max_vertices)
@@ -105,7 +105,7 @@ def _whole(mesh: Mesh) -> ViewMesh:
 
 
 def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, texture: Texture | None) -> ViewMesh:
-    """Some triangles of a mesh with the vertices that they use."""
+    """Selects triangles of a mesh and the vertices they use."""
     if mesh.normals is None:
         used, corners = faces.reshape(-1), None
     else:
@@ -122,27 +122,30 @@ def _part(mesh: Mesh, faces: NDArray[np.int32], uv: NDArray[np.float32] | None, 
 
 
 def baked_colors(mesh: Mesh) -> NDArray[np.uint8]:
-    """sRGB vertex colours [V, 3] with the colour that the texture has there; of several, the last triangle's."""
+    """Vertex colours [V, 3] (sRGB) times the texture's colour at each vertex.
+
+    A vertex that several textures share takes that of its last triangle.
+    """
     if mesh.uv is None or not mesh.textures:
         return mesh.colors
     index, texture_of = face_texture_indices(mesh), np.full(len(mesh.vertices), -1)
     texture_of[mesh.faces.reshape(-1)] = np.repeat(index, 3)
     colors = mesh.colors.copy()
     for k, texture in enumerate(mesh.textures):
-        here = texture_of == k
+        selected = texture_of == k
         small = Texture(pixels=reduced(texture.pixels, BAKED_SIDE_PX))
-        texels = nearest_texels(small, mesh.uv[here])[:, :3]
-        colors[here] = linear_to_bytes(bytes_to_linear(texels) * bytes_to_linear(colors[here]))
+        texels = nearest_texels(small, mesh.uv[selected])[:, :3]
+        colors[selected] = linear_to_bytes(bytes_to_linear(texels) * bytes_to_linear(colors[selected]))
     return colors
 
 
 def view_texture(texture: Texture, side: int) -> NDArray[np.uint8]:
-    """sRGB texels [H, W, 3], at most ``side`` x ``side``."""
+    """Texels [H, W, 3] (sRGB), reduced to at most ``side`` x ``side``."""
     return np.ascontiguousarray(reduced(texture.pixels, side)[..., :3])
 
 
 def texture_bytes(texture: Texture, side: int) -> int:
-    """Bytes of `view_texture`."""
+    """Size of the array that `view_texture` returns [bytes]."""
     height, width = texture.pixels.shape[:2]
     columns, rows = reduced_size(width, height, side)
     return 3 * columns * rows

@@ -1,4 +1,4 @@
-"""Drawn on the floor of a Rerun view: where agents can be, and where things and people are to go."""
+"""Marks on the floor of a Rerun view: free space, goals of objects and people."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from h3data.recording.records import Recording
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.freespace.build import choose_method
-from h3data_viewers.rerun.rerun_sink import Sink
+from h3data_viewers.rerun.sink import Sink
 
 _LOG = logging.getLogger(__name__)
 
@@ -23,9 +23,10 @@ ABOVE_FLOOR_M = 0.015
 
 # --- free space -------------------------------------------------------------------------------------------------------
 def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> bool:
-    """Log the border of where an agent's centre can be as ``world/free_space``; returns whether there is one.
+    """Logs the border of the free space of an agent's centre as ``world/free_space``; returns whether there is any.
 
-    Only for scenes with rooms and shapes: among bare triangles, finding the floor takes longer than the rest of the file.
+    Scenes without rooms and primitive shapes are skipped: extracting the floor from triangles takes longer than writing
+    the rest of the file.
     """
     import rerun as rr
 
@@ -48,16 +49,16 @@ def log_free_space(sink: Sink, recording: Recording, scene: Scene | None) -> boo
 
 # --- goals ------------------------------------------------------------------------------------------------------------
 def log_goals(sink: Sink, recording: Recording) -> None:
-    """Log where objects are to go, for ever, and the point to which the person walks now, below ``world/goals``.
+    """Logs the goal positions of objects and the person's current goal below ``world/goals``.
 
-    Reads what recordings of `social_nav`, `rearrange` and HITL sessions hold in ``episode.info``; what has another form
-    is left out with a warning.
+    Goals come from ``episode.info`` as written by `social_nav`, `rearrange` and HITL sessions. Malformed ones are
+    skipped with a warning.
     """
     import rerun as rr
 
-    places, labels = _object_goals(recording)
-    if len(places):
-        points = rr.Points3D(places, radii=[0.07], colors=[GOAL_COLOR], labels=labels, show_labels=True)
+    positions, labels = _object_goals(recording)
+    if len(positions):
+        points = rr.Points3D(positions, radii=[0.07], colors=[GOAL_COLOR], labels=labels, show_labels=True)
         sink.static("world/goals/objects", points)
     for agent, rows, points in _walking_goals(recording):
         static = rr.Points3D.from_fields(colors=[GOAL_COLOR], radii=[0.09])
@@ -66,20 +67,20 @@ def log_goals(sink: Sink, recording: Recording) -> None:
 
 
 def _object_goals(recording: Recording) -> tuple[NDArray[np.float64], list[str]]:
-    """Points [N, 3] [m] and a label for each."""
+    """Goal positions of objects [N, 3] [m] and their labels."""
     info = recording.episode.info
     goals = info.get("goals")
     if isinstance(goals, Sequence) and not isinstance(goals, str) and goals:
-        known = [g for g in goals if isinstance(g, Mapping) and "position" in g]
-        labels = [" to ".join(str(g[key]) for key in ("object", "to") if g.get(key)) for g in known]
-        places = _points([g["position"] for g in known], 3, "goals")
-        return places, labels[: len(places)]
-    places = _points(info.get("goal_positions"), 3, "goal_positions")
-    return places, [f"goal {k + 1}" for k in range(len(places))]
+        placed = [g for g in goals if isinstance(g, Mapping) and "position" in g]
+        labels = [" to ".join(str(g[key]) for key in ("object", "to") if g.get(key)) for g in placed]
+        positions = _points([g["position"] for g in placed], 3, "goals")
+        return positions, labels[: len(positions)]
+    positions = _points(info.get("goal_positions"), 3, "goal_positions")
+    return positions, [f"goal {k + 1}" for k in range(len(positions))]
 
 
 def _walking_goals(recording: Recording) -> list[tuple[str, NDArray[np.int64], NDArray[np.float64]]]:
-    """Name of the person, rows where her goal changes, and that goal [m]."""
+    """Walking goals of the first person: entity name, rows [N] where the goal changes, positions [N, 3] [m]."""
     import rerun as rr
 
     goals = _points(recording.episode.info.get("human_goals"), 2, "human_goals")
@@ -87,16 +88,16 @@ def _walking_goals(recording: Recording) -> list[tuple[str, NDArray[np.int64], N
     people = [i for i, a in enumerate(recording.agents) if a.kind == "human"]
     if not len(goals) or column is None or column.ndim != 1 or not len(column) or not people:
         return []
-    number = np.clip(column.astype(np.int64), 0, len(goals) - 1)
-    rows = np.flatnonzero(np.concatenate([[True], np.diff(number) != 0]))
+    index = np.clip(column.astype(np.int64), 0, len(goals) - 1)
+    rows = np.flatnonzero(np.concatenate([[True], np.diff(index) != 0]))
     height = np.nan_to_num(recording.agent_column(people[0], "base_pose")[rows, 1].astype(np.float64))
-    at = goals[number[rows]]
+    x, z = goals[index[rows]].T
     name = rr.escape_entity_path_part(recording.agents[people[0]].name or "unnamed")
-    return [(name, rows, np.column_stack([at[:, 0], height + ABOVE_FLOOR_M, at[:, 1]]))]
+    return [(name, rows, np.column_stack([x, height + ABOVE_FLOOR_M, z]))]
 
 
 def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:
-    """Finite points [N, width] out of what a recording holds under ``key``; none if it is something else."""
+    """Parses ``episode.info[key]`` as finite points [N, width]; anything else gives no points and a warning."""
     none = np.zeros((0, width))
     if value is None:
         return none
@@ -108,5 +109,5 @@ def _points(value: Any, width: int, key: str) -> NDArray[np.float64]:
             return points
     except (TypeError, ValueError):
         pass
-    _LOG.warning("Goals are not shown: expected episode.info[%r] as points of %d finite numbers.", key, width)
+    _LOG.warning("Goals are not shown: expected episode.info[%r] to hold points of %d finite numbers.", key, width)
     return none

@@ -1,0 +1,246 @@
+"""Recordings as a Rerun file (``.rrd``): 3-D home with moving bodies, cameras, plots, action lanes and event log.
+
+Entities: ``world/scene/<name>`` (static meshes, below their layer if they have one), ``world/objects/<name>`` (moving
+ones), ``world/<agent>/...`` (parts of an agent, relative to its root frame: only joints that move cost bytes),
+``world/trajectories``, ``world/goals``, ``world/free_space``, ``world/cameras/<name>``, ``metrics/*``, ``actions/*``,
+``log/*``, ``input/*``. Two recordings in one file lie below ``/a`` and ``/b``. Timelines: ``step`` and ``sim_time``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data.files import part_file
+from h3data.geometry import transform_points
+from h3data.recording.records import Recording
+from h3data.replay import Replay, camera_track
+from h3data_viewers.rerun.cameras import CameraFeed, ImageStorage, log_camera
+from h3data_viewers.rerun.entities import Drawable, PosedScene, entity_part, log_agents, log_rigid, log_skins
+from h3data_viewers.rerun.floor_marks import log_free_space, log_goals
+from h3data_viewers.rerun.layout import LoggedRecording, layout
+from h3data_viewers.rerun.sink import Sink
+from h3data_viewers.rerun.timeseries import log_events, log_inputs, log_lanes, log_scalars
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+APPLICATION = "h3data"
+LABELS = ("a", "b")
+"""Root entities of two recordings in one file."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownRecording:
+    """A recording together with its meshes, cameras and title."""
+
+    recording: Recording
+    replay: PosedScene | None = None
+    """Meshes and poses; without it, agents appear as simple solids."""
+    cameras: Sequence[CameraFeed] = ()
+    videos: Mapping[str, Path] = field(default_factory=dict)
+    """MP4 files of further cameras of the replay, by camera name (see `h3data.replay.camera_names`)."""
+    name: str = ""
+    """Title in a comparison; by default task and episode id."""
+
+
+def write_rrd(
+    recording: Recording,
+    path: str | Path,
+    *,
+    replay: PosedScene | None = None,
+    cameras: Sequence[CameraFeed] = (),
+    videos: Mapping[str, Path] | None = None,
+    images: ImageStorage = "stills",
+    skin_every: int = 3,
+    overwrite: bool = False,
+) -> Path:
+    """Writes a recording as a Rerun file with a ready-made layout and returns its path.
+
+    Args:
+        recording: recording to show.
+        path: path of the ``.rrd`` file; missing folders are created.
+        replay: meshes and poses, as in `ShownRecording`.
+        cameras: cameras to show.
+        videos: MP4 files of cameras of the replay, as in `ShownRecording`.
+        images: storage of camera videos, see `h3data_viewers.rerun.cameras.log_camera`.
+        skin_every: steps between samples of skinned bodies, which move rigidly with their agent in between. A larger
+            interval is chosen where the file would otherwise become too large.
+        overwrite: whether to replace an existing file.
+
+    Raises:
+        InputError: ``path`` exists and ``overwrite`` is false, or a camera's video cannot be read.
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    shown = ShownRecording(recording=recording, replay=replay, cameras=cameras, videos=videos or {})
+    return _write_file([shown], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
+
+
+def write_comparison_rrd(
+    first: ShownRecording,
+    second: ShownRecording,
+    path: str | Path,
+    *,
+    images: ImageStorage = "stills",
+    skin_every: int = 3,
+    overwrite: bool = False,
+) -> Path:
+    """Writes a Rerun file that shows two recordings side by side on one timeline, and returns its path.
+
+    The first recording lies below ``/a``, the second below ``/b``. Each has a 3-D view of its own; they share plots,
+    lanes and log. They may differ in scene, agents, task and length: the shorter one stays in its last state, and its
+    lanes and log say that it has ended. The timeline is ``step`` if their common steps are at the same times, else
+    ``sim_time``.
+
+    Raises:
+        InputError: as for `write_rrd`, or one of them has no steps.
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    for label, shown in zip(LABELS, (first, second), strict=True):
+        if not len(shown.recording):
+            raise InputError(
+                f"Expected two recordings with steps to compare, but {label}, {_title(shown)!r}, has none. "
+                "Hint: view the other one alone."
+            )
+    return _write_file([first, second], Path(path), images=images, skin_every=skin_every, overwrite=overwrite)
+
+
+def _write_file(
+    sides: Sequence[ShownRecording], path: Path, *, images: ImageStorage, skin_every: int, overwrite: bool
+) -> Path:
+    if path.exists() and not overwrite:
+        raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
+    try:
+        import rerun as rr
+    except ImportError as error:
+        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
+    feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
+    videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
+    missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
+    if missing:
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    identity = " ".join(side.recording.episode.uid for side in sides)
+    stream = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
+    labels = LABELS if len(sides) > 1 else ("",)
+    longest = max(sides, key=lambda side: len(side.recording))
+    with part_file(path) as part:
+        try:
+            stream.save(part)
+            _log_properties(stream, sides)
+            logged = []
+            for side, label, group in zip(sides, labels, feeds, strict=True):
+                sink = Sink(stream, side.recording.columns["time_ns"], label)
+                logged.append(_log_side(side, sink, group, images, skin_every, bounds=side is longest))
+            stream.send_blueprint(layout(logged, timeline=_timeline(sides)))
+        finally:
+            stream.disconnect()
+        if not part.is_file() or part.stat().st_size == 0:
+            raise H3DataError(
+                "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it."
+            )
+    return path
+
+
+def _log_side(
+    shown: ShownRecording,
+    sink: Sink,
+    cameras: Sequence[CameraFeed],
+    images: ImageStorage,
+    skin_every: int,
+    *,
+    bounds: bool,
+) -> LoggedRecording:
+    import rerun as rr
+
+    recording, replay, compared = shown.recording, shown.replay, bool(sink.label)
+    share = 0.5 if compared else 1.0
+    sink.static("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    drawables = list(replay.drawables) if replay is not None else []
+    log_agents(sink, recording, {d.agent for d in drawables})
+    if replay is not None:
+        log_rigid(sink, recording, replay, share=share)
+        log_skins(sink, recording, replay, skin_every, share=share)
+    log_free_space(sink, recording, replay.scene if isinstance(replay, Replay) else None)
+    log_goals(sink, recording)
+    camera_paths = [(feed, log_camera(sink, feed, images=images)) for feed in cameras]
+    ceilings = {f"world/scene/{entity_part(d.layer)}" for d in drawables if d.layer == "ceiling" and not d.moving}
+    return LoggedRecording(
+        label=sink.label,
+        name=f"{sink.label}: {_title(shown)}" if compared else "Home",
+        world=sink.path("world"),
+        focus=_focus(recording, drawables),
+        hidden=sorted(sink.path(entity) for entity in ceilings),
+        cameras=[path for feed, path in camera_paths if feed.has_images],
+        plotted=log_scalars(sink, recording, shade=LABELS.index(sink.label) if compared else None, bounds=bounds),
+        lanes=log_lanes(sink, recording, ends=compared),
+        log=sink.path("log") if log_events(sink, recording, ends=compared) else "",
+        inputs=sink.path("input") if log_inputs(sink, recording) else "",
+    )
+
+
+def _title(shown: ShownRecording) -> str:
+    return shown.name or f"{shown.recording.episode.task} {shown.recording.episode.episode_id}"
+
+
+def _timeline(sides: Sequence[ShownRecording]) -> str:
+    """Returns the timeline on which all recordings run at the same pace."""
+    times = [side.recording.columns["time_ns"] for side in sides]
+    common = min(len(t) for t in times)
+    return "step" if all(np.array_equal(t[:common], times[0][:common]) for t in times) else "sim_time"
+
+
+def _named_cameras(shown: ShownRecording) -> list[CameraFeed]:
+    """Feeds of the replay's own cameras that have videos."""
+    if not shown.videos:
+        return []
+    if not isinstance(shown.replay, Replay):
+        raise InputError("Videos by camera name need an h3data.replay.Replay. Hint: pass cameras=[CameraFeed(...)].")
+    tracks = {name: camera_track(shown.replay, name) for name in shown.videos}
+    return [CameraFeed(camera=t.camera, poses=t.poses, video=Path(shown.videos[name])) for name, t in tracks.items()]
+
+
+def _log_properties(stream: rr.RecordingStream, sides: Sequence[ShownRecording]) -> None:
+    import rerun as rr
+
+    episodes = [side.recording.episode for side in sides]
+    stream.send_recording_name(" | ".join(f"{e.task} {e.episode_id}" for e in episodes))
+    for side, e, label in zip(sides, episodes, LABELS, strict=False):
+        values = rr.AnyValues(
+            uid=e.uid,
+            episode_id=e.episode_id,
+            task=e.task,
+            scene=e.scene,
+            seed=e.seed,
+            created_by=e.created_by,
+            steps=len(side.recording),
+        )
+        stream.send_property(f"episode_{label}" if len(sides) > 1 else "episode", values)
+
+
+# --- initial view -----------------------------------------------------------------------------------------------------
+def _focus(recording: Recording, drawables: Sequence[Drawable]) -> NDArray[np.floating]:
+    """Box [2, 3] that the initial view shows [m]: the part of the home within 5 m of the agents' tracks."""
+    corners = []
+    for d in drawables:
+        if d.layer != "ceiling" and not d.moving and not d.deformable and len(d.mesh.vertices):
+            lo, hi = d.mesh.bounds
+            box = np.array([[x, y, z] for x in (lo[0], hi[0]) for y in (lo[1], hi[1]) for z in (lo[2], hi[2])])
+            corners.append(transform_points(d.matrix, box))
+    home = None
+    if corners:
+        points = np.concatenate(corners)
+        home = np.stack([points.min(0), points.max(0)])
+    tracks = [recording.agent_column(i, "base_pose")[:, :3] for i in range(len(recording.agents))]
+    points = np.concatenate([t[np.isfinite(t).all(1)] for t in tracks]) if tracks else np.zeros((0, 3))
+    if not len(points):
+        return np.array([[-3.0, 0, -3], [3, 2, 3]]) if home is None else home
+    near = np.stack([points.min(0) - np.array([5, 0.5, 5]), points.max(0) + np.array([5, 2.5, 5])]).astype(np.float64)
+    return near if home is None else np.stack([np.maximum(home[0], near[0]), np.minimum(home[1], near[1])])
