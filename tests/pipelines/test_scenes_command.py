@@ -275,7 +275,7 @@ def test_missing_assets_are_a_fault(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "--allow-missing" in capsys.readouterr().err
     assert run(capsys, *plan, "--allow-missing")[0] == 0
     assert main(["scenes", *map(str, plan), "--force", "--allow-missing", "--strict"]) == 2
-    assert "Choose one" in capsys.readouterr().err
+    assert "Choose either" in capsys.readouterr().err
 
 
 def test_what_stands_in_a_doorway_is_named() -> None:
