@@ -21,9 +21,10 @@ from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.commands.bench import Bench, measure, process_pool
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
-from sim_kinematic.motion.step import drive_robots, walk_humans
+from sim_kinematic.motion.step import drive_robots
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
 

@@ -30,9 +30,10 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
-from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.motion.gait import cycle_phase, drive_people, walk_humans
+from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
-from sim_kinematic.motion.step import drive_robots, walk_humans
+from sim_kinematic.motion.step import drive_robots
 
 Rows = NDArray[np.intp]
 
@@ -107,13 +108,7 @@ class World:
         rules, self.walker = base or BaseSpec(), walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
-        self._disc = BaseSpec(
-            max_speed_mps=self.walker.speed_mps,
-            max_turn_rad_s=self.walker.turn_rad_s,
-            allow_back=False,
-            disc_offsets_m=(0.0,),
-            disc_radius_m=person_radius_m,
-        )
+        self._person_radius_m = person_radius_m
         robots = [member.body for member in self.roster if isinstance(member.body, Robot)]
         people = len(self.roster) - len(robots)
         self.state = WorldState.zeros(
@@ -187,7 +182,9 @@ class World:
                 own, body = part.agents[k], member.body
                 if isinstance(own, HumanState) and isinstance(body, Humanoid):
                     if isinstance(command, Drive):
-                        self.blocked[rows, k] = self._drive_person(own, free, command.velocity[rows])
+                        self.blocked[rows, k] = drive_people(
+                            own, free, command.velocity[rows], self.walker, radius_m=self._person_radius_m
+                        )
                     if not isinstance(command, Keep):
                         draw_arms(own, free, body, self.walker.arms)
             for k, command in enumerate(commands):
@@ -209,7 +206,7 @@ class World:
         assert isinstance(body, Humanoid)
         clip = self.clips[agent]
         walk = body.clips[clip]
-        phase = (walk.start_phase + (own.distance[rows] - own.set_off[rows]) / walk.stride_m) % 1.0
+        phase = cycle_phase(walk, own.distance[rows], own.set_off[rows])
         return Posture(
             np.full(len(rows), clip), _recorded(phase), _recorded(own.blend[rows]), _recorded(own.arms[rows])
         )
@@ -240,22 +237,6 @@ class World:
                 )
             checked.append(type(command)(values))
         return checked
-
-    def _drive_person(self, state: HumanState, free: FreeSpace, velocity: Array) -> NDArray[np.bool_]:
-        """Move people as bases of one disc, and their walking cycle with them; returns who touched an obstacle."""
-        touched = np.zeros(len(velocity), np.bool_)
-        was = state.xz.copy()
-        disc = RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(velocity), 0)))
-        drive_robots(disc, free, velocity, self._disc)
-        walked = np.hypot(*(state.xz - was).T)
-        goes, rate = walked > 0, STEP_S / self.walker.blend_s
-        begins = goes & (state.blend == 0)
-        state.set_off[begins] = state.distance[begins]
-        state.distance[:] += walked
-        state.blend[:] = np.where(
-            goes, np.minimum(np.maximum(state.blend, 0.5) + rate, 1), np.maximum(state.blend - rate, 0)
-        )
-        return touched
 
     def _touching(self, rows: Rows) -> NDArray[np.bool_]:
         return self._contact.touching(self.state, rows, self.floor_y, self.posture, self.walker.speed_mps)

@@ -49,9 +49,9 @@ from h3data.geometry import (
 )
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import HANDS, draw_arms
+from sim_kinematic.motion.gait import cycle_phase, walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
-from sim_kinematic.motion.step import walk_humans
 
 CARRY = (0.27, 0.80, 0.15)
 """Where a hand carries something: forward, up, to its side, in heights of the shoulder."""
@@ -187,8 +187,6 @@ class Person:
         points = np.atleast_2d(np.asarray(path, np.float64))
         if points.shape[-1] != 2 or not np.isfinite(points).all():
             raise InputError(f"Expected floor points (x, z) of shape [K, 2], got {points.shape}.")
-        clip = self.body.clip_for_speed(self.spec.speed_mps)
-        walk = self.body.clips[clip]
         for point in points:
             way = point - self.base[[0, 2]]
             if np.hypot(*way) <= self.spec.arrive_m:
@@ -200,10 +198,7 @@ class Person:
             state.xz[0], state.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
             while True:
                 walk_humans(state, point[None], self.spec)
-                floor = float(self.base[1])
-                self.base = ground_pose(state.xz[0], state.heading[0], floor)
-                phase = walk.start_phase + (state.distance[0] - state.set_off[0]) / walk.stride_m
-                self.play(clip, float(phase), float(state.blend[0]))
+                self.stride(state)
                 yield
                 if state.blend[0] == 0:
                     break
@@ -325,6 +320,13 @@ class Person:
         """Take the pose of a clip at a phase (0..1), blended with standing; hands that hold something keep carrying it."""
         quats, pelvis = self.body.clip_pose([clip], [phase], [blend])
         self._pose(quats[0], pelvis[0], None)
+
+    def stride(self, gait: HumanState) -> None:
+        """Stand or walk where ``gait`` (one world) is, at the height of the floor so far."""
+        clip = self.body.clip_for_speed(self.spec.speed_mps)
+        self.base = ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
+        phase = cycle_phase(self.body.clips[clip], gait.distance[0], gait.set_off[0])
+        self.play(clip, float(phase), float(gait.blend[0]))
 
     def _pose(self, quats: Array, pelvis: Array, moving: Hand | None) -> None:
         """Take a pose, with arms drawn in where there is little room; arms that hold something and do not move keep

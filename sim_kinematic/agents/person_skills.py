@@ -21,9 +21,9 @@ from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
-from sim_kinematic.motion.step import walk_humans
 
 TURN_PATIENCE_STEPS = 10
 """So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
@@ -195,13 +195,9 @@ class PersonActor:
         if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
             self._gait = gait = self._set_off()
         stopped = gait.take([0])
-        clip = person.body.clip_for_speed(self.spec.speed_mps)
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
             walk_humans(gait, target[None], self.spec)
-            person.base = ground_pose(gait.xz[0], gait.heading[0], self.free.floor_y)
-            walk = person.body.clips[clip]
-            phase = walk.start_phase + (gait.distance[0] - gait.set_off[0]) / walk.stride_m
-            person.play(clip, float(phase), float(gait.blend[0]))
+            person.stride(gait)
             if not self.meets():
                 break
             self._gait = gait = stopped.take([0])

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.scene import FreeSpace
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HumanState
-from sim_kinematic.motion.step import walk_humans
 
 ARC_STEP_M = 0.08
 """Way points nearer together than this belong to one rounded corner (5 cm apart at a radius of 0.25 m)."""

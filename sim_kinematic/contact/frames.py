@@ -10,6 +10,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
 from h3data.scene import Shape
 from sim_kinematic.contact import capsule_transforms, shapes_from_capsules
+from sim_kinematic.motion.gait import cycle_phase
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import AgentState, HumanState, RobotState, WorldState
 
@@ -53,7 +54,7 @@ def body_frames(body: Body, state: AgentState, floor_y: float = 0.0, *, speed_mp
 def walking_phase(body: Humanoid, clip: int, state: HumanState) -> NDArray[np.float64]:
     """Where in the cycle of a clip a person is, 0..1, [W]."""
     walk = body.clips[clip]
-    return (walk.start_phase + (state.distance - state.set_off) / walk.stride_m) % 1.0
+    return cycle_phase(walk, state.distance, state.set_off)
 
 
 def body_shapes(body: Body) -> tuple[Shape, ...]:

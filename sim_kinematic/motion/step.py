@@ -1,4 +1,4 @@
-"""One step of motion: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
+"""One step of a robot's base: the scalar definition in numba, readable with ``NUMBA_DISABLE_JIT=1``, looped over worlds.
 
 Robot base: the velocity command moves the base first along its old heading, then turns it, as Habitat integrates
 (spec/habitat.md 0). The base is a row of discs; each must keep its radius from every obstacle of the signed distance
@@ -20,8 +20,8 @@ from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from h3data.scene.freespace.free_space import sample_sdf, sdf_gradient
 from sim_kinematic.motion.habitat_slide import slide_as_habitat
-from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide, WalkerSpec
-from sim_kinematic.motion.state import AgentState, HumanState, RobotState
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, Slide
+from sim_kinematic.motion.state import AgentState, RobotState
 
 
 @kernel(error_model="numpy")
@@ -97,21 +97,6 @@ def drive_base(
 
 
 @kernel(error_model="numpy")
-def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
-    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
-    dx, dz = goal_x - x, goal_z - z
-    distance = math.hypot(dx, dz)
-    if distance <= arrive:
-        return x, z, heading, 0.0
-    error = wrap_angle(math.atan2(-dz, dx) - heading)
-    most = turn * dt
-    if abs(error) > turn_before_walk:
-        return x, z, heading + min(max(error, -most), most), 0.0
-    walked = min(speed * dt, distance)
-    return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
-
-
-@kernel(error_model="numpy")
 def first_not_finite(rows):
     """The first row of ``rows`` [W, n] with NaN or infinity, -1 if there is none."""
     for w in range(rows.shape[0]):
@@ -163,21 +148,6 @@ def _drive_worlds_as_habitat(surface, root_y, xz, heading, contact, action, limi
     return -1
 
 
-@kernel(error_model="numpy")
-def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
-    for w in range(len(heading)):
-        xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(
-            xz[w, 0], xz[w, 1], heading[w], goal[w, 0], goal[w, 1], speed, turn, dt, turn_before_walk, arrive
-        )
-        if walked > 0.0:
-            if blend[w] == 0.0:
-                set_off[w] = distance[w]
-            distance[w] += walked
-            blend[w] = min(max(blend[w], 0.5) + blend_rate, 1.0)  # above 0.5 a foot stands (Humanoid.clip_pose)
-        else:
-            blend[w] = max(blend[w] - blend_rate, 0.0)
-
-
 def drive_robots(
     state: RobotState, free: FreeSpace, action: np.ndarray, spec: BaseSpec, *, dt: float = STEP_S,
     finder: PathFinder | None = None,
@@ -190,7 +160,7 @@ def drive_robots(
     Raises:
         InputError: the actions have another shape, or one is not finite; then nothing has moved.
     """
-    action = _per_world(action, state, width=3 if spec.max_lateral_mps else 2)
+    action = per_world(action, state, width=3 if spec.max_lateral_mps else 2)
     limits = (spec.max_speed_mps, spec.max_lateral_mps, spec.max_turn_rad_s, float(spec.allow_back))
     moved = state.xz, state.heading, state.contact
     offsets = np.array(spec.disc_offsets_m)
@@ -216,19 +186,7 @@ def _finder(free: FreeSpace) -> PathFinder:
     return PathFinder(free)
 
 
-def walk_humans(state: HumanState, goal_xz: np.ndarray, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
-    """Move a person in all her worlds one step straight towards her way points ``goal_xz`` [W, 2], in place.
-
-    The way points come from `FreeSpace.path`, so the straight line to the next one is free.
-    """
-    _walk_worlds(
-        state.xz, state.heading, state.distance, state.set_off, state.blend,
-        _per_world(goal_xz, state, width=2),
-        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
-    )  # fmt: skip
-
-
-def _per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
+def per_world(rows: np.ndarray, state: AgentState, *, width: int) -> np.ndarray:
     """``width`` numbers for each world, float64 [W, width]: the kernels check no bounds."""
     rows = np.asarray(rows, np.float64)
     worlds = len(state.heading)

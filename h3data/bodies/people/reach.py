@@ -16,9 +16,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from h3data.bodies.people import reach_kernel as kernel
 from h3data.bodies.people.humanoid import Humanoid
 from h3data.bodies.people.humanoid_file import read_arrays
+from h3data.bodies.people.kernels import reach as kernel
 from h3data.bodies.people.kernels.reach import ReachBody, reach_many
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.builtin import builtin_path

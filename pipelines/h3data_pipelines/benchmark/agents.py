@@ -18,9 +18,10 @@ from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_han
 from sim_kinematic.agents.person import HAND_SPEED_MPS
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.frames import body_frames
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.motion.step import drive_robots, walk_humans
+from sim_kinematic.motion.step import drive_robots
 
 Action = Literal["nav", "pick"]
 HFOV_DEG = 90.0

@@ -15,9 +15,9 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.replay.validation import LOW_M, SLIDE_MPS, validate_recording
 from h3data.scene import HomeSpec, build_home
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
-from sim_kinematic.motion.step import walk_humans
 from tests.simulated import simulate_wander
 
 

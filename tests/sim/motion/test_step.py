@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, quat_from_heading
 from h3data.scene import Asset, Box, FreeSpace, Instance, Mesh, Room, Scene
+from sim_kinematic.motion import gait
 from sim_kinematic.motion import step as kernels
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState
@@ -134,10 +135,10 @@ def test_many_worlds_are_one_world_many_times(free: FreeSpace) -> None:
         action = rng.uniform(-1.5, 1.5, (8, 2))
         goal = rng.uniform(0.5, 4.5, (8, 2))
         kernels.drive_robots(robots, free, action, SPEC)
-        kernels.walk_humans(people, goal, WalkerSpec())
+        gait.walk_humans(people, goal, WalkerSpec())
         for w, (robot, person) in enumerate(singles):
             kernels.drive_robots(robot, free, action[w : w + 1], SPEC)
-            kernels.walk_humans(person, goal[w : w + 1], WalkerSpec())
+            gait.walk_humans(person, goal[w : w + 1], WalkerSpec())
     for many, alone in zip((robots, people), zip(*singles, strict=True), strict=True):
         for name, array in vars(many).items():
             np.testing.assert_array_equal(array, np.concatenate([getattr(s, name) for s in alone]), err_msg=name)
@@ -162,7 +163,7 @@ def test_the_walker_arrives_without_overshoot(x: float, z: float, heading: float
     distance = np.hypot(x, z)
     for _ in range(300):
         before = state.copy()
-        kernels.walk_humans(state, goal, spec)
+        gait.walk_humans(state, goal, spec)
         left = np.hypot(*(state.xz[0] - goal[0]))
         assert left <= np.hypot(*(before.xz[0] - goal[0])) + 1e-12
         walked = state.distance[0] - before.distance[0]
@@ -180,7 +181,7 @@ def test_quaternions_do_not_jump_where_a_heading_would_wrap(free: FreeSpace) -> 
     for k in range(400):
         kernels.drive_robots(robot, free, np.array([[0.0, -1.0]]), SPEC)
         goal = np.add(center, 5.0 * np.array([np.cos(k / 15), np.sin(k / 15)]))
-        kernels.walk_humans(person, goal[None], WalkerSpec(speed_mps=0.1))
+        gait.walk_humans(person, goal[None], WalkerSpec(speed_mps=0.1))
         quats.append(quat_from_heading([robot.heading[0], person.heading[0]]))
     assert (np.abs([robot.heading[0], person.heading[0]]) > 4 * np.pi).all()
     assert (np.sum(np.array(quats)[1:] * np.array(quats)[:-1], axis=-1) > 0.99).all()

@@ -53,6 +53,7 @@ def home(preset: Any) -> Any:
     ("preset", "spec", "steps"), [("small", BaseSpec(), 1000), ("medium", BaseSpec(), 1000), ("small", SIDEWAYS, 200)]
 )
 def test_1000_steps_of_64_worlds_are_those_of_the_kernels(preset: str, spec: BaseSpec, steps: int) -> None:
+    from sim_kinematic.motion import gait
     from sim_kinematic.motion import step as kernels
 
     free, worlds, rng, walker = home(preset), 64, np.random.default_rng(0), WalkerSpec()
@@ -66,7 +67,7 @@ def test_1000_steps_of_64_worlds_are_those_of_the_kernels(preset: str, spec: Bas
     goals = [free.sample(rng, worlds) for _ in range(34)]
     for k in range(steps):
         kernels.drive_robots(robot, free, actions[k // 10], spec)
-        kernels.walk_humans(human, goals[k // 30], walker)
+        gait.walk_humans(human, goals[k // 30], walker)
         robots = drive_robots(grids, robots, doubles(actions[k // 10]), spec)
         people = walk_humans(people, doubles(goals[k // 30]), walker)
         robots.put(again)
@@ -102,12 +103,12 @@ def test_odd_places_give_the_step_of_the_kernel(place: Any, heading: float, acti
 
 @given(places, places, st.floats(-100, 100), st.floats(0, 1))
 def test_odd_ways_give_the_walk_of_the_kernel(place: Any, goal: Any, heading: float, blend: float) -> None:
-    from sim_kinematic.motion import step as kernels
+    from sim_kinematic.motion import gait
 
     human = HumanState.zeros(1)
     human.xz[:], human.heading[:], human.blend[:], human.distance[:] = place, heading, blend, 3.0
     walked = walk_humans(HumanTensors.of(human, "cpu", torch.float64), doubles([goal]), WalkerSpec())
-    kernels.walk_humans(human, np.array([goal]), WalkerSpec())
+    gait.walk_humans(human, np.array([goal]), WalkerSpec())
     for tensor, array in ((tensor, getattr(human, name)) for name, tensor in walked._asdict().items()):
         np.testing.assert_allclose(tensor, array, rtol=0, atol=1e-9)
 

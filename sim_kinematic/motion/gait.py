@@ -1,0 +1,135 @@
+"""How people get on, whoever moves them: to way points (`walk_humans`) or by commands of speed and turn (`drive_people`).
+
+Both drive one walking cycle (`step_cycle`). It is played by distance, so planted feet stay put: `cycle_phase` says where in
+its clip a person is.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from h3data.kernels import kernel
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, WalkerSpec
+from sim_kinematic.motion.state import HumanState, RobotState
+from sim_kinematic.motion.step import drive_robots, per_world, wrap_angle
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.clips import Clip
+    from h3data.scene import FreeSpace
+
+
+@kernel(error_model="numpy")
+def walk_towards(x, z, heading, goal_x, goal_z, speed, turn, dt, turn_before_walk, arrive):
+    """One step of a way-point walker: ``(x, z, heading, walked)``. Turns on the spot first, never overshoots."""
+    dx, dz = goal_x - x, goal_z - z
+    distance = math.hypot(dx, dz)
+    if distance <= arrive:
+        return x, z, heading, 0.0
+    error = wrap_angle(math.atan2(-dz, dx) - heading)
+    most = turn * dt
+    if abs(error) > turn_before_walk:
+        return x, z, heading + min(max(error, -most), most), 0.0
+    walked = min(speed * dt, distance)
+    return x + dx / distance * walked, z + dz / distance * walked, heading + error, walked
+
+
+@kernel(error_model="numpy")
+def step_cycle(distance, set_off, blend, walked, rate):
+    """``(distance, set_off, blend)`` of one person after a step in which they ``walked`` so far [m], negative backwards.
+
+    At a blend above 0.5 one foot stands (`h3data.bodies.people.kernels.legs.settle`), so a walk begins there.
+    """
+    if walked == 0.0:
+        return distance, set_off, max(blend - rate, 0.0)
+    if blend == 0.0:
+        set_off = distance
+    return distance + walked, set_off, min(max(blend, 0.5) + rate, 1.0)
+
+
+@kernel(error_model="numpy")
+def _walk_worlds(xz, heading, distance, set_off, blend, goal, speed, turn, dt, turn_before_walk, arrive, blend_rate):
+    for w in range(len(heading)):
+        xz[w, 0], xz[w, 1], heading[w], walked = walk_towards(
+            xz[w, 0], xz[w, 1], heading[w], goal[w, 0], goal[w, 1], speed, turn, dt, turn_before_walk, arrive
+        )
+        distance[w], set_off[w], blend[w] = step_cycle(distance[w], set_off[w], blend[w], walked, blend_rate)
+
+
+@kernel(error_model="numpy")
+def _step_cycles(distance, set_off, blend, xz, before, backwards, rate):
+    for w in range(len(distance)):
+        walked = math.hypot(xz[w, 0] - before[w, 0], xz[w, 1] - before[w, 1])
+        walked = -walked if backwards[w] else walked
+        distance[w], set_off[w], blend[w] = step_cycle(distance[w], set_off[w], blend[w], walked, rate)
+
+
+def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: float = STEP_S) -> None:
+    """Move a person in all their worlds one step straight towards way points ``goal_xz`` [W, 2], in place.
+
+    The way points come from `FreeSpace.path`, so the straight line to the next one is free.
+    """
+    _walk_worlds(
+        state.xz, state.heading, state.distance, state.set_off, state.blend,
+        per_world(goal_xz, state, width=2),
+        spec.speed_mps, spec.turn_rad_s, dt, spec.turn_before_walk_rad, spec.arrive_m, dt / spec.blend_s,
+    )  # fmt: skip
+
+
+def drive_people(
+    state: HumanState,
+    free: FreeSpace,
+    action: Array,
+    spec: WalkerSpec,
+    *,
+    radius_m: float = 0.25,
+    backwards: bool = False,
+) -> NDArray[np.bool_]:
+    """Move a person in all their worlds by ``action`` [W, 2], in place: a disc that slides along obstacles.
+
+    Args:
+        state: The person.
+        free: The map.
+        action: Forward and left turn, -1..1 of the walker's speed and turn rate.
+        spec: How they walk.
+        radius_m: Radius of the disc.
+        backwards: Whether a negative speed walks backwards; else it stands.
+
+    Returns:
+        Where they touched an obstacle, [W].
+
+    Raises:
+        InputError: the actions have another shape, or one is not finite; then nothing has moved.
+    """
+    action = per_world(action, state, width=2)
+    touched, before = np.zeros(len(action), np.bool_), state.xz.copy()
+    disc = RobotState(xz=state.xz, heading=state.heading, contact=touched, joints=np.zeros((len(action), 0)))
+    drive_robots(disc, free, action, _disc(spec.speed_mps, spec.turn_rad_s, radius_m, backwards))
+    _step_cycles(
+        state.distance,
+        state.set_off,
+        state.blend,
+        state.xz,
+        before,
+        (action[:, 0] < 0) & backwards,
+        STEP_S / spec.blend_s,
+    )
+    return touched
+
+
+@lru_cache(maxsize=64)
+def _disc(speed_mps: float, turn_rad_s: float, radius_m: float, backwards: bool) -> BaseSpec:
+    return BaseSpec(
+        max_speed_mps=speed_mps, max_turn_rad_s=turn_rad_s, allow_back=backwards, disc_offsets_m=(0.0,),
+        disc_radius_m=radius_m,
+    )  # fmt: skip
+
+
+def cycle_phase(clip: Clip, distance: NDArray[np.float64], set_off: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Phases [...], 0..1, of a walking clip at distances walked in all and where the walk began [...] [m]."""
+    return (clip.start_phase + (distance - set_off) / clip.stride_m) % 1.0
