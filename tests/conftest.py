@@ -74,15 +74,3 @@ def _interrupts_arrive() -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _no_user_assets() -> None:
     os.environ.pop("H3DATA_ASSETS", None)
-
-
-NOT_PORTED = Path(__file__).with_name("not_ported.txt")
-"""Tests that look at internals which the common runner replaced, one a line; each is to be ported or deleted."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skips them by name, so that none is forgotten."""
-    names = set(NOT_PORTED.read_text().split())
-    for item in items:
-        if item.nodeid.split("[")[0] in names:
-            item.add_marker(pytest.mark.skip(reason="not yet ported to the common runner (tests/not_ported.txt)"))

@@ -59,8 +59,10 @@ def make(
         from sim_kinematic.envs.vector import TaskVectorEnv
 
         if found.batched:
-            return TaskVectorEnv(stepper_class(found, scenes, worlds=num_envs, **given))
-        return TaskVectorEnv(ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs))
+            many = stepper_class(found, scenes, worlds=num_envs, **given)
+        else:
+            many = ManySteppers(lambda: stepper_class(found, scenes, **given), num_envs)
+        return TaskVectorEnv(many, render_mode=render_mode)
     stepper = stepper_class(found, scenes, **given)
     if len(agents) > 1:
         from sim_kinematic.envs.parallel import TaskParallelEnv
@@ -103,24 +105,3 @@ def _on_device(
     from sim_kinematic.envs.social_nav_torch_env import SocialNavTorchEnv
 
     return SocialNavTorchEnv(1 if num_envs is None else num_envs, scenes, device=device, **options)
-
-
-# --- Gymnasium's registry ---------------------------------------------------------------------------------------------
-def social_nav(**options: Any) -> Any:
-    """``gymnasium.make("h3data/SocialNav-v0")``."""
-    return make("social_nav", **options)
-
-
-def rearrange(**options: Any) -> Any:
-    """``gymnasium.make("h3data/Rearrange-v0")``."""
-    return make("rearrange", **options)
-
-
-def register() -> None:
-    """Makes the built-in tasks known to Gymnasium."""
-    from sim_kinematic.envs.stepper import gymnasium
-
-    for name, function in (("SocialNav", "social_nav"), ("Rearrange", "rearrange")):
-        if f"h3data/{name}-v0" not in gymnasium.registry:
-            entry = f"sim_kinematic.envs.make:{function}"
-            gymnasium.register(f"h3data/{name}-v0", entry_point=entry, vector_entry_point=entry)

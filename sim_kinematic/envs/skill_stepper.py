@@ -17,7 +17,8 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, gymnasium
-from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.learned import is_learned
+from sim_kinematic.policies.policy import External, check_policy
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
+    from sim_kinematic.sensing.watching import Watcher
 
 Level = Literal["high", "low"]
 KINDS = ("robot", "human")
@@ -91,7 +93,7 @@ class SkillStepper:
         self._partner = partner if partner is not None else "plan_pop_4" if "robot" in agents else "complement"
         self._interrupts, self._level = interrupts_when_close, level
         if len(agents) < len(KINDS) and isinstance(self._partner, str):
-            task.check_policy("human" if "robot" in agents else "robot", self._partner, self.spec)
+            self._check_partner("human" if "robot" in agents else "robot", self._partner)
         self._choices = {agent: choices(self.spec.objects, robot=agent == "robot") for agent in self.agents}
         self._sets = self._observation_sets(observations or STATE_SENSES, options)
         self._stage = Stage()
@@ -198,7 +200,8 @@ class SkillStepper:
         episode = self._begun().episode
         return {"scene": np.array([episode.scene.name], object), "episode_seed": np.array([episode.seed])}
 
-    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+        del world
         return watcher.picture(self._stage.posed(self._begun()), KINDS.index(agent))
 
     def describe(self) -> str:
@@ -250,6 +253,13 @@ class SkillStepper:
                 turns.answer(chosen.pop(number))
             else:
                 return
+
+    def _check_partner(self, kind: str, name: str) -> None:
+        """Refuses policies of the other kind, too: the task itself lets either kind follow both, as recordings may."""
+        if is_learned(name):
+            self.task.check_policy(kind, name, self.spec)
+        else:
+            check_policy(self.task, kind, name)
 
     def _observation_sets(self, names: Sequence[str], options: Options) -> dict[str, ObservationSet]:
         states = {agent: self._limits(agent) for agent in self.agents}

@@ -22,6 +22,8 @@ from sim_kinematic.tasks.describe import bar
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
+    from sim_kinematic.sensing.watching import Watcher
+
 __all__ = ["DEFAULTS", "Info", "ManySteppers", "Options", "Stepper", "checked_actions", "gymnasium"]
 
 Info = dict[str, NDArray[Any]]
@@ -89,8 +91,12 @@ class Stepper(Protocol):
         """Which episode each world plays, [W] each."""
         ...
 
-    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
-        """The first world for people who watch."""
+    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+        """One world for people who watch, uint8 [480, 640, 3]; ``watcher`` is the one that follows this world.
+
+        Raises:
+            InputError: no episode has begun.
+        """
         ...
 
     def describe(self) -> str:
@@ -135,8 +141,8 @@ class ManySteppers:
     def episode_info(self) -> Info:
         return _joined([stepper.episode_info() for stepper in self.each])
 
-    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
-        return self.each[0].picture(agent, watcher)
+    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
+        return self.each[world].picture(agent, watcher)
 
     def describe(self) -> str:
         return self.each[0].describe().removesuffix("1 world") + f"{self.worlds} world{'s' if self.worlds > 1 else ''}"

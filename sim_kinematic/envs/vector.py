@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from sim_kinematic.envs.single import Observations, run_seed
+from sim_kinematic.envs.single import Observations, checked_render_mode, run_seed
 from sim_kinematic.envs.stepper import Info, Stepper, gymnasium
 from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.sensing.watching import Watcher
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -22,14 +23,17 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
         "render_fps": round(1 / STEP_S),
         "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(self, stepper: Stepper) -> None:
+    def __init__(self, stepper: Stepper, *, render_mode: str | None = None) -> None:
+        """``render_mode``: ``rgb_array`` for `render`, or None."""
+        self.render_mode = checked_render_mode(render_mode)
         self.stepper = stepper
         self.num_envs = stepper.worlds
+        self._watchers = [Watcher() for _ in range(self.num_envs)]
         (self.agent,) = stepper.agents
         self._seeds = np.zeros(self.num_envs, object)  # Python's whole numbers: seeds may have any size
         self._indices = np.full(self.num_envs, -1)
@@ -78,6 +82,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._ended = terminated | truncated
         info = _masked(self._info(episodes=bool(again.any())))
         return self.stepper.observe(self.agent), np.where(going, reward, 0.0), terminated, truncated, info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """Each world's agent and its surroundings, W pictures as `sim_kinematic.envs.single.TaskEnv.render`."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.stepper.picture(self.agent, watcher, w) for w, watcher in enumerate(self._watchers))
 
     def _info(self, *, episodes: bool) -> Info:
         info = self.stepper.info(self.agent)

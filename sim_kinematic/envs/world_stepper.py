@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
 
     from sim_kinematic.sensing.camera_sensor import StateRenderer
+    from sim_kinematic.sensing.watching import Watcher
 
 STATE_OBSERVATIONS = ("humanoid_gps", "egomotion")
 """Default observations: they cost no picture."""
@@ -73,6 +74,7 @@ class WorldStepper:
         """
         self.source = EpisodeSource(task, scenes, spec=spec, agents=roster, robot=robot, human=human)
         self.task, self.spec = task, self.source.spec
+        task.check_env_options(task_options)
         self.play = WorldPlay(task, self.spec, self.source.roster, worlds=worlds, options=task_options)
         self.worlds = self.play.world.worlds
         names = [member.name for member in self.source.roster]
@@ -83,10 +85,13 @@ class WorldStepper:
         self.numbers = {agent: names.index(agent) for agent in agents}
         self._others = [k for k in range(len(names)) if k not in self.numbers.values()]
         self._partner, self._options = partner, options
+        for k in self._others if isinstance(partner, str) else ():
+            task.check_policy(self.source.roster[k].kind, partner, self.spec)
         self._walkers: list[list[Any]] = [[] for _ in range(self.worlds)]
         self._targets: dict[int, Array] = {k: np.zeros((self.worlds, 2)) for k in self._others}
         self._home = np.full(self.worlds, -1)
-        self._drawn: dict[int, StateRenderer] = {}
+        self._renderers: dict[tuple[int, int], StateRenderer] = {}
+        """By home and number of worlds that are rendered at once."""
         self._sets = self._observation_sets(observations or STATE_OBSERVATIONS)
 
     # --- spaces -------------------------------------------------------------------------------------------------------
@@ -170,10 +175,10 @@ class WorldStepper:
             "episode_seed": np.array([e.seed for e in self.play.episodes], np.int64),
         }
 
-    def picture(self, agent: str, watcher: Any) -> NDArray[np.uint8]:
+    def picture(self, agent: str, watcher: Watcher, world: int = 0) -> NDArray[np.uint8]:
         if not self.play.episodes:
             raise InputError("No episode has begun. Hint: call reset() first.")
-        return watcher.picture(self._posed(np.array([0])), self.numbers[agent])
+        return watcher.picture(self._posed(np.array([world])), self.numbers[agent])
 
     def describe(self) -> str:
         models = {member.name: member.model for member in self.source.roster}
@@ -246,9 +251,10 @@ class WorldStepper:
 
     def _pictures(self, own: ObservationSet) -> Arrays:
         result: Arrays = {}
+        at_once = self.worlds if len(self.source.homes) == 1 else 1
         for home in np.unique(self._home):
             rows = np.flatnonzero(self._home == home)
-            for part in rows.reshape(-1, self._renderer(int(home)).worlds):
+            for part in rows.reshape(-1, at_once):
                 for name, picture in own.take(self._posed(part)).items():
                     if name not in result:
                         result[name] = np.zeros((self.worlds, *picture.shape[1:]), picture.dtype)
@@ -257,24 +263,24 @@ class WorldStepper:
 
     def _posed(self, worlds: NDArray[np.intp]) -> StateRenderer:
         """The renderer of some worlds that are in one home, with everything where it is now."""
-        renderer = self._renderer(int(self._home[worlds[0]]))
+        renderer = self._renderer(int(self._home[worlds[0]]), len(worlds))
         world = self.play.world
         renderer.pose(world.state.take(worlds), floor_y=world.floors[worlds[0]].floor_y)
         return renderer
 
-    def _renderer(self, home: int) -> StateRenderer:
-        """The renderer of a home: of all worlds at once where there is only one home, else of one world at a time."""
+    def _renderer(self, home: int, worlds: int) -> StateRenderer:
+        """Returns the renderer of a home that renders ``worlds`` worlds at once."""
         from sim_kinematic.sensing.camera_sensor import StateRenderer
 
-        if home not in self._drawn:
-            self._drawn[home] = StateRenderer(
+        if (home, worlds) not in self._renderers:
+            self._renderers[home, worlds] = StateRenderer(
                 self.source.homes[home].scene,
                 [member.body for member in self.source.roster],
                 threads=self._options.threads,
-                worlds=self.worlds if len(self.source.homes) == 1 else 1,
+                worlds=worlds,
                 speed_mps=self.spec.human.speed_mps,
             )
-        return self._drawn[home]
+        return self._renderers[home, worlds]
 
 
 def _arm(body: Body) -> Array:

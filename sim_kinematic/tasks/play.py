@@ -77,6 +77,12 @@ class WorldPlay:
         measure: bool = True,
         options: Mapping[str, Any] | None = None,
     ) -> None:
+        """
+        Raises:
+            InputError: W is not at least 1, or the rules give an episode no step.
+        """
+        if spec.max_steps < 1:
+            raise InputError(f"Expected rules with at least 1 step, got max_steps={spec.max_steps}.")
         self.task, self.spec, self.measure, self.options = task, spec, measure, dict(options or {})
         self.world = World(
             roster, worlds=worlds, base=spec.robot, walker=spec.human, person_radius_m=spec.agent_radius_m

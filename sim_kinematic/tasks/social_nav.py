@@ -33,7 +33,7 @@ from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
-from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward
+from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
 from sim_kinematic.tasks.task import MAX_STEPS, Episode, Outcome, Task, agent_base, agent_floor
 
 HUMAN_SKILLS = ("walk", "turn")
@@ -248,6 +248,10 @@ class SocialNav(Task):
             return lambda: _plan(play).xz[step:]
         track = getattr(policy, "track", None)
         return None if track is None else partial(_after, track, step)
+
+    def check_env_options(self, options: Mapping[str, Any]) -> None:
+        if "reward" in options:
+            check_profile(options["reward"])
 
     # --- rules --------------------------------------------------------------------------------------------------------
     def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:

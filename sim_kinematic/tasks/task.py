@@ -211,6 +211,9 @@ class Task:
         """Entries of an environment's ``info`` beyond its reward, [W] each."""
         return {"success": play.outcome.success.copy()}
 
+    def check_env_options(self, options: Mapping[str, Any]) -> None:
+        """Raises an `InputError` if the value of one of `env_options` is not allowed; by default all are."""
+
     # --- datasets and evaluations -------------------------------------------------------------------------------------
     bodies_in_agents: ClassVar[bool] = False
     """Whether the body that ``--human`` names is written into the roster, for each person of it."""

@@ -62,10 +62,10 @@ def test_it_says_what_generate_and_metrics_say_and_goes_on(tmp_path: Path, capsy
     ("options", "told"),
     [
         (("social_nav", "--policies", "magic"), "sampling_expert"),
-        (("social_nav", "--policies", ","), "at least one"),
-        (("social_nav", "--partners", "both"), "rearrange"),
+        (("social_nav", "--policies", ","), "--policies: expected some of heuristic_expert"),
+        (("social_nav", "--partners", "both"), "expected some of waypoints"),
         (("social_nav", "--scenes", "nowhere"), "h3-homes/test"),
-        (("dance",), "social_nav or rearrange"),
+        (("dance",), "Expected one of: social_nav, rearrange, wander"),
     ],
 )
 def test_bad_options_are_refused(

@@ -50,7 +50,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
 
     def first_breaks(*_: object) -> planners.HighLevelPolicy:
         made.append(1)
-        if len(made) == 2:  # the first call only checks the name
+        if len(made) == 1:
             raise RuntimeError("boom")
         return planners.Planner(())
 

@@ -23,6 +23,12 @@ from sim_kinematic.tasks.rules.predicates import is_found
 RewardProfile = Literal["paper", "habitat"]
 
 
+def check_profile(profile: str) -> None:
+    """Raises an `InputError` if there is no such `RewardProfile`."""
+    if profile not in get_args(RewardProfile):
+        raise InputError(f"Unknown reward {profile!r}. Expected one of: {', '.join(get_args(RewardProfile))}.")
+
+
 class Encounter(NamedTuple):
     """What the reward of social navigation reads in one step."""
 
@@ -80,8 +86,7 @@ class SocialNavReward:
         self, worlds: int, *, profile: RewardProfile = "paper", rules: SocialNavSpec | None = None,
         paper: PaperReward | None = None, habitat: HabitatConfig | None = None,
     ) -> None:  # fmt: skip
-        if profile not in get_args(RewardProfile):
-            raise InputError(f"Unknown reward profile {profile!r}. There are: {', '.join(get_args(RewardProfile))}.")
+        check_profile(profile)
         self.profile: RewardProfile = profile
         self.rules, self.paper, self.habitat = (
             rules or SocialNavSpec(),

@@ -163,7 +163,7 @@ def test_the_left_hand_takes_what_the_right_cannot(world: RearrangeEpisode) -> N
     state = WorldState.zeros(1, objects=2)
     state.object_pose[0] = [t.start for t in world.targets]
     objects = Objects(tuple(t.name for t in world.targets), np.array([t.goal for t in world.targets]), state)
-    start = ground_pose(world.starts[1, :2], world.starts.human_heading, world.free.floor_y)
+    start = ground_pose(world.starts[1, :2], world.starts[1, 2], world.free.floor_y)
     person = Person(world.human, start, dict(zip(objects.names, objects.poses, strict=True)))
     actor = PersonActor(person, world.free, WalkerSpec(), objects, 1, OnlyLeft())
     for name in ("nav_to_object", "pick"):

@@ -150,6 +150,19 @@ def test_worlds_side_by_side_show_the_pictures_of_each() -> None:
     assert [picture.shape for picture in many.render()] == [(480, 640, 3)] * 2
 
 
+@pytest.mark.parametrize("scenes", [HOME, [HOME, HOME]], ids=str)
+def test_worlds_side_by_side_are_watched_one_by_one(scenes: Any) -> None:
+    many = h3data.make("social_nav", scenes=scenes, num_envs=2, render_mode="rgb_array")
+    with pytest.raises(InputError, match="reset"):
+        many.render()
+    many.reset(seed=3)
+    for w, picture in enumerate(many.render()):
+        one = social_nav_env(scenes, render_mode="rgb_array")
+        one.reset(seed=3 + w)
+        np.testing.assert_array_equal(one.render(), picture)
+    assert h3data.make("social_nav", scenes=scenes, num_envs=2).render() is None
+
+
 # --- sensors against each other -----------------------------------------------------------------------------------------
 def test_both_tasks_have_the_sensors_of_the_list() -> None:
     common = {
@@ -285,11 +298,11 @@ def test_the_view_follows_the_agent_and_stays_on_its_side(options: dict[str, Any
 def test_the_view_shows_the_agent_wherever_it_is() -> None:
     env = social_nav_env(HOME, render_mode="rgb_array")
     env.reset(seed=4)
-    free, robot = env.stepper.play.episodes[0].free, env.stepper.play.state.robots[0]
+    free, robot = env.stepper.play.episodes[0].free, env.stepper.play.world.state.robots[0]
     for xz in free.sample(np.random.default_rng(0), 12):
         robot.xz[0] = xz
         env.render()
-        drawn, side = env._observer.posed(np.array([0])), env._watcher._side
+        drawn, side = env.stepper._posed(np.array([0])), env._watcher._side
         cameras = [watching._camera(drawn.middle(0)[0], k, (64, 48)) for k in range(watching.SIDES)]
         seen = drawn.picture(cameras, ("instance",))["instance"]
         pixels = np.isin(seen, drawn.instances(0)).sum((1, 2))
@@ -302,27 +315,27 @@ def test_the_view_shows_the_agent_wherever_it_is() -> None:
     [
         (
             {"task": "social_nav"},
-            "social_nav_env(social_nav, scene small:1, robot quad_arm beside human female_0, 1 world)",
+            "TaskEnv(social_nav, scene small:1, robot quad_arm beside human female_0, 1 world)",
         ),
         (
             {"task": "social_nav", "num_envs": 64, "scenes": "h3-homes/train"},
-            "social_nav_env(num_envs=social_nav, scenes=37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds)",
+            "TaskVectorEnv(social_nav, 37 scenes of h3-homes/train, robot quad_arm beside human female_0, 64 worlds)",
         ),
         (
             {"task": "social_nav", "agents": ("robot", "human"), "scenes": ["small:1", "small:2"]},
-            "SocialNavParallelEnv(social_nav, 2 scenes of small:1, small:2, robot quad_arm and human female_0, 1 world)",
+            "TaskParallelEnv(social_nav, 2 scenes of small:1, small:2, robot quad_arm and human female_0, 1 world)",
         ),
         (
             {"task": "rearrange", "robot": "quad_arm", "human": "male_2"},
-            "rearrange_env(rearrange, scene small:1, robot quad_arm beside human male_2 (plan_pop_4), 1 world)",
+            "TaskEnv(rearrange, scene small:1, robot quad_arm beside human male_2 (plan_pop_4), 1 world)",
         ),
         (
             {"task": "rearrange", "agents": ("human",), "num_envs": 3, "scenes": "small"},
-            "RearrangeVectorEnv(rearrange, 4 scenes of small, human female_0 beside robot quad_arm (complement), 3 worlds)",
+            "TaskVectorEnv(rearrange, 4 scenes of small, human female_0 beside robot quad_arm (complement), 3 worlds)",
         ),
         (
             {"task": "rearrange", "agents": ("robot", "human"), "scenes": [f"small:{k}" for k in range(5)]},
-            "RearrangeParallelEnv(rearrange, 5 scenes of small:0, small:1, small:2, ..., robot quad_arm and human female_0, "
+            "TaskParallelEnv(rearrange, 5 scenes of small:0, small:1, small:2, ..., robot quad_arm and human female_0, "
             "1 world)",
         ),
     ],

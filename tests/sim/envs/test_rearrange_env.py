@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-import h3data
+import h3data.envs
 from h3data.errors import InputError
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
@@ -270,7 +270,7 @@ def play_at_random(c: dict[str, Any], *, actions: int) -> None:
         play = env.stepper.play
         assert play is not None
         assert all(np.isfinite(array).all() for array in play.state.arrays())
-        base, free = play.world.spec.robot, play.world.free
+        base, free = play.episode.spec.robot, play.episode.free
         grid, offsets = (free.sdf, free.origin, free.cell_m), np.array(base.disc_offsets_m)
         robot, person = (env.stepper.play.runner(k).actor for k in (0, 1))
         clearance = least_clearance(*grid, *robot.xz, robot.heading, offsets)
@@ -328,6 +328,7 @@ def test_what_is_no_command_moves_nothing(action: Any) -> None:
         ({"observations": "holds"}, "Expected a list"),
         ({"partner": "nobody"}, "plan_pop_4"),
         ({"agents": ("human",), "partner": "both"}, "greedy_nearest"),
+        ({"partner": "greedy_nearest"}, "plan_pop_4"),
         ({"scenes": "castle"}, "small, medium, large"),
         ({"robot": "tank"}, "quad_arm"),
         ({"human": "ghost"}, "female_0"),

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import h3data
+import h3data.envs
 from h3data.errors import InputError, MissingExtraError, SceneError
 from sim_kinematic.envs.parallel import TaskParallelEnv
 from sim_kinematic.envs.single import TaskEnv
@@ -26,6 +27,7 @@ from sim_kinematic.policies.social_nav import View, heuristic_expert
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
 from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.registry import BUILT_IN
 from tests.sim.steppers import PAIR, Batch
 from tests.sim.steppers import social_nav_env as make
 from tests.simulated import simulate_social_nav
@@ -61,6 +63,19 @@ def assert_same(a: dict[str, Any], b: dict[str, Any]) -> None:
 def test_gymnasium_accepts_the_environment() -> None:
     env = gymnasium.make("h3data/SocialNav-v0", scenes=HOME, observations=EVERYTHING, **SIZES)
     check_env(env.unwrapped)
+
+
+def test_gymnasium_lists_every_built_in_task() -> None:
+    assert set(h3data.envs.IDS.values()) == set(BUILT_IN)
+    for name in h3data.envs.IDS:
+        env = gymnasium.make(name, scenes=HOME)
+        assert env.observation_space.contains(env.reset(seed=1)[0])
+        assert gymnasium.make(env.spec).reset(seed=1)[1]["episode_seed"] == env.reset(seed=1)[1]["episode_seed"]
+    code = (
+        "import gymnasium, sys, h3data.envs; gymnasium.spec('h3data/Wander-v0'); print('sim_kinematic' in sys.modules)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "False"
 
 
 def test_gymnasium_runs_the_vector_environment_in_its_wrappers() -> None:
@@ -214,7 +229,7 @@ def test_observations_are_of_the_state() -> None:
     detected = []
     for turned in (0.0, np.pi):
         s.robots[0].heading[0] = towards + turned
-        seen = env._observer.observe()
+        seen = env.stepper.observe("robot")
         detected.append(seen["humanoid_detector"][0, 0])
         np.testing.assert_allclose(seen["humanoid_gps"][0, 0], np.hypot(*(a - b)), rtol=1e-6)
         assert abs(seen["humanoid_gps"][0, 1]) == pytest.approx(turned, abs=1e-5)
@@ -294,7 +309,8 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
     width = batch.stepper.action_space("robot").shape[0]
     rng = np.random.default_rng(c["seed"])
     index, over, ended = np.zeros(c["worlds"], int), np.ones(c["worlds"], bool), 0
-    offsets = np.array(spec.robot.disc_offsets_m)
+    base = batch.play.world.bases[0]  # of the robot's own body
+    offsets = np.array(base.disc_offsets_m)
     while ended < episodes:
         batch.begin(c["seed"] + np.arange(c["worlds"], dtype=object), index, where=over)
         actions = rng.uniform(-2, 2, (c["worlds"], width)) + c["habit"]  # some of them always turn or push
@@ -307,7 +323,7 @@ def play_at_random(c: dict[str, Any], episodes: int) -> int:
             free = episode.free
             grid = free.sdf, free.origin, free.cell_m
             clearance = least_clearance(*grid, *s.robots[0].xz[w], s.robots[0].heading[w], offsets)
-            assert clearance >= spec.robot.disc_radius_m - 2e-3 - 1e-9
+            assert clearance >= base.disc_radius_m - 2e-3 - 1e-9
             assert np.hypot(*(free.snap(s.people[0].xz[w]) - s.people[0].xz[w])) <= 2e-3
         over = batch.ends | batch.play.out_of_time
         index, ended = index + over, ended + int(over.sum())
@@ -371,6 +387,7 @@ def test_actions_are_clipped() -> None:
         ({"robot": "tank"}, "quad_arm"),
         ({"human": "ghost"}, "female_0"),
         ({"reward": "gold"}, "paper, habitat"),
+        ({"partner": "both"}, "waypoints"),
         ({"render_mode": "human"}, "rgb_array"),
         ({"agents": ("robot", "robot")}, "agents"),
         ({"agents": ("robot", "human"), "num_envs": 2}, "leave out num_envs"),

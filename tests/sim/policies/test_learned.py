@@ -286,7 +286,7 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
     rows: list[tuple[np.ndarray, int]] = []
 
     class Watched(Chooser):
-        def choose(self, view: TaskView) -> Action:
+        def act(self, view: TaskView) -> Action:
             action = super().act(view)
             if action in known:
                 rows.append((chooser_input(view, CHOOSER_INPUTS), known.index(action)))

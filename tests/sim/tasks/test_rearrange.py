@@ -84,7 +84,7 @@ def test_episodes_are_fair(home: Scene, free: FreeSpace) -> None:
     fixed, drawn = FclScene(home), set()
     for seed in range(4):
         w = rearrange_episode(home, seed=seed, free=free)
-        assert np.hypot(*(w.starts.robot_xz - w.starts.human_xz)) >= w.spec.spawn_distance_m
+        assert np.hypot(*(w.starts[0, :2] - w.starts[1, :2])) >= w.spec.spawn_distance_m
         assert len({t.name for t in w.targets}) == 2
         for t in w.targets:
             assert t.source.split("|")[0] != t.destination.split("|")[0]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from h3data.bodies import JOINT_INDEX, load_robot
+from h3data.bodies import JOINT_INDEX, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import IDENTITY_POSE, ground_pose, heading_from_quat
 from h3data.recording import Recording, RecordingWriter, open_recording, recordings_equal, state_hash
@@ -66,8 +66,8 @@ def test_the_whole_robot_starts_out_of_the_furniture(home: Scene, free: FreeSpac
     moved = 0
     for seed in range(25):
         starts = world(home, free, seed=seed).starts
-        moved += not np.array_equal(starts.robot_xz, draw_starts(free, seed, SocialNavSpec()).robot_xz)
-        base = ground_pose(starts.robot_xz, starts.robot_heading, 0.02)
+        moved += not np.array_equal(starts[0, :2], draw_starts(free, seed, SocialNavSpec()).robot_xz)
+        base = ground_pose(starts[0, :2], starts[0, 2], 0.02)
         shapes.set_transforms(robot.link_matrices(base[None], robot.rest[None])[0][at])
         assert not collide(scenery, shapes)
     assert moved > 0  # the discs alone would have started some inside something
@@ -98,7 +98,7 @@ def test_the_person_does_not_react(home: Scene, free: FreeSpace) -> None:
     still = simulate_social_nav(world(home, free, end_on_collision=False), policy="stand_still")
     np.testing.assert_array_equal(expert.columns["agent_1.base_pose"], still.columns["agent_1.base_pose"])
     w = world(home, free)
-    track = human_plan(free, w.starts.human_xz, w.starts.human_heading, w.seed, w.spec.human, 150).xz
+    track = human_plan(free, w.starts[1, :2], w.starts[1, 2], w.seed, w.spec.human, 150).xz
     np.testing.assert_allclose(expert.columns["agent_1.base_pose"][:, [0, 2]], track, atol=1e-6)
     assert np.ptp(still.columns["agent_0.base_pose"], axis=0).max() == 0
 
@@ -178,7 +178,7 @@ def test_feet_and_floor_agree(home: Scene, free: FreeSpace) -> None:
     xz = recording.columns["agent_1.base_pose"][:, [0, 2]].astype(np.float64)
     walked = np.hypot(*np.diff(xz, axis=0).T)
     phase = np.diff(recording.columns["agent_1.motion_phase"].astype(np.float64)) % 1.0
-    stride = w.human.clips[int(recording.columns["agent_1.motion_id"][0])].stride_m
+    stride = load_humanoid("female_0").clips[int(recording.columns["agent_1.motion_id"][0])].stride_m
     going = recording.columns["agent_1.motion_blend"][:-1] > 0  # a start from standing begins the cycle anew
     np.testing.assert_allclose((np.where(phase > 0.99, 0.0, phase) * stride)[going], walked[going], atol=2e-5)
 
@@ -188,12 +188,13 @@ def test_no_foot_slides_where_she_walks_starts_or_stops(home: Scene, free: FreeS
     """Turns on the spot apart, which are rigid as the paper's: what is low from one step to the next does not move."""
     w = world(home, free, human=WalkerSpec(speed_mps=speed))
     columns = simulate_social_nav(w, policy="stand_still").columns
-    joints = w.human.joint_matrices(
+    person = load_humanoid("female_0")
+    joints = person.joint_matrices(
         columns["agent_1.base_pose"].astype(np.float64),
-        *w.human.clip_pose(*(columns[f"agent_1.motion_{name}"] for name in ("id", "phase", "blend"))),
+        *person.clip_pose(*(columns[f"agent_1.motion_{name}"] for name in ("id", "phase", "blend"))),
     )
     turning = np.abs(np.diff(columns["agent_1.base_pose"][:, 4])) > 1e-6
-    standing = w.human.joint_matrices(IDENTITY_POSE[None], *w.human.clip_pose([0], [0.0]))[0]
+    standing = person.joint_matrices(IDENTITY_POSE[None], *person.clip_pose([0], [0.0]))[0]
     slides = []
     for side in ("left", "right"):
         toe = JOINT_INDEX[f"{side}_foot"]

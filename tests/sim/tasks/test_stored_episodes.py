@@ -24,6 +24,7 @@ from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRu
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.social_nav import goals_of
 from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_from, rules_of, set_episode, stored_episode
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -95,8 +96,8 @@ def test_all_episodes_of_the_eval_splits_can_be_played(split: str) -> None:
         free = open_free_space(entry.source, 0.25, 1.41)
         world = episode_from(episode, open_scene(entry.source), free=free)
         assert free.geodesic(world.starts[0, :2], world.starts[1, :2]) >= 5.0
-        start, goals = world.starts, world.goals
-        track = human_plan(free, start.human_xz, start.human_heading, world.seed, WalkerSpec(), 1500, goals).xz
+        x, z, heading = world.starts[1]
+        track = human_plan(free, np.array([x, z]), heading, world.seed, WalkerSpec(), 1500, goals_of(world)).xz
         steps = np.hypot(*np.diff(track, axis=0).T)
         assert steps.sum() > 50  # of the 125 m that fit into 50 s; the largest homes have goals 40 m apart
         standing = np.diff(np.flatnonzero(np.concatenate([[1], steps > 1e-9, [1]]))) - 1
@@ -139,8 +140,8 @@ def test_rules_come_with_the_episode() -> None:
     assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
     assert rules_of(bare) == SocialNavSpec(max_steps=77, human=WalkerSpec())  # as in the paper
-    assert episode_from(bare, open_scene(HOME)).human_name == "female_0"
-    assert episode_from(episode, open_scene(HOME), human="male_0").human_name == "male_0"
+    assert [member.model for member in episode_from(bare, open_scene(HOME)).roster] == ["quad_arm", "female_0"]
+    assert episode_from(episode, open_scene(HOME), human="male_0").roster[1].model == "male_0"
     for rules in ({"near_m": "x"}, {"max_steps": 0}, {"human": {"speed_mps": -1}}, {"human": {"speed_mps": 1e9}}):
         with pytest.raises(InputError, match="rules of the episode"):
             rules_of(msgspec.structs.replace(episode, rules=rules))
@@ -154,7 +155,7 @@ def test_an_episode_of_another_home_is_refused() -> None:
         episode, human_goals=tuple((round(x, 2), round(z, 2)) for x, z in episode.human_goals)
     )  # fmt: skip
     world = episode_from(rounded, open_scene(HOME))
-    assert world.free.is_navigable(np.array(world.goals)).all()
+    assert world.free.is_navigable(np.array(goals_of(world))).all()
     for change in ({"robot_start": (99.0, 0.0, 0.0)}, {"human_goals": ((1e9, 0.0),)}):
         with pytest.raises(SceneError, match=f"{next(iter(change))}.*free floor of this scene"):
             episode_from(msgspec.structs.replace(episode, **change), open_scene(HOME))
@@ -244,7 +245,7 @@ def test_a_home_that_is_built_differently_now_is_taken_from_its_files(
     changed: SocialNavEpisode = msgspec.structs.replace(nav, scene_sha256="0" * 64)
     source = scene_of_episode(episode, changed, path.parent)
     assert isinstance(source, SceneFile)
-    assert episode_from(nav, open_scene(source)).goals  # its free floor is that of the home, to a few centimetres
+    assert goals_of(episode_from(nav, open_scene(source)))  # its free floor is that of the home, to a few centimetres
     with pytest.raises(SceneError, match=r"another home from its specification.*no file scenes/a"):
         scene_of_episode(episode, changed, tmp_path / "elsewhere")
 

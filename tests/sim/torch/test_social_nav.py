@@ -112,7 +112,7 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
     off = np.abs(wrap_angle(np.stack([a["way"][..., 1] - b["way"][..., 1] for a, b in zip(seen, shown, strict=True)])))
     assert off[straight].max() < 1e-3
     assert np.quantile(off[~straight], 0.8) < np.radians(20)
-    assert batch.floor_y.shape == (worlds,)
+    assert batch.play.world.floor_y.shape == (worlds,)
 
 
 def test_float32_plays_nearly_the_same(bank: EpisodeBank) -> None:
@@ -342,7 +342,7 @@ def test_what_a_device_does_not_know_is_refused(bank: EpisodeBank) -> None:
     env.reset(seed=1)
     with pytest.raises(InputError, match=r"shape \[2, 2\]"):
         env.step(torch.zeros(3, 2))
-    with pytest.raises(InputError, match="two agents"):
+    with pytest.raises(InputError, match="only the robot acts"):
         h3data.make("social_nav", device="cpu", agents=("robot", "human"))
 
 
