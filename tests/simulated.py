@@ -8,11 +8,11 @@ from typing import Any
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import SOLO, Rearrange
 from sim_kinematic.tasks.runner import simulate
 from sim_kinematic.tasks.social_nav import SocialNav
-from sim_kinematic.tasks.task import Episode
 from sim_kinematic.tasks.wander import Wander
 
 SOCIAL_NAV, REARRANGE, WANDER = SocialNav(), Rearrange(), Wander()

@@ -19,18 +19,6 @@ PACKAGES = {
 FILES_PER_FOLDER = 15
 """Modules per folder, `__init__.py` not counted."""
 
-KNOWN_CIRCLES = (
-    "h3data.bodies.robots.kinematics -> h3data.bodies.robots.robot",
-    "h3data.habitat.asset_library -> h3data.habitat.scenes.object_handles -> h3data.habitat.scenes.referenced_files",
-    "h3data.scene.freespace.build -> h3data.scene.freespace.free_space",
-    "sim_kinematic.policies.learned -> sim_kinematic.policies.social_nav",
-    "sim_kinematic.policies.learned_chooser -> sim_kinematic.policies.rearrange",
-    "sim_kinematic.policies.policy -> sim_kinematic.policies.waypoints",
-    "sim_kinematic.tasks.play -> sim_kinematic.tasks.task",
-    "sim_kinematic.tasks.social_nav -> sim_kinematic.tasks.social_nav_episodes",
-)
-"""Circles still to be dissolved. The list may only shrink: an entry that no longer exists fails the test as well."""
-
 
 def modules() -> dict[str, Path]:
     """Every module of the product by its dotted name; a package's name stands for its `__init__.py`."""
@@ -102,11 +90,8 @@ def _path(graph: dict[str, list[str]], group: frozenset[str]) -> list[str]:
 
 
 def test_no_import_circles() -> None:
-    paths = {" -> ".join(path[:-1]) for path in circles(import_graph(modules()))}
-    fresh = sorted(paths - set(KNOWN_CIRCLES))
-    assert not fresh, "Files import each other; move what they share into a file below both:\n" + "\n".join(fresh)
-    gone = sorted(set(KNOWN_CIRCLES) - paths)
-    assert not gone, "These circles are dissolved; take them off KNOWN_CIRCLES:\n" + "\n".join(gone)
+    paths = [" -> ".join(path) for path in circles(import_graph(modules()))]
+    assert not paths, "Files import each other; move what they share into a file below both:\n" + "\n".join(paths)
 
 
 def test_circles_are_found() -> None:

@@ -2,7 +2,7 @@
 
 The file refers to scenes and never contains them: homes as specs, other scenes as paths (docs/scene-sets.md). Episodes are
 not stored either: episode ``i`` of a scene is sampled from `SceneSet.episode_seed`
-(`sim_kinematic.tasks.social_nav_episodes`).
+(`sim_kinematic.tasks.social_nav.sets`).
 """
 
 from __future__ import annotations

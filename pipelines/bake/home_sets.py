@@ -24,7 +24,7 @@ from h3data.scene import HomeSpec
 from h3data.scene.homes.spec import MAX_BATHROOMS, MAX_BEDROOMS, Preset, min_area_m2
 from h3data.scene.scene_sets import SceneEntry, SceneSet, SocialNavRules, read_scene_set
 from h3data_pipelines.assets.scene_reports import AGENT_HEIGHT_M, AGENT_RADIUS_M, scene_size, validate_scene
-from sim_kinematic.tasks.social_nav_episodes import set_episode
+from sim_kinematic.tasks.social_nav.sets import set_episode
 
 log = logging.getLogger(__name__)
 

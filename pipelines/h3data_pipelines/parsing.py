@@ -149,7 +149,6 @@ def _unread(command: type[Command]) -> Any:
     return dataclasses.make_dataclass(command.__name__, fields)
 
 
-@functools.cache
 def _documented(command: type[Command]) -> Any:
     """A subclass of the command whose help shows only defaults that mean something."""
     annotations = {}

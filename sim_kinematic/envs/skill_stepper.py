@@ -17,8 +17,9 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
 from sim_kinematic.agents.skills import CONTROL, Action, choices
 from sim_kinematic.contact.frames import Body
 from sim_kinematic.envs.stepper import DEFAULTS, Info, Options, gymnasium
+from sim_kinematic.policies.assignment import check_policy
 from sim_kinematic.policies.learned import is_learned
-from sim_kinematic.policies.policy import External, check_policy
+from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.rearrange import HighLevelPolicy
 from sim_kinematic.policies.rearrange_observations import STATE_SENSES, exact, limits
 from sim_kinematic.sensing.agent_pictures import Limits, picture_names

@@ -15,7 +15,7 @@ from h3data.errors import FormatError, InputError
 from sim_kinematic.motion.spec import BaseSpec
 from sim_kinematic.policies.network import Network, load_network
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import View
+from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.sensor import egomotion, gps_compass, humanoid_velocity, localization, range_scan, way
 
 PREFIX = "weights:"
@@ -72,26 +72,26 @@ def _loaded(path: Path, changed_ns: int) -> Network:
 
 
 # --- social navigation --------------------------------------------------------------------------------------------------
-def _egomotion(view: View, spec: BaseSpec) -> Floats:
+def _egomotion(view: SocialNavView, spec: BaseSpec) -> Floats:
     del spec
     if view.robot_before is None:
         return np.zeros(3)
     return egomotion(*view.robot_before, view.robot_xz, view.robot_heading)
 
 
-def _humanoid_velocity(view: View, spec: BaseSpec) -> Floats:
+def _humanoid_velocity(view: SocialNavView, spec: BaseSpec) -> Floats:
     del spec
     before = view.human_xz if view.human_before is None else view.human_before
     return humanoid_velocity(view.robot_heading, before, view.human_xz)
 
 
-def _way(view: View, spec: BaseSpec) -> Floats:
+def _way(view: SocialNavView, spec: BaseSpec) -> Floats:
     return way(
         view.free, view.robot_xz, view.robot_heading, view.human_xz, view.geodesic_m, beyond_m=spec.disc_radius_m / 2
     )
 
 
-NAVIGATION_INPUTS: Mapping[str, Callable[[View, BaseSpec], Floats]] = {
+NAVIGATION_INPUTS: Mapping[str, Callable[[SocialNavView, BaseSpec], Floats]] = {
     "humanoid_gps": lambda view, spec: gps_compass(view.robot_xz, view.robot_heading, view.human_xz),
     "egomotion": _egomotion,
     "localization": lambda view, spec: localization(view.robot_xz, view.robot_heading, view.free.floor_y),
@@ -102,7 +102,7 @@ NAVIGATION_INPUTS: Mapping[str, Callable[[View, BaseSpec], Floats]] = {
 """What a network for social navigation may be shown: the observations of the training environment that need no picture."""
 
 
-def navigation_input(view: View, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
+def navigation_input(view: SocialNavView, spec: BaseSpec, names: tuple[str, ...]) -> NDArray[np.float32]:
     """The named observations of a moment, one after the other, [in] float32."""
     return np.concatenate([NAVIGATION_INPUTS[name](view, spec) for name in names]).astype(np.float32)
 
@@ -114,7 +114,7 @@ class LearnedNavigation:
         require(network, "social_nav", NAVIGATION_INPUTS, outputs=2)
         self.network = network
 
-    def __call__(self, view: View, spec: BaseSpec) -> Velocity:
+    def __call__(self, view: SocialNavView, spec: BaseSpec) -> Velocity:
         """As `sim_kinematic.policies.social_nav.Policy`."""
         out = self.network(navigation_input(view, spec, self.network.observations))
         forward, turn = np.clip(np.nan_to_num(out, nan=0.0), -1, 1).tolist()

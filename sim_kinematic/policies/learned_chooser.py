@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sim_kinematic.agents.skills import Action, choices
 from sim_kinematic.policies.learned import network_of, require
 from sim_kinematic.policies.network import Network
-from sim_kinematic.policies.rearrange import TaskView
 from sim_kinematic.policies.rearrange_observations import SENSES, observe
+from sim_kinematic.policies.views import RearrangeView
 
 TASK = "rearrange"
 
@@ -29,12 +29,12 @@ class LearnedChooser:
         require(network, TASK, SENSES, outputs=len(self.choices))
         self.network = network
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         """As `sim_kinematic.policies.rearrange.HighLevelPolicy.act`."""
         scores = self.network(chooser_input(view, self.network.observations))
         return self.choices[int(np.argmax(scores))]
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         """As `sim_kinematic.policies.rearrange.HighLevelPolicy.interrupts`."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
@@ -48,6 +48,6 @@ def learned_chooser(policy: str, objects: int, *, robot: bool) -> LearnedChooser
     return LearnedChooser(network_of(policy), objects, robot=robot)
 
 
-def chooser_input(view: TaskView, names: Sequence[str]) -> NDArray[np.float32]:
+def chooser_input(view: RearrangeView, names: Sequence[str]) -> NDArray[np.float32]:
     """The named observations of a moment, one after the other, [in] float32."""
     return np.concatenate(list(observe(view, names).values()))

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
-from h3data.scene import FreeSpace
-from sim_kinematic.agents.skills import Action, Ending
+from sim_kinematic.agents.skills import Action
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.state import NOBODY
+from sim_kinematic.policies.learned import is_learned, stamped
+from sim_kinematic.policies.learned_chooser import learned_chooser
+from sim_kinematic.policies.views import RearrangeView
 
 PLANS: dict[str, tuple[int, ...]] = {"still": (), "object_1": (0,), "object_2": (1,), "both": (0, 1)}
 """What a planner does: the objects it rearranges."""
@@ -36,63 +38,19 @@ STRAIGHT_ON_STEPS = 10
 """Over so many steps the person's motion tells where she is going."""
 
 
-class TaskView(NamedTuple):
-    """What a privileged policy may know: everything but the other's plan."""
-
-    step: int
-    free: FreeSpace
-    agent: int
-    """Which agent it is that decides."""
-    xz: NDArray[np.float64]
-    heading: float
-    other_xz: NDArray[np.float64]
-    """Of the other agent, the nearest where there are several; NaN when it is alone."""
-    other_track: NDArray[np.float64]
-    """Where the other was in the last steps, the newest last, shape [N, 2] [m]."""
-    close: bool
-    """The other is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
-    objects: NDArray[np.float64]
-    """Where the objects are, shape [K, 3] [m]."""
-    goals: NDArray[np.float64]
-    held_by: NDArray[np.int64]
-    at_goal: NDArray[np.bool_]
-    action: Action | None
-    """What it is doing or, between two actions, has done last."""
-    last: Ending | None
-    """How that ended; None while it goes on."""
-    starts: NDArray[np.float64]
-    """Where the objects were at the beginning, shape [K, 3] [m]."""
-    hand: Callable[[], NDArray[np.floating]]
-    """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
-    arm: NDArray[np.float64]
-    """Positions of the arm's joints of a robot [n]; of a person [0]."""
-    start: NDArray[np.float64]
-    """Where it began, ``(x, z, heading)`` [3],"""
-    before: NDArray[np.float64]
-    """and where it was a step ago."""
-    contact: bool
-    """Its base touched an obstacle in the last step."""
-    collision: bool
-    """Agents touch now."""
-
-    def left_to_do(self) -> list[int]:
-        """Objects that are not at their goals and that the other does not hold."""
-        return [k for k in range(len(self.objects)) if not self.at_goal[k] and self.held_by[k] in (NOBODY, self.agent)]
-
-
 class HighLevelPolicy(Protocol):
     """The upper layer."""
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         """What to do next; asked when the last action has ended or was interrupted."""
         ...
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         """Asked in every step of an action: a reason to abort it, or nothing."""
         ...
 
 
-def errand(view: TaskView, k: int) -> Action:
+def errand(view: RearrangeView, k: int) -> Action:
     """The next of the four actions that bring object k to its goal."""
     done = view.action if view.last is not None and view.last.outcome == "done" else None
     came, handle = ("nav_to_goal", "place") if view.held_by[k] == view.agent else ("nav_to_object", "pick")
@@ -109,7 +67,7 @@ class Planner:
     """So many of its objects are behind it."""
     _tries: int = 0
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         while self._passed < len(self.objects):
             k = self.objects[self._passed]
             failed = view.last is not None and view.last.outcome == "failed"
@@ -119,7 +77,7 @@ class Planner:
             self._passed, self._tries = self._passed + 1, 0
         return Action("wait")
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         return ""
 
 
@@ -128,13 +86,13 @@ class Chooser:
     """A robot that brings objects to their goals, `prefer` says which next. It goes on to another when the person has taken
     the one that it wanted."""
 
-    prefer: Callable[[TaskView, list[int]], int | None]
+    prefer: Callable[[RearrangeView, list[int]], int | None]
     """Chooses among objects that are left; None waits."""
     _object: int = -1
     _avoid: dict[int, int] = field(default_factory=dict)
     """Objects at which it failed, and until which step it leaves them."""
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         if view.last is not None and view.last.outcome == "failed" and self._object >= 0:
             self._avoid[self._object] = view.step + 60
         held = np.flatnonzero(view.held_by == view.agent)
@@ -142,7 +100,7 @@ class Chooser:
         self._object = -1 if chosen is None else chosen
         return Action("wait", steps=5) if chosen is None else errand(view, chosen)
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         action = view.action
         if action is None or action.skill not in ("nav_to_object", "pick"):
             return ""
@@ -154,23 +112,23 @@ class Chooser:
                 return "agents_close" if view.close else "replanned"
         return ""
 
-    def _left(self, view: TaskView) -> list[int]:
+    def _left(self, view: RearrangeView) -> list[int]:
         return [k for k in view.left_to_do() if self._avoid.get(k, 0) <= view.step]
 
 
-def _nearest(view: TaskView, left: list[int]) -> int | None:
+def _nearest(view: RearrangeView, left: list[int]) -> int | None:
     """The object with the shortest way to it."""
     if not left:
         return None
     return min(left, key=lambda k: _way(view, view.xz, k))
 
 
-def _way(view: TaskView, start: NDArray, k: int) -> float:
+def _way(view: RearrangeView, start: NDArray, k: int) -> float:
     """Length of the way from ``start`` to an object [m]; objects lie on furniture, so its end is moved to the floor."""
     return float(view.free.geodesic(start, view.objects[k, [0, 2]], max_snap_m=2.0))
 
 
-def persons_object(view: TaskView) -> int:
+def persons_object(view: RearrangeView) -> int:
     """The object that the person holds, goes for (by her motion in the last steps) or stands at; -1: nothing tells."""
     held = np.flatnonzero(np.isin(view.held_by, (NOBODY, view.agent), invert=True))
     if len(held):
@@ -188,7 +146,7 @@ def persons_object(view: TaskView) -> int:
     return left[best] if gain[best] > 0.5 * moved else -1
 
 
-def _complement(view: TaskView, left: list[int]) -> int | None:
+def _complement(view: RearrangeView, left: list[int]) -> int | None:
     """What the person does not go for. As long as nobody knows, the one that is farther from her than from the robot."""
     if np.isnan(view.other_xz).any():
         return _nearest(view, left)
@@ -201,11 +159,11 @@ def _complement(view: TaskView, left: list[int]) -> int | None:
     return max(others, key=lambda k: _way(view, view.other_xz, k) - _way(view, view.xz, k))
 
 
-def _moves(view: TaskView) -> bool:
+def _moves(view: RearrangeView) -> bool:
     return float(np.ptp(view.other_track, axis=0).max()) > 0.05
 
 
-def _only(k: int) -> Callable[[TaskView, list[int]], int | None]:
+def _only(k: int) -> Callable[[RearrangeView, list[int]], int | None]:
     return lambda view, left: k if k in left else None
 
 
@@ -222,9 +180,6 @@ PARTNERS = (*POPULATIONS, *PLANS)
 
 def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
     """A fresh robot policy, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
-    from sim_kinematic.policies.learned import is_learned
-    from sim_kinematic.policies.learned_chooser import learned_chooser
-
     if is_learned(name):
         return learned_chooser(name, objects, robot=True)
     if name not in ROBOT_POLICIES:
@@ -238,8 +193,6 @@ def robot_policy(name: str, objects: int = 2) -> HighLevelPolicy:
 def partner_plan(name: str, seed: int) -> str:
     """The plan (a name in `PLANS`) that a partner has in the episode with this seed; a learned one (``weights:FILE``) plans
     nothing: it is its name, as it is recorded."""
-    from sim_kinematic.policies.learned import is_learned, stamped
-
     if is_learned(name):
         return stamped(name)
     if name in PLANS:
@@ -253,9 +206,6 @@ def partner_plan(name: str, seed: int) -> str:
 
 def partner_policy(name: str, seed: int, objects: int = 2) -> HighLevelPolicy:
     """A fresh partner for the episode with this seed."""
-    from sim_kinematic.policies.learned import is_learned
-    from sim_kinematic.policies.learned_chooser import learned_chooser
-
     if is_learned(name):
         return learned_chooser(name, objects, robot=False)
     return planner(partner_plan(name, seed), seed, objects)

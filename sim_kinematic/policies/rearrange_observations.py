@@ -1,4 +1,4 @@
-"""What a learned policy of rearrangement is shown: named numbers from a `TaskView`, the same for training environments and
+"""What a learned policy of rearrangement is shown: named numbers from a `RearrangeView`, the same for training environments and
 for policies from a file.
 
 Places are (distance [m], angle [rad], positive to the RIGHT) from the agent's base, or ``(x, y, z)`` [m] in the frame of its
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from h3data.geometry import ground_pose
 from sim_kinematic.agents.skills import choices
 from sim_kinematic.motion.state import NOBODY
-from sim_kinematic.policies.rearrange import TaskView
+from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.sensing.agent_pictures import Limits
 from sim_kinematic.sensing.sensor import (
     FAR_M,
@@ -38,7 +38,7 @@ Times = Literal["once", "objects", "joints", "choices"]
 class Sense(NamedTuple):
     """A named observation."""
 
-    of: Callable[[TaskView], Floats]
+    of: Callable[[RearrangeView], Floats]
     low: tuple[float, ...]
     """Least values of one unit of it, so many numbers,"""
     high: tuple[float, ...]
@@ -47,7 +47,7 @@ class Sense(NamedTuple):
     """How often the unit is repeated."""
 
 
-def _gps(points: Callable[[TaskView], Floats]) -> Sense:
+def _gps(points: Callable[[RearrangeView], Floats]) -> Sense:
     return Sense(
         lambda view: gps_compass(view.xz, view.heading, points(view)[:, [0, 2]]),
         (0.0, -np.pi),
@@ -56,35 +56,35 @@ def _gps(points: Callable[[TaskView], Floats]) -> Sense:
     )
 
 
-def _in_hand(points: Callable[[TaskView], Floats]) -> Sense:
+def _in_hand(points: Callable[[RearrangeView], Floats]) -> Sense:
     return Sense(lambda view: in_frame(view.hand(), points(view)), (-FAR_M,) * 3, (FAR_M,) * 3, "objects")
 
 
-def _from_start(points: Callable[[TaskView], Floats]) -> Sense:
+def _from_start(points: Callable[[RearrangeView], Floats]) -> Sense:
     return Sense(lambda view: in_frame(_start_pose(view), points(view)), (-FAR_M,) * 3, (FAR_M,) * 3, "objects")
 
 
-def _start_pose(view: TaskView) -> Floats:
+def _start_pose(view: RearrangeView) -> Floats:
     return ground_pose(view.start[:2], view.start[2], view.free.floor_y)
 
 
-def _other_from_start(view: TaskView) -> Floats:
+def _other_from_start(view: RearrangeView) -> Floats:
     return in_frame(_start_pose(view), ground_pose(view.other_xz, 0.0, view.free.floor_y)[None, :3])
 
 
-def _flags(of: Callable[[TaskView], NDArray], times: Times = "objects") -> Sense:
+def _flags(of: Callable[[RearrangeView], NDArray], times: Times = "objects") -> Sense:
     return Sense(lambda view: np.asarray(of(view), np.float64), (0.0,), (1.0,), times)
 
 
-def _other(of: Callable[[TaskView], Floats], low: tuple[float, ...], high: tuple[float, ...]) -> Sense:
+def _other(of: Callable[[RearrangeView], Floats], low: tuple[float, ...], high: tuple[float, ...]) -> Sense:
     """Of the other agent: zeros where there is none."""
     return Sense(lambda v: of(v) if np.isfinite(v.other_xz).all() else np.zeros(len(low)), low, high, "once")
 
 
-def _one_of_choices(outcome: str) -> Callable[[TaskView], Floats]:
+def _one_of_choices(outcome: str) -> Callable[[RearrangeView], Floats]:
     """One of `choices` is 1: what it has done last, if that ended so."""
 
-    def seen(view: TaskView) -> Floats:
+    def seen(view: RearrangeView) -> Floats:
         known = choices(len(view.objects), robot=len(view.arm) > 0)
         found = np.zeros(len(known))
         if view.last is not None and view.last.outcome == outcome and view.action in known:
@@ -149,7 +149,7 @@ STATE_SENSES = (
 """All that a policy without memory needs to do the task."""
 
 
-def observe(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
+def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float32]]:
     """The named observations, each [n] float32 and within its `limits`."""
     shown = {}
     for name, values in exact(view, names).items():
@@ -158,7 +158,7 @@ def observe(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float3
     return shown
 
 
-def exact(view: TaskView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def exact(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """The named observations as they are, each [n]."""
     view = view._replace(hand=cache(view.hand))  # several sensors ask for it
     return {name: np.asarray(SENSES[name].of(view), np.float64).ravel() for name in names}

@@ -1,11 +1,12 @@
-"""High-level policies of rearrangement that do again what a recording says, up to a step, then hand over to another."""
+"""Policies that repeat what a recording says, up to a step, and then hand over to another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,8 +15,11 @@ from h3data.geometry import heading_from_quat
 from h3data.recording import Recording, SkillSpan
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.policies.policy import FunctionPolicy, KeptMoment, Velocity
-from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
+from sim_kinematic.policies.rearrange import HighLevelPolicy
+from sim_kinematic.policies.views import RearrangeView
 
+COMMAND = "command"
+"""Kind of the raw input that holds a command from outside."""
 RESUMED = "resumed"
 """Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
 
@@ -154,7 +158,7 @@ class RecordedPolicy:
     _next: int = 0
     _running: Action = field(default_factory=lambda: Action("wait"))
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         """As `HighLevelPolicy.act`."""
         choice = self.own.act(view) if self.own is not None and view.step >= self.since else None
         if view.step >= self.until and choice is not None:
@@ -164,7 +168,7 @@ class RecordedPolicy:
             self._running = self._recorded(view.step, choice)
         return self._running
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         """As `HighLevelPolicy.interrupts`."""
         asked = self.own is not None and view.step >= self.since
         if asked and view.step == self.since > 0:
@@ -223,3 +227,23 @@ def recorded_choices(recording: Recording, number: int, objects: tuple[str, ...]
         if span.name in SKILLS[:4] and not span.target:
             raise InputError(f"The skill {span.name} of agent_{number} at step {span.start_step} names no object.")
     return spans, now
+
+
+def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[tuple[int, Any]]]:
+    """Commands from outside by agent, each with its step, from the recorded raw input.
+
+    ``decode`` is `sim_kinematic.tasks.task.Task.choice_from_json`.
+
+    Raises:
+        InputError: a command is malformed.
+    """
+    commands: dict[int, list[tuple[int, Any]]] = {}
+    for event in recording.inputs:
+        if event.kind != COMMAND:
+            continue
+        try:
+            data = msgspec.json.decode(event.payload, type=dict[str, Any])
+            commands.setdefault(int(data["agent"]), []).append((int(data["step"]), decode(data["choice"])))
+        except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
+            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
+    return commands

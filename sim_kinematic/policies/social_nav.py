@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,34 +15,15 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
+from sim_kinematic.policies.network import load_network
 from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.views import SocialNavView
 
 ROBOT_SKILLS = ("find", "follow", "back_up", "wait")
 
 
-class View(NamedTuple):
-    """What a privileged policy may know: where both are, and the map."""
-
-    free: FreeSpace
-    robot_xz: NDArray[np.float64]
-    robot_heading: float
-    human_xz: NDArray[np.float64]
-    geodesic_m: float
-    """Length of the shortest path from robot to human [m]; infinite when there is none."""
-    met: bool
-    """The robot has found the person before."""
-    seed: int = 0
-    """Of the episode: with ``step`` it decides everything that a policy draws."""
-    step: int = 0
-    robot_before: tuple[NDArray[np.float64], float] | None = None
-    """Where the robot was before the last step, place and heading; None at the start."""
-    human_before: NDArray[np.float64] | None = None
-    """Where the person was before the last step; None at the start."""
-    future: Callable[[], NDArray[np.float64]] | None = None
-    """Where she will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
-
-
-Policy = Callable[[View, BaseSpec], Velocity]
+Policy = Callable[[SocialNavView, BaseSpec], Velocity]
 
 KEEP_DISTANCE_M = 1.5
 """The expert approaches when farther than this and backs away when nearer (paper section 4.1)."""
@@ -71,7 +51,7 @@ _BACKING = np.array([(-1.0, t, n, -1.0) for t in _LEVELS for n in ((8, 16, ESCAP
 """Ways to back away: straight, or in a bend and then straight."""
 
 
-def _steer(view: View, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[float, float]:
+def _steer(view: SocialNavView, target_xz: NDArray[np.float64], spec: BaseSpec) -> tuple[float, float]:
     """Heading error to ``target_xz`` [rad] and the turn command that removes it in one step, if the limit allows."""
     dx, dz = target_xz - view.robot_xz
     error = float(wrap_angle(np.arctan2(-dz, dx) - view.robot_heading))
@@ -82,7 +62,7 @@ def _steps_to_turn(error: float, spec: BaseSpec) -> float:
     return float(np.ceil(abs(error) / (spec.max_turn_rad_s * STEP_S)))
 
 
-def next_waypoint(view: View, spec: BaseSpec) -> NDArray[np.float64]:
+def next_waypoint(view: SocialNavView, spec: BaseSpec) -> NDArray[np.float64]:
     """The first way point on the path to the person that is not already underfoot."""
     path = view.free.path(view.robot_xz, view.human_xz)
     for waypoint in path[1:]:
@@ -91,13 +71,13 @@ def next_waypoint(view: View, spec: BaseSpec) -> NDArray[np.float64]:
     return view.human_xz
 
 
-def _expected_walk(view: View) -> NDArray[np.float64]:
+def _expected_walk(view: SocialNavView) -> NDArray[np.float64]:
     """Where the person will be in the next `ESCAPE_STEPS` steps if she goes on as in the last one."""
     velocity = np.zeros(2) if view.human_before is None else (view.human_xz - view.human_before) / STEP_S
     return straight_walk(view.free, view.human_xz, velocity, ESCAPE_STEPS)
 
 
-def heuristic_expert(view: View, spec: BaseSpec) -> Velocity:
+def heuristic_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The paper's expert: shortest path to the person when farther than 1.5 m, back away from her inside.
 
     Its code was never published (spec/habitat.md 1.8). It approaches in the way, forwards or backwards, that shortens the
@@ -108,7 +88,7 @@ def heuristic_expert(view: View, spec: BaseSpec) -> Velocity:
     return _approach(view, spec, view.human_xz, gap) if gap > 0 else _back_up(view, spec, gap)
 
 
-def plain_expert(view: View, spec: BaseSpec) -> Velocity:
+def plain_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The paper's two rules and no more: it drives at the next corner of the shortest path, and backs straight away from
     her. It tries nothing out and foresees nothing, so she often pins it against a wall."""
     if not np.isfinite(view.geodesic_m):
@@ -121,13 +101,13 @@ def plain_expert(view: View, spec: BaseSpec) -> Velocity:
     return Velocity(min(gap, 1.0) * max(0.0, float(np.cos(error))) ** 2, turn, "follow" if view.met else "find")
 
 
-def _straight_back(view: View, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
+def _straight_back(view: SocialNavView, spec: BaseSpec, gap: float) -> tuple[float, float, float]:
     """Forward and turn command of backing away while she is in front, else of turning to her; the heading error [rad]."""
     error, turn = _steer(view, view.human_xz, spec)
     return max(gap, -1.0) if abs(error) < np.pi / 3 else 0.0, turn, error
 
 
-def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Velocity:
+def _approach(view: SocialNavView, spec: BaseSpec, goal: NDArray[np.float64], gap: float = 1.0) -> Velocity:
     """Towards ``goal`` [2], by at most ``gap`` steps of way."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
@@ -139,7 +119,7 @@ def _approach(view: View, spec: BaseSpec, goal: NDArray[np.float64], gap: float 
     return Velocity(min(gap, forward), turn, "follow" if view.met else "find")
 
 
-def _back_up(view: View, spec: BaseSpec, gap: float) -> Velocity:
+def _back_up(view: SocialNavView, spec: BaseSpec, gap: float) -> Velocity:
     """Away from the person, by ``gap`` steps of way (negative) where she leaves the robot in peace."""
     backward, turn, error = _straight_back(view, spec, gap)
     straight = np.array([(backward, turn, _steps_to_turn(error, spec), 0.0)])
@@ -164,7 +144,7 @@ def _way_left(
     return left, np.nan_to_num(error, nan=np.pi)
 
 
-def sampling_expert(view: View, spec: BaseSpec) -> Velocity:
+def sampling_expert(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Draws commands, tries each beside the person as she will walk on, and takes the best: the way to 1.5 m from her,
     facing her, with room between both.
 
@@ -176,7 +156,7 @@ def sampling_expert(view: View, spec: BaseSpec) -> Velocity:
     return _best_sample(view, spec, _expected_walk(view))
 
 
-def future_oracle(view: View, spec: BaseSpec) -> Velocity:
+def future_oracle(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The sampling expert that knows the person's whole future: goes to where she can first be met, and gives way in time.
 
     Raises:
@@ -191,14 +171,14 @@ def future_oracle(view: View, spec: BaseSpec) -> Velocity:
     return _best_sample(view, spec, walk)
 
 
-def _meeting(view: View, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
+def _meeting(view: SocialNavView, spec: BaseSpec, future: NDArray[np.float64]) -> NDArray[np.float64]:
     """The first place [2] on her way to which the robot comes near before she has left it; where she is, if there is none."""
     soonest = np.arange(1, len(future) + 1) * (spec.max_speed_mps * STEP_S) + REACH_M
     in_time = view.free.geodesic(np.broadcast_to(view.robot_xz, future.shape), future) <= soonest
     return future[np.argmax(in_time)] if in_time.any() else view.human_xz
 
 
-def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Velocity:
+def _best_sample(view: SocialNavView, spec: BaseSpec, walk: NDArray[np.float64]) -> Velocity:
     """The best of drawn commands beside a person who walks along ``walk`` [H, 2]."""
     if not np.isfinite(view.geodesic_m):
         return Velocity(0.0, 0.0, "wait")
@@ -216,29 +196,26 @@ def _best_sample(view: View, spec: BaseSpec, walk: NDArray[np.float64]) -> Veloc
     return Velocity(forward, turn, skill)
 
 
-def stand_still(view: View, spec: BaseSpec) -> Velocity:
+def stand_still(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Does nothing: the floor under every score."""
     del view, spec
     return Velocity(0.0, 0.0, "wait")
 
 
-def random(view: View, spec: BaseSpec) -> Velocity:
+def random(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """A uniformly random base velocity at every step, the same for the same seed: what chance achieves."""
     del spec
     forward, turn = generator(view.seed, "policy/random", step=view.step).uniform(-1, 1, 2)
     return Velocity(float(forward), float(turn), "follow" if view.met else "find")
 
 
-def learned_follower(view: View, spec: BaseSpec) -> Velocity:
+def learned_follower(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """The weights that come with the package: what ``examples/train_social_nav.py`` learned (docs/learned-policies.md)."""
     return _follower()(view, spec)
 
 
 @cache
 def _follower() -> Policy:
-    from sim_kinematic.policies.learned import LearnedNavigation
-    from sim_kinematic.policies.network import load_network
-
     return LearnedNavigation(load_network(builtin_path("policies/learned_follower.npz")))
 
 
@@ -255,8 +232,6 @@ POLICIES: dict[str, Policy] = {
 
 def policy_by_name(name: str) -> Policy:
     """The policy called ``name``, or the one in a file (``weights:FILE``); an `InputError` lists what exists."""
-    from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of
-
     if is_learned(name):
         return LearnedNavigation(network_of(name))
     if name not in POLICIES:
@@ -268,6 +243,4 @@ def policy_by_name(name: str) -> Policy:
 
 def policy_name(policy: str | Policy) -> str:
     """The name under which a policy is recorded; that of a file of weights says which weights (`stamped`)."""
-    from sim_kinematic.policies.learned import stamped
-
     return stamped(policy) if isinstance(policy, str) else getattr(policy, "__name__", type(policy).__name__)

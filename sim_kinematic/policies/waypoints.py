@@ -15,7 +15,8 @@ from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import keep_clear
 from sim_kinematic.avoidance.yielding import Seen, avoided, in_the_way, waits
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
-from sim_kinematic.policies.policy import AgentView, Towards, Velocity
+from sim_kinematic.policies.policy import Towards, Velocity
+from sim_kinematic.policies.views import AgentView
 
 ARRIVED_M = 0.3
 """A robot has reached its way point when it is this near."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data.geometry import Array, ground_pose
 from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.state import HumanState, RobotState
-from sim_kinematic.policies.policy import AgentView, AssignedPolicy, KeptMoment, Towards
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.policy import KeptMoment, Towards
+from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
-from sim_kinematic.tasks.task import Episode, Outcome, Task, agent_floor, checked_outcome
+from sim_kinematic.tasks.episode import Episode, Outcome, agent_floor
 from sim_kinematic.world import Command, Drive, Keep, Posture, WalkTo, World
 
 Columns = dict[str, NDArray[Any]]
@@ -64,12 +66,27 @@ class Play(Protocol):
         ...
 
 
+class Rules(Protocol):
+    """What `WorldPlay` asks of a task; `sim_kinematic.tasks.task.Task` explains each."""
+
+    skills: ClassVar[Mapping[str, tuple[str, ...]]]
+    columns: ClassVar[Mapping[str, Any]]
+
+    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None: ...
+
+    def judge(self, play: WorldPlay) -> Outcome: ...
+
+    def view(self, play: WorldPlay, agent: int, world: int) -> Any: ...
+
+    def end_reason(self, play: WorldPlay, world: int) -> str: ...
+
+
 class WorldPlay:
     """W worlds of one task, each in an episode of its own; with W = 1 a `Play`."""
 
     def __init__(
         self,
-        task: Task,
+        task: Rules,
         spec: Any,
         roster: Sequence[AgentSpec],
         *,
@@ -267,3 +284,27 @@ class WorldPlay:
         if self.spec.human.arms is not None:
             columns["motion_arms"] = np.stack([own[5], own[6]], -1).astype(np.float32)
         return columns
+
+
+def checked_outcome(task: Rules, outcome: Any, worlds: int) -> Outcome:
+    """The outcome, if its arrays are [W], finite, and of the declared columns.
+
+    Raises:
+        H3DataError: they are not: a fault of the task, which the message names with the field.
+    """
+    who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
+    if not isinstance(outcome, Outcome):
+        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
+    for name in ("reward", "terminated", "success"):
+        values = np.asarray(getattr(outcome, name))
+        if values.shape != (worlds,):
+            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
+    strange = sorted(set(outcome.columns) ^ set(task.columns))
+    if strange:
+        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
+    for name, values in outcome.columns.items():
+        if np.shape(values)[:1] != (worlds,):
+            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
+    return outcome

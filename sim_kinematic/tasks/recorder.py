@@ -27,9 +27,10 @@ from h3data.recording import (
 )
 from h3data.recording import Episode as EpisodeRecord
 from h3data.scene import CATEGORIES, Scene, save_scene, scene_digest
-from sim_kinematic.policies.policy import AssignedPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Play
-from sim_kinematic.tasks.task import Episode, Task
+from sim_kinematic.tasks.task import Task
 
 BLOCK = 30
 """Rows that are handed to the sink at once: one second, which is what a crash may lose."""

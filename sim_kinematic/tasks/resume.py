@@ -15,7 +15,8 @@ import numpy as np
 
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
-from sim_kinematic.policies.policy import KINDS, AssignedPolicy
+from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Play
 from sim_kinematic.tasks.recorder import Recorder, finished
 from sim_kinematic.tasks.registry import find_task, task_registry
@@ -32,8 +33,8 @@ from sim_kinematic.tasks.resimulation import (
     require_step,
     scene_and_map,
 )
-from sim_kinematic.tasks.runner import COMMAND, run
-from sim_kinematic.tasks.task import Episode, Task
+from sim_kinematic.tasks.runner import run
+from sim_kinematic.tasks.task import Task
 
 __all__ = ["Difference", "Verification", "counterfactual", "first_difference", "resume", "task_of", "verify"]
 
@@ -106,28 +107,6 @@ def counterfactual(recording: Recording, policy: Any, *, step: int = 0) -> Recor
             "Expected a recording of robots and people: people keep their tracks, robots follow the policy."
         )
     return _continued(recording, step, _by_kind(policy, None), keeps_people=True)
-
-
-def recorded_commands(recording: Recording, task: Task) -> dict[int, list[tuple[int, Any]]]:
-    """Commands from outside by agent, each with its step, from the recorded raw input.
-
-    Raises:
-        InputError: a command is malformed.
-    """
-    import msgspec
-
-    commands: dict[int, list[tuple[int, Any]]] = {}
-    for event in recording.inputs:
-        if event.kind != COMMAND:
-            continue
-        try:
-            data = msgspec.json.decode(event.payload, type=dict[str, Any])
-            commands.setdefault(int(data["agent"]), []).append(
-                (int(data["step"]), task.choice_from_json(data["choice"]))
-            )
-        except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
-            raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
-    return commands
 
 
 # --- one continued run ------------------------------------------------------------------------------------------------
@@ -243,7 +222,7 @@ def _assigned(
 
 def _chosen_for(episode: Episode, number: int, new: dict[str, Any]) -> Any:
     """The choice for one agent: by its name, else by its kind, one for all or one for each."""
-    from sim_kinematic.policies.policy import each_of
+    from sim_kinematic.policies.assignment import each_of
 
     member = episode.roster[number]
     for key in (member.name, member.name.replace("human", "person")):

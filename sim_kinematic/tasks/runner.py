@@ -11,14 +11,14 @@ import msgspec
 
 from h3data.errors import InputError, did_you_mean
 from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader
-from sim_kinematic.policies.policy import Assigned, AssignedPolicy, External
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
+from sim_kinematic.policies.policy import External
+from sim_kinematic.policies.recorded import COMMAND
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Play
 from sim_kinematic.tasks.recorder import Recorder, Sink, describe
 from sim_kinematic.tasks.registry import reference_of
-from sim_kinematic.tasks.task import Episode, Task
-
-COMMAND = "command"
-"""Kind of the `InputEvent` that holds a command from outside."""
+from sim_kinematic.tasks.task import Task
 
 
 class Turns:

@@ -9,13 +9,14 @@ from typing import Any
 
 from h3data.recording import Recording, RecordingHeader, RecordingWriter
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY
-from sim_kinematic.policies.policy import Assigned
+from sim_kinematic.policies.assignment import Assigned
+from sim_kinematic.tasks.episode import Episode, with_options
 from sim_kinematic.tasks.recorder import Sink
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.runner import Session
 from sim_kinematic.tasks.runner import simulate as simulate_episode
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
-from sim_kinematic.tasks.task import Episode, Task, with_options
+from sim_kinematic.tasks.task import Task
 
 
 def session(

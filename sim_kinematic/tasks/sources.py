@@ -13,7 +13,8 @@ from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
 from sim_kinematic.motion.randomness import episode_seed, generator
 from sim_kinematic.tasks.describe import bar
-from sim_kinematic.tasks.task import Episode, Task
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.task import Task
 
 Scenes = str | Scene | Sequence[str | Scene]
 ATTEMPTS = 20

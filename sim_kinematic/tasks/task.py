@@ -9,94 +9,28 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
-from h3data.errors import H3DataError, InputError
+from h3data.errors import InputError
 from h3data.geometry import Array
-from h3data.recording import Body, Event, Recording, SkillSpan
+from h3data.recording import Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene, scene_digest
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster, sample_places
-from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
-from sim_kinematic.motion.spec import HOME_WALKER, BaseSpec, WalkerSpec
-from sim_kinematic.policies.policy import Assigned, AssignedPolicy, assign, check_policy, make_policy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
+from sim_kinematic.policies.policy import Still, Velocity
+from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, recorded_commands
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec
+from sim_kinematic.tasks.play import Play, WorldPlay
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
     from sim_kinematic.sensing.table import Sensor
-    from sim_kinematic.tasks.play import Play, WorldPlay
-
-MAX_STEPS = 1_000_000
-"""Longest episode that is simulated again: nine hours."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskSpec:
-    """Rules that every task has; a task's own spec adds to them."""
-
-    max_steps: int = 1500
-    spawn_distance_m: float = 5.0
-    """Least distance between any two agents at the start, where there is room."""
-    agent_radius_m: float = 0.25
-    agent_height_m: float = 1.41
-    """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
-    robot: BaseSpec = field(default_factory=BaseSpec)
-    human: WalkerSpec = HOME_WALKER
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Episode:
-    """The unchanging half of an episode: home, map, rules, agents, starts, seed."""
-
-    scene: Scene
-    free: FreeSpace
-    seed: int
-    spec: Any
-    """The task's frozen dataclass."""
-    roster: tuple[AgentSpec, ...]
-    """Robots, then people."""
-    starts: Array
-    """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
-
-
-@lru_cache(maxsize=256)
-def agent_base(episode: Episode, number: int) -> BaseSpec:
-    """Discs and limits of an agent that drives: a robot's own, else the rules'."""
-    body = episode.roster[number].body
-    return base_of(body, episode.spec.robot) if isinstance(body, Robot) else episode.spec.robot
-
-
-@lru_cache(maxsize=256)
-def agent_floor(episode: Episode, number: int) -> FreeSpace:
-    """The floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
-    body = episode.roster[number].body
-    if not isinstance(body, Robot):
-        return episode.free
-    return floor_of(body, agent_base(episode, number), episode.scene, episode.free)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """The judgement of one step in W worlds, each array [W]."""
-
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    """The rules end the episode."""
-    success: NDArray[np.bool_]
-    """Once true in an episode it should stay true."""
-    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """Values to record, by column name (`Task.columns`), [W, ...] each."""
-    events: Sequence[tuple[int, Event]] = ()
-    """Events of this step with the world that each belongs to."""
 
 
 class Task:
@@ -253,8 +187,6 @@ class Task:
 
         ``measure=False`` leaves out what only rewards need.
         """
-        from sim_kinematic.tasks.play import WorldPlay
-
         play = WorldPlay(self, episode.spec, episode.roster, measure=measure)
         play.begin([episode])
         play.policies = list(policies)
@@ -282,8 +214,6 @@ class Task:
         Raises:
             InputError: it is malformed.
         """
-        from sim_kinematic.policies.policy import Velocity
-
         if not hasattr(choice, "forward") and np.shape(choice) == (2,):
             choice = Velocity(float(choice[0]), float(choice[1]))
         if not (hasattr(choice, "forward") and hasattr(choice, "turn")):
@@ -294,8 +224,6 @@ class Task:
 
     def idle_choice(self, play: Play, number: int, last: Any) -> Any:
         """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
-        from sim_kinematic.policies.policy import Velocity
-
         return Velocity(0.0, 0.0) if last is None else last
 
     def choice_to_json(self, choice: Any) -> Any:
@@ -304,8 +232,6 @@ class Task:
 
     def choice_from_json(self, data: Any) -> Any:
         """The choice that `choice_to_json` wrote."""
-        from sim_kinematic.policies.policy import Velocity
-
         return Velocity(float(data["forward"]), float(data["turn"]), str(data.get("skill", "")))
 
     def last_reward(self, play: Play) -> float:
@@ -369,8 +295,6 @@ class Task:
     def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
         """The policy with a recorded name, or one that is chosen instead."""
         if name == "external":
-            from sim_kinematic.policies.policy import Still
-
             return AssignedPolicy(Still(), "external", episode.roster[number].kind)
         return make_policy(self, episode, number, name)
 
@@ -396,10 +320,7 @@ class Task:
 
         A scripted person has no recorded decisions: its own policy decides again.
         """
-        from sim_kinematic.policies.recorded import RecordedVelocities
-        from sim_kinematic.tasks.resume import recorded_commands
-
-        commands, policies = recorded_commands(recording, self), []
+        commands, policies = recorded_commands(recording, self.choice_from_json), []
         for k, (member, assigned) in enumerate(zip(episode.roster, own, strict=True)):
             policy = assigned.policy
             if member.kind == "robot" or k in commands:
@@ -435,8 +356,6 @@ class Task:
         self, play: Play, recording: Recording, since: int
     ) -> tuple[dict[str, Any], Callable[[int], object] | None]:
         """Puts people on their recorded tracks; returns facts about that for the info, and what to call after each step."""
-        from sim_kinematic.policies.recorded import RecordedTrack
-
         del since
         for k, member in enumerate(play.episode.roster):
             if member.kind == "human":
@@ -488,35 +407,3 @@ def restored(task: Task, recording: Recording, scene: Callable[[float, float], t
         starts=starts,
         extra=dict(info.get("extra", {})),
     )
-
-
-def checked_outcome(task: Task, outcome: Any, worlds: int) -> Outcome:
-    """The outcome, if its arrays are [W], finite, and of the declared columns.
-
-    Raises:
-        H3DataError: they are not: a fault of the task, which the message names with the field.
-    """
-    who = f"{type(task).__module__}:{type(task).__qualname__}.judge"
-    if not isinstance(outcome, Outcome):
-        raise H3DataError(f"{who} must return an Outcome, got {type(outcome).__name__}.")
-    for name in ("reward", "terminated", "success"):
-        values = np.asarray(getattr(outcome, name))
-        if values.shape != (worlds,):
-            raise H3DataError(f"{who}: {name} must have shape [{worlds}], got {list(values.shape)}.")
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise H3DataError(f"{who}: {name} must be finite, got {values[~np.isfinite(values)][0]}.")
-    strange = sorted(set(outcome.columns) ^ set(task.columns))
-    if strange:
-        raise H3DataError(f"{who}: columns must be those that the task declares; {', '.join(strange)} differ.")
-    for name, values in outcome.columns.items():
-        if np.shape(values)[:1] != (worlds,):
-            raise H3DataError(f"{who}: column {name} must have shape [{worlds}, ...], got {list(np.shape(values))}.")
-    return outcome
-
-
-def with_options(spec: Any, **options: Any) -> Any:
-    """A spec with those options that are not None; ``human_speed`` means the people's walking speed [m/s]."""
-    speed = options.pop("human_speed", None)
-    if speed is not None:
-        spec = replace(spec, human=replace(spec.human, speed_mps=speed))
-    return replace(spec, **{name: value for name, value in options.items() if value is not None})

@@ -16,10 +16,11 @@ from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
-from sim_kinematic.policies.policy import AssignedPolicy
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.tasks.episode import Episode, Outcome
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
-from sim_kinematic.tasks.task import Episode, Outcome, Task
+from sim_kinematic.tasks.task import Task
 
 
 class Wander(Task):

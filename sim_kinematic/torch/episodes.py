@@ -13,9 +13,10 @@ from h3data.errors import InputError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.waypoint_walker import WaypointHuman
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.tasks.social_nav import TRAINING, SocialNav, Starts, goals_of
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.social_nav import TRAINING, SocialNav
+from sim_kinematic.tasks.social_nav.episode import Starts, goals_of
 from sim_kinematic.tasks.sources import EpisodeSource
-from sim_kinematic.tasks.task import Episode
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

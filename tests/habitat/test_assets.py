@@ -11,7 +11,8 @@ import pytest
 import trimesh
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_library import ASSETS_VARIABLE, EMPTY_URI, AssetLibrary, clean_path
+from h3data.habitat.asset_folders import ASSETS_VARIABLE, clean_path
+from h3data.habitat.asset_library import EMPTY_URI, AssetLibrary
 from h3data.recording.records import AssetRef
 from h3data.scene.records import Asset, Scene
 

@@ -10,7 +10,6 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.extents import row_radius
@@ -97,6 +96,8 @@ def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) 
     low = [part[:, [0, 2]] for part in parts if part[:, 1].min() + height < BASE_TOP_M]
     if not low:
         return [0.0], LEAST_RADIUS_M
+    import shapely
+
     outline = np.array(shapely.segmentize(shapely.MultiPoint(np.concatenate(low)).convex_hull.boundary, 0.02).coords)
     if len(outline) < 3:
         return [0.0], LEAST_RADIUS_M

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,21 @@ from h3data.kernels import kernel
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from h3data.bodies.robots.robot import Robot
 
 FIXED, TURNS, SLIDES, BALL = 0, 1, 2, 3
 """How a link moves in its joint frame."""
+
+
+class JointTree(NamedTuple):
+    """Links and their joints as arrays, parents first; the arguments of `link_frames`, where each is explained."""
+
+    parents: NDArray[np.int64]
+    origins: NDArray[np.float64]
+    kinds: NDArray[np.int64]
+    axes: NDArray[np.float64]
+    columns: NDArray[np.int64]
+    gains: NDArray[np.float64]
+    offsets: NDArray[np.float64]
 
 
 @kernel(error_model="numpy")
@@ -86,13 +97,13 @@ def link_frames(
             here[3, 0], here[3, 1], here[3, 2], here[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-def link_frames_torch(robot: Robot, root: Tensor, positions: Tensor) -> Tensor:
-    """Link frames [*batch, L, 4, 4] of a robot in torch: on the device and in the precision of ``positions``, and
+def link_frames_torch(tree: JointTree, root: Tensor, positions: Tensor) -> Tensor:
+    """Link frames [*batch, L, 4, 4] in torch: on the device and in the precision of ``positions``, and
     differentiable in both arguments.
 
     Args:
-        robot: Whose links.
-        root: Agent roots as 4x4 matrices, shape [*batch, 4, 4] [m].
+        tree: Links and joints.
+        root: Frames in which the base link lies, as 4x4 matrices, shape [*batch, 4, 4] [m].
         positions: Joint positions, shape [*batch, J] [rad or m].
     """
     import torch
@@ -100,19 +111,19 @@ def link_frames_torch(robot: Robot, root: Tensor, positions: Tensor) -> Tensor:
     def constant(array: NDArray) -> Tensor:
         return torch.as_tensor(array, dtype=positions.dtype, device=positions.device)
 
-    origins, axes, identity = constant(robot.origins), constant(robot.axes), constant(np.eye(3))
-    start = root.to(positions) @ constant(robot.to_base)
+    origins, axes, identity = constant(tree.origins), constant(tree.axes), constant(np.eye(3))
+    start = root.to(positions)
     frames: list[Tensor] = []
-    for link, kind in enumerate(robot.kinds.tolist()):
-        parent = robot.links[link].parent
+    for link, kind in enumerate(tree.kinds.tolist()):
+        parent = int(tree.parents[link])
         frame = (start if parent < 0 else frames[parent]) @ origins[link]
-        column, turn = int(robot.columns[link]), None
+        column, turn = int(tree.columns[link]), None
         if kind == BALL:
             quat = torch.nn.functional.normalize(positions[..., column : column + 4], dim=-1)
             cross = _cross_matrix(quat[..., :3])
             turn = identity + 2 * quat[..., 3, None, None] * cross + 2 * cross @ cross
         elif kind != FIXED:
-            way = positions[..., column] * float(robot.gains[link]) + float(robot.offsets[link])
+            way = positions[..., column] * float(tree.gains[link]) + float(tree.offsets[link])
             if kind == SLIDES:
                 step = torch.einsum("...ij,j->...i", frame[..., :3, :3], axes[link]) * way[..., None]
                 frame = torch.cat(

@@ -22,6 +22,8 @@ from h3data.scene.records import Cylinder, Shape
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from h3data.bodies.robots.kinematics import JointTree
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotLink:
@@ -181,8 +183,11 @@ class Robot:
         return self.links[self.hand_link].name if self.hand_link >= 0 else ""
 
     @cached_property
-    def _parents(self) -> NDArray[np.int64]:
-        return np.array([link.parent for link in self.links], np.int64)
+    def _tree(self) -> JointTree:
+        from h3data.bodies.robots.kinematics import JointTree
+
+        parents = np.array([link.parent for link in self.links], np.int64)
+        return JointTree(parents, self.origins, self.kinds, self.axes, self.columns, self.gains, self.offsets)
 
     def link_index(self, name: str) -> int:
         """The place of a link in ``links``."""
@@ -206,7 +211,7 @@ class Robot:
 
     def link_matrices(self, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
         """World matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
-        from h3data.bodies.robots.kinematics import link_frames
+        from h3data.bodies.robots.kinematics import link_frames  # numba: robots can be read without it
 
         roots = np.ascontiguousarray(pose_to_matrix(np.asarray(base_pose, np.float64)) @ self.to_base)
         positions = np.ascontiguousarray(joint_pos, np.float64)
@@ -215,8 +220,7 @@ class Robot:
                 f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
             )
         out = np.empty((len(roots), len(self.links), 4, 4))
-        tree = (self._parents, self.origins, self.kinds, self.axes, self.columns, self.gains, self.offsets)
-        link_frames(roots, positions, *tree, out)
+        link_frames(roots, positions, *self._tree, out)
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
@@ -229,7 +233,8 @@ class Robot:
                 f"Expected roots [..., 4, 4] and joint positions [..., {len(self.joint_names)}] of {self.name}, got "
                 f"{list(base.shape)} and {list(joint_pos.shape)}."
             )
-        return link_frames_torch(self, base, joint_pos)
+        to_base = joint_pos.new_tensor(self.to_base)
+        return link_frames_torch(self._tree, base.to(joint_pos) @ to_base, joint_pos)
 
     def _joints(self, joint_pos: ArrayLike) -> NDArray[np.float64]:
         try:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
-from h3data.habitat.asset_library import EMPTY_URI, clean_path
+from h3data.habitat.asset_folders import clean_path
+from h3data.habitat.asset_library import EMPTY_URI
 from h3data.habitat.gfx.gfx_agents import add_agents
 from h3data.habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data.habitat.gfx.gfx_keyframes import Load, read_keyframes

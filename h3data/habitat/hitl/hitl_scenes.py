@@ -9,7 +9,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from h3data.errors import H3DataError
-from h3data.habitat.asset_library import AssetLibrary, clean_path
+from h3data.habitat.asset_folders import clean_path
+from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, load_habitat_scene
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.scene_file import scene_bytes

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 HANDLE = "handle:"
 """Begins the uri of an asset that is known by its template's name only."""
-CONFIG_ENDING = ".object_config.json"
 _LISTED = 4
 
 

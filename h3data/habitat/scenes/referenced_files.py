@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from h3data.errors import SceneError
-from h3data.habitat.asset_library import AssetLibrary
+from h3data.habitat.asset_folders import AssetFolders
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.loading import is_file
 
@@ -19,14 +19,14 @@ class ReferencedFiles:
     """Finds the files of one scene.
 
     As in habitat-sim a path is tried as it stands (absolute, or relative to the working directory), then relative to
-    the config that names it; after that below the user's asset folders (`AssetLibrary`: with the known aliases of
+    the config that names it; after that below the user's asset folders (`AssetFolders`: with the known aliases of
     dataset folders, or H3DATA_ASSETS). A file must lie in the config's dataset, in a folder ``data`` around it, in the
     working directory or in an asset folder: a dataset from elsewhere cannot make us open other files.
     """
 
     def __init__(self, config: Path, assets: Sequence[str | Path] | None = None) -> None:
-        self._library = AssetLibrary(assets)
-        self._inside = (*trusted_folders(config), Path.cwd(), *(Path(os.path.abspath(r)) for r in self._library.roots))
+        self._folders = AssetFolders(assets)
+        self._inside = (*trusted_folders(config), Path.cwd(), *(Path(os.path.abspath(r)) for r in self._folders.roots))
         self.missing: dict[str, tuple[Path, ...]] = {}
         """Where each file was looked for that was not found."""
 
@@ -43,7 +43,7 @@ class ReferencedFiles:
                 if any(path.is_relative_to(root) for root in self._inside):
                     return path
                 outside = path
-        found = self._library.resolve(name)
+        found = self._folders.resolve(name)
         if found is not None:
             return found
         if outside is not None:
@@ -51,7 +51,7 @@ class ReferencedFiles:
                 f"{name!r} leads out of the dataset, so it is not opened. Hint: give the folder that holds it as an asset "
                 f"folder (--assets DIR or H3DATA_ASSETS). {outside}"
             )
-        self.missing[name] = (*tried, *self._library.roots)
+        self.missing[name] = (*tried, *self._folders.roots)
         return None
 
 

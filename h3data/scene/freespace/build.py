@@ -1,4 +1,4 @@
-"""Builders of `FreeSpace`: from the collision shapes and rooms of a scene, or from nothing but its meshes."""
+"""Builders of `FloorMap`: from the collision shapes and rooms of a scene, or from nothing but its meshes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from h3data.scene.freespace._footprints import rooms_level, walkable_from_shapes
 from h3data.scene.freespace._sdf import sdf_from_edges
 from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
 from h3data.scene.freespace._voxels import flood_surfaces, mark_standable, mask_rectangles, voxel_columns
-from h3data.scene.freespace.free_space import FreeSpace
+from h3data.scene.freespace.floor_map import FloorMap
 from h3data.scene.records import Box, Capsule, Cylinder, Scene, Shape, instance_matrix
 
 log = logging.getLogger(__name__)
@@ -102,8 +102,8 @@ def build_from_scene(
     cell_m: float,
     floor_y: float | None = None,
     method: Method = "auto",
-) -> FreeSpace:
-    """The free space of one floor of a scene; see `FreeSpace.from_scene`."""
+) -> FloorMap:
+    """The free space of one floor of a scene; see `h3data.scene.FreeSpace.from_scene`."""
     sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
     wrong = [f"{k}={v}" for k, v in sizes.items() if not np.isfinite(v) or v <= 0]
     if wrong or max_climb_m >= height_m:
@@ -139,7 +139,7 @@ def build_from_walkable(
     smooth_m: float = SMOOTH_M,
     island_min_m2: float = ISLAND_MIN_M2,
     key: str = "",
-) -> FreeSpace:
+) -> FloorMap:
     """The free space of a disc of ``radius_m`` on a floor given as polygons (x, z), obstacles already cut out.
 
     Islands smaller than ``island_min_m2`` are left out, but for the largest.
@@ -156,7 +156,7 @@ def build_from_walkable(
     origin = np.array([x0 - BORDER_M, z0 - BORDER_M])
     nx, nz = (int(np.ceil((hi - lo + 2 * BORDER_M) / cell_m)) for lo, hi in ((x0, x1), (z0, z1)))
     polygon = MultiPolygon(islands)
-    return FreeSpace(
+    return FloorMap(
         key=key,
         floor_y=floor_y,
         radius_m=radius_m,

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.scene.freespace._distance_field import corner_distances, field_many
-from h3data.scene.freespace.free_space import SNAP_M, FreeSpace, each_point
+from h3data.scene.freespace._points import SNAP_M, each_point
+from h3data.scene.freespace._visibility import Graph
 
 __all__ = ["DistanceField"]
 
@@ -21,18 +22,17 @@ class DistanceField:
     `FreeSpace.distance_field`.
     """
 
-    space: FreeSpace
+    graph: Graph
     goals: NDArray[np.float64]
     """Goals as moved to the free area, shape [K, 2] [m]."""
     corner: NDArray[np.float64] = field(repr=False)
     """Distance from every corner of the visibility graph, shape [n] [m]."""
 
     @classmethod
-    def to(cls, space: FreeSpace, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
-        """The field of one goal [2] or several [K, 2]; those farther off the free area than ``max_snap_m`` do not count."""
-        moved = space.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
-        moved = np.ascontiguousarray(moved[np.isfinite(moved).all(-1)])
-        return cls(space=space, goals=moved, corner=corner_distances(space.graph, moved))
+    def to(cls, graph: Graph, goals: NDArray[np.float64]) -> DistanceField:
+        """The field of goals [K, 2] on the free area; without any, every distance is infinite."""
+        goals = np.ascontiguousarray(goals, np.float64)
+        return cls(graph=graph, goals=goals, corner=corner_distances(graph, goals))
 
     def distance(self, points: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Length [...] [m] of the shortest path from points [..., 2] to the nearest goal; inf where there is none."""
@@ -49,6 +49,6 @@ class DistanceField:
         self, points: ArrayLike, *, max_snap_m: float = SNAP_M
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`distance` [...] and `direction` [..., 2] at once, for the price of one."""
-        graph, corner, goals = self.space.graph, self.corner, self.goals
+        graph, corner, goals = self.graph, self.corner, self.goals
         both = each_point(lambda p: field_many(graph, corner, goals, p, max_snap_m), points)
         return both[..., 0], both[..., 1:]

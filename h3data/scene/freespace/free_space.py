@@ -6,56 +6,41 @@ Everything that moves on a floor reads this one object: navigation, the step ker
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from shapely.geometry import MultiPolygon
 
 from h3data.errors import InputError
+from h3data.scene.freespace import store
 from h3data.scene.freespace._geodesic import geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
+from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, one_point
 from h3data.scene.freespace._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
-from h3data.scene.freespace._visibility import Graph, locate_many, snap_many
-
-if TYPE_CHECKING:
-    from h3data.scene.freespace.distance_field import DistanceField
-    from h3data.scene.records import Scene
+from h3data.scene.freespace._visibility import locate_many, snap_many
+from h3data.scene.freespace.build import build_from_scene, scene_key
+from h3data.scene.freespace.distance_field import DistanceField
+from h3data.scene.freespace.floor_map import FloorMap
+from h3data.scene.records import Scene
 
 __all__ = ["FreeSpace", "line_of_sight", "sample_sdf", "sdf_gradient"]
 
-SNAP_M = 0.3
-"""Ends of a path may be this far off the free area: they are moved to its border first, as Habitat snaps them."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FreeSpace:
+class FreeSpace(FloorMap):
     """The free space of one floor for a disc of one radius. Floor points are (x, z) in the world [m]."""
 
-    key: str
-    """SHA-256 of the geometry and the parameters it was built from; empty if built by hand."""
-    floor_y: float
-    """Height of the floor [m]."""
-    radius_m: float
-    height_m: float
-    """Obstacles count from ``floor_y + max_climb_m`` to ``floor_y + height_m``."""
-    max_climb_m: float
-    cell_m: float
-    """Side of a cell of ``sdf`` [m]."""
-    origin: NDArray[np.float64]
-    """Lower corner (x, z) of cell [0, 0]; the centre of cell [i, j] is ``origin + (i + 0.5, j + 0.5) * cell_m``."""
-    sdf: NDArray[np.float32]
-    """Distance from cell centres to the nearest obstacle or border of the floor, not inflated: an agent fits where it is
-    at least ``radius_m``; negative in obstacles and off the floor. Shape [nx, nz] [m]."""
-    polygon: MultiPolygon
-    """Where the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest first."""
-    graph: Graph
-    """Visibility graph over the corners of ``polygon``, with all shortest paths."""
+    @classmethod
+    def from_map(cls, floor: FloorMap, lattice: Lattice | None = None) -> FreeSpace:
+        """The free space with the geometry of ``floor``, and its lattice where that is known already."""
+        space = cls(**{one.name: getattr(floor, one.name) for one in fields(FloorMap)})
+        if lattice is not None:
+            space.__dict__["lattice"] = lattice
+        return space
 
     @classmethod
     def from_scene(
@@ -83,30 +68,23 @@ class FreeSpace:
                 by voxels of 2.5 cm, ``auto`` takes the first where it can.
             cache: Whether a result on disk may be used, and kept (see `h3data.scene.freespace.store`).
         """
-        from h3data.scene.freespace.build import build_from_scene, scene_key
-        from h3data.scene.freespace.store import cached
-
         sizes = {"radius_m": radius_m, "height_m": height_m, "max_climb_m": max_climb_m, "cell_m": cell_m}
 
-        def build() -> FreeSpace:
+        def build() -> FloorMap:
             return build_from_scene(scene, **sizes, floor_y=floor_y, method=method)
 
         if not cache:
-            return build()
-        return cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build)
+            return cls.from_map(build())
+        return cls.from_map(*store.cached(scene_key(scene, **sizes, floor_y=floor_y, method=method), build))
 
     @classmethod
     def load(cls, path: str | Path) -> FreeSpace:
         """The free space that `save` wrote."""
-        from h3data.scene.freespace.store import load
-
-        return load(Path(path))
+        return cls.from_map(*store.load(Path(path)))
 
     def save(self, path: str | Path) -> None:
         """Writes one npz file (no pickle), whole or not at all; the lattice table goes with it if it was built."""
-        from h3data.scene.freespace.store import save
-
-        save(self, Path(path))
+        store.save(self, Path(path), lattice=self.__dict__.get("lattice"))  # only if it was built
 
     # --- distance to obstacles ------------------------------------------------------------------------------------------
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -156,14 +134,14 @@ class FreeSpace:
 
         Ends off the free area are moved to it first; farther than ``max_snap_m`` there is no path.
         """
-        return _pairs(lambda p, q: geodesic_many(self.graph, p, q, max_snap_m), a, b)
+        return each_pair(lambda p, q: geodesic_many(self.graph, p, q, max_snap_m), a, b)
 
     def path(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """Way points [k, 2] of the shortest path from a [2] to b [2], both ends (as moved) included; k = 0: no path.
 
         ``path[1]`` is what Habitat calls ``points[1]``, the point its agents walk towards.
         """
-        p, q = _one_point(a), _one_point(b)
+        p, q = one_point(a), one_point(b)
         return path_pair(self.graph, p[0], p[1], q[0], q[1], max_snap_m)
 
     def next_waypoint(
@@ -181,9 +159,8 @@ class FreeSpace:
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
         """Exact distance to one goal [2], or to the nearest of several [K, 2], and the way there, from anywhere."""
-        from h3data.scene.freespace.distance_field import DistanceField
-
-        return DistanceField.to(self, goals, max_snap_m=max_snap_m)
+        moved = self.snap(goals, max_distance_m=max_snap_m).reshape(-1, 2)
+        return DistanceField.to(self.graph, moved[np.isfinite(moved).all(-1)])
 
     def geodesic_lattice(self, a: ArrayLike, b: ArrayLike, *, max_snap_m: float = SNAP_M) -> NDArray[np.float64]:
         """`geodesic` by look-ups in the lattice's table: within about 0.1 % (p95 below 1 %).
@@ -192,7 +169,7 @@ class FreeSpace:
         where the way is straight or shorter than 3 m. The table is built at the first call.
         """
         table = (self.graph, self.sdf, self.origin, self.cell_m, self.radius_m, self.lattice)
-        return _pairs(lambda p, q: quick_distance_many(*table, p, q, max_snap_m), a, b)
+        return each_pair(lambda p, q: quick_distance_many(*table, p, q, max_snap_m), a, b)
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -221,33 +198,3 @@ class FreeSpace:
             f"FreeSpace(radius {self.radius_m} m, floor {self.floor_y:.3f} m, {len(self.polygon.geoms)} islands, "
             f"{self.polygon.area:.2f} m2, grid {nx} x {nz}, {len(self.graph.nodes)} corners)"
         )
-
-
-def _floor_points(points: ArrayLike) -> NDArray[np.float64]:
-    p = np.asarray(points, np.float64)
-    if p.ndim == 0 or p.shape[-1] != 2:
-        raise InputError(f"Floor points must be (x, z), shape [..., 2], got {list(p.shape)}.")
-    return p
-
-
-def _one_point(point: ArrayLike) -> NDArray[np.float64]:
-    p = _floor_points(point)
-    if p.shape != (2,):
-        raise InputError(f"Expected one floor point (x, z), shape [2], got {list(p.shape)}.")
-    return p
-
-
-def each_point(kernel: Callable[[NDArray], NDArray], points: ArrayLike) -> NDArray:
-    """Applies a kernel on [N, 2] to points of any leading shape."""
-    p = _floor_points(points)
-    out = kernel(np.ascontiguousarray(p.reshape(-1, 2)))
-    return out.reshape(p.shape[:-1] + out.shape[1:])
-
-
-def _pairs(kernel: Callable[[NDArray, NDArray], NDArray], a: ArrayLike, b: ArrayLike) -> NDArray:
-    """Applies a kernel on two [N, 2] to points that broadcast against each other."""
-    p, q = _floor_points(a), _floor_points(b)
-    if p.shape != q.shape:  # broadcast_arrays alone takes 4 us
-        p, q = np.broadcast_arrays(p, q)
-    out = kernel(np.ascontiguousarray(p.reshape(-1, 2)), np.ascontiguousarray(q.reshape(-1, 2)))
-    return out.reshape(p.shape[:-1])

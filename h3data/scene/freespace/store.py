@@ -20,7 +20,7 @@ from h3data.errors import FormatError, InputError
 from h3data.files import part_file
 from h3data.scene.freespace._lattice import Lattice
 from h3data.scene.freespace._visibility import Graph
-from h3data.scene.freespace.free_space import FreeSpace
+from h3data.scene.freespace.floor_map import FloorMap
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ FORMAT = 3
 _NUMBERS = ("floor_y", "radius_m", "height_m", "max_climb_m", "cell_m")
 
 
-def save(space: FreeSpace, path: Path) -> None:
+def save(space: FloorMap, path: Path, *, lattice: Lattice | None = None) -> None:
     """Writes ``path`` whole or not at all."""
     arrays: dict[str, NDArray] = {
         "format": np.array(FORMAT),
@@ -39,15 +39,15 @@ def save(space: FreeSpace, path: Path) -> None:
         "polygon": np.frombuffer(shapely.to_wkb(space.polygon), np.uint8),
     }
     arrays |= {f"graph.{name}": value for name, value in space.graph._asdict().items()}
-    if "lattice" in space.__dict__:  # cached_property: only when it was built
-        arrays |= {f"lattice.{name}": np.asarray(value) for name, value in space.lattice._asdict().items()}
+    if lattice is not None:
+        arrays |= {f"lattice.{name}": np.asarray(value) for name, value in lattice._asdict().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     with part_file(path, shared=True) as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def load(path: Path) -> FreeSpace:
-    """The free space of a file that `save` wrote."""
+def load(path: Path) -> tuple[FloorMap, Lattice | None]:
+    """What `save` wrote."""
     if not path.is_file():
         raise InputError(f"No such free-space file: {path}")
     try:
@@ -64,17 +64,17 @@ def load(path: Path) -> FreeSpace:
         raise FormatError(f"Not a whole free-space file ({type(fault).__name__}: {fault}): {path}") from fault
 
 
-def cached(key: str, build: Callable[[], FreeSpace]) -> FreeSpace:
-    """The cached free space of a key, else a new one, kept if the cache folder can be written."""
+def cached(key: str, build: Callable[[], FloorMap]) -> tuple[FloorMap, Lattice | None]:
+    """The cached free space of a key and its lattice, else a new one, kept if the cache folder can be written."""
     folder = cache_folder()
     if folder is None:
-        return build()
+        return build(), None
     path = folder / f"{key}.npz"
     if path.is_file():
         try:
-            space = load(path)
+            space, lattice = load(path)
             if space.key == key:
-                return space
+                return space, lattice
             log.warning("A cached free space belongs to another scene and is built again: %s", path)
         except FormatError as fault:
             log.warning("A cached free space is broken and is built again. %s", fault)
@@ -83,7 +83,7 @@ def cached(key: str, build: Callable[[], FreeSpace]) -> FreeSpace:
         save(space, path)
     except OSError as fault:
         log.info("The free space is not cached: %s", fault)
-    return space
+    return space, None
 
 
 def cache_folder() -> Path | None:
@@ -91,7 +91,7 @@ def cache_folder() -> Path | None:
     return files.cache_folder("freespace")
 
 
-def _from_arrays(arrays: dict[str, NDArray]) -> FreeSpace:
+def _from_arrays(arrays: dict[str, NDArray]) -> tuple[FloorMap, Lattice | None]:
     polygon = shapely.from_wkb(arrays["polygon"].tobytes())
     graph = Graph(**{name: arrays[f"graph.{name}"] for name in Graph._fields})
     n = len(graph.nodes)
@@ -107,7 +107,7 @@ def _from_arrays(arrays: dict[str, NDArray]) -> FreeSpace:
     if faults or not isinstance(polygon, MultiPolygon):
         raise ValueError("; ".join(faults))
     numbers = dict(zip(_NUMBERS, arrays["numbers"].tolist(), strict=True))
-    space = FreeSpace(
+    space = FloorMap(
         key=arrays["key"].tobytes().decode(),
         origin=arrays["origin"],
         sdf=arrays["sdf"],
@@ -115,7 +115,7 @@ def _from_arrays(arrays: dict[str, NDArray]) -> FreeSpace:
         graph=graph,
         **numbers,
     )
-    if "lattice.table" in arrays:
-        origin, rows, table = (arrays[f"lattice.{name}"] for name in ("origin", "rows", "table"))
-        space.__dict__["lattice"] = Lattice(origin=origin, step=float(arrays["lattice.step"]), rows=rows, table=table)
-    return space
+    if "lattice.table" not in arrays:
+        return space, None
+    origin, rows, table = (arrays[f"lattice.{name}"] for name in ("origin", "rows", "table"))
+    return space, Lattice(origin=origin, step=float(arrays["lattice.step"]), rows=rows, table=table)

@@ -363,7 +363,7 @@ def _free(named: NamedScene) -> FreeSpace | None:
 def _episodes(scenes: SceneSet, max_count: int | None, config: str) -> EpisodeSet:
     """First episodes of a set in Habitat's format, in the order in which `h3data generate` plays them."""
     from h3data.habitat.episodes.social_nav_episodes import social_nav_episode
-    from sim_kinematic.tasks.social_nav_episodes import set_episode
+    from sim_kinematic.tasks.social_nav.sets import set_episode
 
     count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)
     episodes = []

@@ -119,7 +119,7 @@ class Evaluate:
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
-        from sim_kinematic.policies.policy import policy_names
+        from sim_kinematic.policies.assignment import policy_names
         from sim_kinematic.tasks.registry import find_task
 
         task = find_task(self.task)

@@ -18,7 +18,8 @@ from h3data.scene.scene_sets import SceneSet, SceneSource
 
 if TYPE_CHECKING:
     from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
-    from sim_kinematic.tasks.task import Episode, Task
+    from sim_kinematic.tasks.episode import Episode
+    from sim_kinematic.tasks.task import Task
 
 ANY_BODY = "any"
 """As the name of a body: each episode samples one of the built-in ones."""
@@ -83,11 +84,11 @@ class Job:
         roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
         stored = self.stored
         if self.drawn_with is not None:
-            from sim_kinematic.tasks.social_nav_episodes import drawn_episode
+            from sim_kinematic.tasks.social_nav.sets import sampled_episode
 
-            stored = drawn_episode(self.source, seed=self.seed, spec=self.drawn_with, robot=self.robot)
+            stored = sampled_episode(self.source, seed=self.seed, spec=self.drawn_with, robot=self.robot)
         if stored is not None:
-            from sim_kinematic.tasks.social_nav_episodes import episode_from
+            from sim_kinematic.tasks.social_nav.episode import episode_from
 
             return episode_from(stored, scene, spec=spec, free=free, human=self.human, robot=self.robot)
         return task.without_robots(task.sample(scene, free, self.seed, spec, roster), self.policy)
@@ -131,7 +132,7 @@ class Choices:
 
     def spec(self, base: Any = None) -> Any:
         """The rules: ``base`` (default: the task's) with what the user asks for."""
-        from sim_kinematic.tasks.task import with_options
+        from sim_kinematic.tasks.episode import with_options
 
         base = self.found_task.default_spec() if base is None else base
         return with_options(
@@ -245,7 +246,7 @@ def file_jobs(choices: Choices, path: Path, *, episodes: int | None) -> list[Job
     from h3data.habitat.episodes.episode_files import read_episodes
     from h3data.habitat.episodes.episode_scenes import scene_of_episode
     from h3data.habitat.episodes.social_nav_episodes import read_social_nav
-    from sim_kinematic.tasks.social_nav_episodes import rules_of
+    from sim_kinematic.tasks.social_nav.episode import rules_of
 
     choices = checked(choices)
     there = read_episodes(path).episodes
@@ -272,8 +273,8 @@ def checked(choices: Choices) -> Choices:
     """
     from h3data.bodies import load_humanoid
     from sim_kinematic.agents.roster import kinds_of, make_roster
+    from sim_kinematic.policies.assignment import each_of
     from sim_kinematic.policies.learned import stamped
-    from sim_kinematic.policies.policy import each_of
 
     task, spec = choices.found_task, choices.spec()
     if choices.human not in (None, ANY_BODY):

@@ -27,9 +27,9 @@ from sim_kinematic.agents.waypoint_walker import sharp_corners
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
-from sim_kinematic.tasks.social_nav import Starts, sample_pair_starts
-from sim_kinematic.tasks.task import Episode
+from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
 
 PAIR = ("robot", "human")
 """The paper's agents."""

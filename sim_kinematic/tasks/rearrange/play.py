@@ -27,8 +27,9 @@ from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
 from sim_kinematic.motion.state import NOBODY, WorldState
-from sim_kinematic.policies.policy import AssignedPolicy
-from sim_kinematic.policies.rearrange import HighLevelPolicy, TaskView
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.rearrange import HighLevelPolicy
+from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.play import Columns
 from sim_kinematic.tasks.rearrange.episode import PAIR, RearrangeEpisode, body_indices
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
@@ -78,7 +79,7 @@ class AgentRun:
         """Whether it will have to choose in its next step."""
         return self.skill is None or self.action.skill == CONTROL
 
-    def act(self, step: int, view: Callable[[int], TaskView]) -> Generator[int, Action, None]:
+    def act(self, step: int, view: Callable[[int], RearrangeView]) -> Generator[int, Action, None]:
         """One step: go on, or choose until something takes time; every ``yield`` asks what to do next.
 
         Who is interrupted and chooses the same again goes on with it.
@@ -108,7 +109,7 @@ class AgentRun:
                 self._end(max(step - 1, self.begun), end.value)
         self.actor.idle()
 
-    def interrupts(self, view: Callable[[int], TaskView]) -> str:
+    def interrupts(self, view: Callable[[int], RearrangeView]) -> str:
         """The policy's reason to abort the running skill, or nothing."""
         interrupts = getattr(self.policy, "interrupts", None)
         return interrupts(view(self.number)) if interrupts is not None else ""
@@ -246,7 +247,7 @@ class RearrangePlay:
         for own, person in zip(self.state.people, self.people, strict=True):
             own.xz[0], own.heading[0] = person.xz, person.heading
 
-    def view(self, agent: int) -> TaskView:
+    def view(self, agent: int) -> RearrangeView:
         """What an agent knows now."""
         runner = self.runner(agent)
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
@@ -254,7 +255,7 @@ class RearrangePlay:
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         ahead, aside = _seen(me.xz, me.heading, other_xz)
         a, b = self.episode.spec.near_m
-        return TaskView(
+        return RearrangeView(
             step=self.step, free=self.episode.free, agent=runner.number, xz=me.xz.copy(), heading=me.heading,
             other_xz=other_xz, other_track=np.stack(track[-TRACK:]), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),

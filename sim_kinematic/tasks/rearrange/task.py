@@ -24,7 +24,7 @@ from sim_kinematic.agents.robot_skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
 from sim_kinematic.motion.randomness import episode_seed
-from sim_kinematic.policies.policy import Assigned, AssignedPolicy
+from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.rearrange import (
     PARTNERS,
     POPULATIONS,
@@ -35,7 +35,8 @@ from sim_kinematic.policies.rearrange import (
     planner,
     robot_policy,
 )
-from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices
+from sim_kinematic.policies.recorded import RecordedCommands, RecordedPolicy, recorded_choices, recorded_commands
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode
 from sim_kinematic.tasks.play import Play
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
@@ -51,8 +52,8 @@ from sim_kinematic.tasks.rearrange.play import RearrangePlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.resimulation import is_counterfactual
 from sim_kinematic.tasks.runner import run
-from sim_kinematic.tasks.social_nav import Starts
-from sim_kinematic.tasks.task import MAX_STEPS, Episode, Task
+from sim_kinematic.tasks.social_nav.episode import Starts
+from sim_kinematic.tasks.task import Task
 
 SOLO = "solo"
 """Policy of recordings in which no robot is beside the person."""
@@ -315,11 +316,9 @@ class Rearrange(Task):
         until: int,
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
-        from sim_kinematic.tasks.resume import recorded_commands
-
         assert isinstance(episode, RearrangeEpisode)
         objects = tuple(target.name for target in episode.targets)
-        commands, verifies, policies = recorded_commands(recording, self), not changed, []
+        commands, verifies, policies = recorded_commands(recording, self.choice_from_json), not changed, []
         for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):
             policy: Any
             if k in commands:

@@ -287,7 +287,7 @@ def test_show_draws(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
         (["motion", "show", files[0], "--kind", "bvh"], "expected HIERARCHY"),
         (["motion", "show", files[1], "--kind", "amass"], "Expected an npz"),
         (["motion", "show", str(tmp_path / "none.bvh")], "none.bvh"),
-        (["motion", "import", str(tmp_path / "none.bvh"), "-o", str(tmp_path)], "no such file"),
+        (["motion", "import", str(tmp_path / "none.bvh"), "-o", str(tmp_path)], "does not exist"),
         (["motion", "import", files[0], "-o", str(tmp_path), "--fps", "-3"], "--fps"),
         (["motion", "show", files[1], "--names", "my_names"], "No table of joint names"),
     ):

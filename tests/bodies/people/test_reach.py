@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, Humanoid, humanoid_names, load_humanoid
-from h3data.bodies.people import reach_kernel as kernel
+from h3data.bodies.people.kernels import reach as kernel
 from h3data.bodies.people.reach import (
     HANDS,
     STATUSES,

@@ -18,6 +18,7 @@ from shapely.geometry import Polygon, box
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
 from h3data.habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
+from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from tests.paths import REAL
 
@@ -188,7 +189,9 @@ def test_other_storeys_are_left_out_and_floors_above_themselves_are_refused():
 
 def test_a_free_space_becomes_triangles_of_the_same_area_and_back():
     area = box(0, 0, 6, 4).difference(box(2, 1, 3, 2)).union(box(7, 0, 8.5, 1.5)).difference(box(4, 3, 4.5, 4))
-    free = build_from_walkable(area, radius_m=0.2, height_m=1.4, max_climb_m=0.2, cell_m=0.05, floor_y=0.5)
+    free = FreeSpace.from_map(
+        build_from_walkable(area, radius_m=0.2, height_m=1.4, max_climb_m=0.2, cell_m=0.05, floor_y=0.5)
+    )
     navmesh = navmesh_from_free_space(free)
     assert navmesh.island_areas == pytest.approx(free.island_areas, rel=1e-5)
     again = free_space_from_navmesh(navmesh)

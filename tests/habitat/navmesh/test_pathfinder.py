@@ -22,6 +22,7 @@ from h3data.habitat.navmesh._surface import REACH_M, Surface, contains, height, 
 from h3data.habitat.navmesh.navmesh import free_space_from_navmesh
 from h3data.habitat.navmesh.navmesh_file import read_navmesh
 from h3data.habitat.navmesh.pathfinder import MultiGoalShortestPath, PathFinder, ShortestPath
+from h3data.scene import FreeSpace
 from h3data.scene.freespace.build import build_from_walkable
 from tests.habitat.navmesh.test_navmesh import REAL, ROOMS, mesh_of, needs_real, rect, room
 
@@ -40,7 +41,11 @@ def real_room(name: str) -> tuple[PathFinder, dict]:
 def maze() -> PathFinder:
     """A FreeSpace with holes, round corners and two islands, floor at 0.5 m."""
     area = box(0, 0, 6, 4).difference(box(2, 1, 3, 2)).difference(box(4, 1.5, 4.3, 4)).union(box(7, 0, 8.5, 1.5))
-    return PathFinder(build_from_walkable(area, radius_m=0.2, height_m=1.4, max_climb_m=0.2, cell_m=0.05, floor_y=0.5))
+    return PathFinder(
+        FreeSpace.from_map(
+            build_from_walkable(area, radius_m=0.2, height_m=1.4, max_climb_m=0.2, cell_m=0.05, floor_y=0.5)
+        )
+    )
 
 
 @cache

@@ -36,7 +36,7 @@ def cluttered(seed: int, *, radius_m: float = 0.25) -> FreeSpace:
     ]
     boxes += [box(*np.round(b.bounds, 1)) for b in boxes[:2]]
     floor = box(0, 0, 6, 6).difference(shapely.union_all(boxes)).union(box(7, 0, 9, 2))
-    return build_from_walkable(floor, **(SIZES | {"radius_m": radius_m}))
+    return FreeSpace.from_map(build_from_walkable(floor, **(SIZES | {"radius_m": radius_m})))
 
 
 def every_visible_node(free: FreeSpace, point: np.ndarray) -> list[int]:
@@ -81,7 +81,7 @@ def test_the_sets_of_any_floor_miss_no_corner(seed, radius_m):
 def test_the_sets_around_walls_without_thickness_miss_no_corner():
     """Floors of navmeshes have sharp corners, and wedges of a half turn."""
     for cut in (box(2, 0, 2 + 1e-9, 3), box(2, 1, 2.001, 3).union(box(3, 2, 5, 2.001)), box(1, 1, 2, 2)):
-        free = build_from_walkable(box(0, 0, 6, 4).difference(cut), **(SIZES | {"radius_m": 0.001}))
+        free = FreeSpace.from_map(build_from_walkable(box(0, 0, 6, 4).difference(cut), **(SIZES | {"radius_m": 0.001})))
         again = free_space_from_navmesh(navmesh_from_free_space(free))
         for space in (free, again):
             points = np.concatenate([space.sample(np.random.default_rng(1), 30), space.graph.nodes])
@@ -136,7 +136,7 @@ def test_who_follows_the_direction_arrives_by_the_shortest_way(home):
 
 
 def test_goals_off_the_floor_and_on_other_islands():
-    free = build_from_walkable(MultiPolygon([box(0, 0, 3, 3), box(5, 0, 7, 2)]), **SIZES)
+    free = FreeSpace.from_map(build_from_walkable(MultiPolygon([box(0, 0, 3, 3), box(5, 0, 7, 2)]), **SIZES))
     field = free.distance_field([[1.0, 1.0], [-9.0, 1.0]])  # the second is too far off: it does not count
     assert len(field.goals) == 1
     assert field.distance([6.0, 1.0]) == np.inf

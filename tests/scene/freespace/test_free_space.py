@@ -280,7 +280,7 @@ def test_line_of_sight_agrees_with_shapely(free):
 
 
 def test_islands_are_kept_apart():
-    space = build_from_walkable(MultiPolygon([box(0, 0, 3, 3), box(5, 0, 7, 2)]), **SIZES)
+    space = FreeSpace.from_map(build_from_walkable(MultiPolygon([box(0, 0, 3, 3), box(5, 0, 7, 2)]), **SIZES))
     assert [len(space.polygon.geoms), *np.round(space.island_areas, 6)] == [2, 6.25, 2.25]
     np.testing.assert_array_equal(space.island([[1, 1], [6, 1], [4, 1]]), [0, 1, -1])
     assert space.geodesic([1, 1], [6, 1]) == np.inf
@@ -292,7 +292,7 @@ def test_islands_are_kept_apart():
 def test_a_path_around_a_corner_has_the_analytic_length():
     """Round one corner of an L-shaped floor: two tangents and an arc of the agent's radius."""
     floor = box(0, 0, 6, 6).difference(box(2, 2, 6, 6))
-    space = build_from_walkable(floor, **SIZES)
+    space = FreeSpace.from_map(build_from_walkable(floor, **SIZES))
     a, b, corner, r = np.array([1.0, 5.0]), np.array([5.0, 1.0]), np.array([2.0, 2.0]), 0.25
     leg = np.sqrt(np.sum((a - corner) ** 2) - r**2)
     between = np.arccos(np.dot(a - corner, b - corner) / (np.linalg.norm(a - corner) * np.linalg.norm(b - corner)))
@@ -310,7 +310,9 @@ def test_random_boxes_keep_the_laws(seed):
     ]
     aligned = [box(*np.round(b.bounds, 1)) for b in boxes[:3]]  # shared coordinates: collinear edges, touching corners
     aligned = [b for b in aligned if b.area > 0]
-    space = build_from_walkable(box(0, 0, 6, 6).difference(shapely.union_all(boxes[3:] + aligned)), **SIZES)
+    space = FreeSpace.from_map(
+        build_from_walkable(box(0, 0, 6, 6).difference(shapely.union_all(boxes[3:] + aligned)), **SIZES)
+    )
     points = space.sample(rng, 20)
     a, b = points[:10], points[10:]
     length = space.geodesic(a, b)

@@ -26,7 +26,9 @@ SIZES = {"radius_m": 0.25, "height_m": 1.41, "max_climb_m": 0.2, "cell_m": 0.05}
 
 @pytest.fixture(scope="module")
 def space() -> FreeSpace:
-    return build_from_walkable(box(0, 0, 5, 4).difference(box(2, 1, 3, 2)), **SIZES, key="k", floor_y=0.5)
+    return FreeSpace.from_map(
+        build_from_walkable(box(0, 0, 5, 4).difference(box(2, 1, 3, 2)), **SIZES, key="k", floor_y=0.5)
+    )
 
 
 def make_scene(*, half=0.5, x=0.0, side=4.0) -> Scene:

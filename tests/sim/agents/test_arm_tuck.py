@@ -21,7 +21,7 @@ from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from sim_kinematic.tasks.resume import resume, verify
-from sim_kinematic.tasks.social_nav_episodes import rules_of, stored_episode
+from sim_kinematic.tasks.social_nav.episode import rules_of, stored_episode
 from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
 RULES = ArmRoomSpec()

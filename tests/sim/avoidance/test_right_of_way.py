@@ -45,7 +45,7 @@ SIZES: dict[str, Any] = {
 
 def floor_of(*rooms: shapely.Polygon) -> FreeSpace:
     """The free space of rooms that are one."""
-    return build_from_walkable(shapely.MultiPolygon([shapely.union_all(rooms)]), **SIZES)  # type: ignore[list-item]
+    return FreeSpace.from_map(build_from_walkable(shapely.MultiPolygon([shapely.union_all(rooms)]), **SIZES))  # type: ignore[list-item]
 
 
 def corridor(length: float = 8.0, width: float = 1.0) -> FreeSpace:

@@ -34,7 +34,7 @@ class Poses(NamedTuple):
 def poses() -> Poses:
     told = json.loads((GOLDEN / "rearrange" / "did_agents_collide.json").read_text())
     cases = told["tests"]
-    robot, human = (load_robot(GOLDEN / told["urdf"][who], up="y") for who in ("robot", "human"))
+    robot, human = (load_robot(GOLDEN / told["urdf"][who], up="y", fill_in=False) for who in ("robot", "human"))
     column = {human.links[int(moved)].name: c for c, moved in reversed(list(enumerate(human.joint_links)))}
     order = np.array([column[name] + k for name in told["link_order_human"] for k in range(4)])
     joints = np.empty((len(cases), len(order)))

@@ -23,7 +23,8 @@ from sim_kinematic.envs.vector import TaskVectorEnv
 from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import View, heuristic_expert
+from sim_kinematic.policies.social_nav import heuristic_expert
+from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.sensing.agent_pictures import DETECTORS
 from sim_kinematic.sensing.table import SENSORS
 from sim_kinematic.tasks.play import WorldPlay
@@ -42,14 +43,16 @@ def expert(play: WorldPlay, w: int = 0) -> np.ndarray:
     """What the expert does in one world, float32 [2]."""
     (robot,), (person,) = play.world.state.robots, play.world.state.people
     episode = play.episodes[w]
-    view = View(episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(play.memory.geodesic[w]), False)
+    view = SocialNavView(
+        episode.free, robot.xz[w], float(robot.heading[w]), person.xz[w], float(play.memory.geodesic[w]), False
+    )
     return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
 
 
 def ram(play: WorldPlay) -> np.ndarray:
     """Drives at the person until they touch."""
     (robot,), (person,) = play.world.state.robots, play.world.state.people
-    view = View(play.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
+    view = SocialNavView(play.episodes[0].free, robot.xz[0], float(robot.heading[0]), person.xz[0], 100.0, False)
     return np.array(heuristic_expert(view, play.spec.robot)[:2], np.float32)
 
 
@@ -99,7 +102,7 @@ def test_it_is_the_episode_that_the_simulator_plays() -> None:
     _, info = env.reset(seed=4)
     played: list[np.ndarray] = []
 
-    def again(view: View, spec: BaseSpec) -> Velocity:
+    def again(view: SocialNavView, spec: BaseSpec) -> Velocity:
         del spec
         return Velocity(float(played[view.step][0]), float(played[view.step][1]), "find")
 

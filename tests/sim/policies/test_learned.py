@@ -27,8 +27,9 @@ from sim_kinematic.policies.learned import NAVIGATION_INPUTS, LearnedNavigation,
 from sim_kinematic.policies.learned_chooser import chooser_input
 from sim_kinematic.policies.network import FILE_FORMAT, Network, from_torch, load_network, save_network
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.rearrange import Chooser, TaskView, robot_policy
-from sim_kinematic.policies.social_nav import View, policy_by_name
+from sim_kinematic.policies.rearrange import Chooser, robot_policy
+from sim_kinematic.policies.social_nav import policy_by_name
+from sim_kinematic.policies.views import RearrangeView, SocialNavView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import verify
 from tests.sim.steppers import social_nav_env
@@ -196,7 +197,7 @@ def test_it_is_shown_what_the_training_environment_shows() -> None:
     network = small_network()
     policy = LearnedNavigation(network)
 
-    def watched(view: View, base: BaseSpec) -> Velocity:
+    def watched(view: SocialNavView, base: BaseSpec) -> Velocity:
         shown.append(navigation_input(view, base, names))
         return policy(view, base)
 
@@ -286,13 +287,13 @@ def copied_chooser(world: RearrangeEpisode) -> Network:
     rows: list[tuple[np.ndarray, int]] = []
 
     class Watched(Chooser):
-        def act(self, view: TaskView) -> Action:
+        def act(self, view: RearrangeView) -> Action:
             action = super().act(view)
             if action in known:
                 rows.append((chooser_input(view, CHOOSER_INPUTS), known.index(action)))
             return action
 
-        def interrupts(self, view: TaskView) -> str:
+        def interrupts(self, view: RearrangeView) -> str:
             return ""
 
     simulate_rearrange(world, policy=Watched(lambda view, left: min(left, default=None)), partner="still", solo_steps=1)

@@ -18,8 +18,9 @@ from sim_kinematic.avoidance.rollouts import roll_out, straight_walk
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import RobotState
 from sim_kinematic.motion.step import drive_robots, least_clearance
-from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, View, future_oracle, heuristic_expert
-from sim_kinematic.tasks.social_nav import plan_of
+from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, Policy, future_oracle, heuristic_expert
+from sim_kinematic.policies.views import SocialNavView
+from sim_kinematic.tasks.social_nav.episode import plan_of
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 SPEC = BaseSpec()
@@ -47,7 +48,7 @@ def places(free: FreeSpace, count: int) -> list[tuple[np.ndarray, float]]:
     return found
 
 
-def views(free: FreeSpace, count: int) -> list[View]:
+def views(free: FreeSpace, count: int) -> list[SocialNavView]:
     """Robots anywhere, most of them near the person, who stands or walks."""
     rng, found = np.random.default_rng(8), []
     for k, (xz, heading) in enumerate(places(free, count)):
@@ -55,7 +56,7 @@ def views(free: FreeSpace, count: int) -> list[View]:
         velocity = rng.normal(size=2) * (1.5 if k % 2 else 0.0)
         future = partial(free.snap, human + velocity * (np.arange(1, 200)[:, None] * STEP_S))
         found.append(
-            View(
+            SocialNavView(
                 free, xz, heading, human, float(free.geodesic(xz, human)), bool(k % 4), 5, k, None,
                 human - velocity * STEP_S, future,
             )
@@ -84,7 +85,7 @@ def test_a_mirrored_world_has_mirrored_commands() -> None:
     """z to -z: the same speed, the opposite turn."""
     room = box(-4, -3, 4, 3) - box(-1, 0, 0.5, 1) - box(2, -3, 2.5, -1)
     free, mirrored = (
-        build_from_walkable(r, radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05)
+        FreeSpace.from_map(build_from_walkable(r, radius_m=0.25, height_m=1.41, max_climb_m=0.2, cell_m=0.05))
         for r in (room, scale(room, 1, -1, origin=(0, 0)))
     )
     for k, view in enumerate(views(free, 60)):
@@ -135,7 +136,7 @@ def test_she_comes_and_the_expert_gives_way(free: FreeSpace) -> None:
         if 1.4 < apart < 1.49 and free.geodesic(xz, human) < apart + 1e-6 and free.clearance(2 * xz - human) > 0.6:
             break
     heading = float(np.arctan2(-(human - xz)[1], (human - xz)[0]))
-    still = View(free, xz, heading, human, apart, True, human_before=human)
+    still = SocialNavView(free, xz, heading, human, apart, True, human_before=human)
     comes = still._replace(human_before=human + (human - xz) / apart * 2.5 * STEP_S)
     assert -1 < heuristic_expert(still, SPEC).forward < 0
     assert heuristic_expert(comes, SPEC).forward == -1
@@ -158,7 +159,7 @@ def test_the_foreseen_track_is_the_track(home: Scene, free: FreeSpace) -> None:
     world = social_nav_episode(home, seed=3, spec=SocialNavSpec(max_steps=40), free=free)
     seen = {}
 
-    def watcher(view: View, spec: BaseSpec) -> object:
+    def watcher(view: SocialNavView, spec: BaseSpec) -> object:
         assert view.future is not None
         seen[view.step] = (view.human_xz, view.future()[0], view.human_before)
         return heuristic_expert(view, spec)

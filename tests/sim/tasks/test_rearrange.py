@@ -28,11 +28,11 @@ from sim_kinematic.policies.rearrange import (
     PLANS,
     POPULATIONS,
     ROBOT_POLICIES,
-    TaskView,
     partner_plan,
     planner,
     robot_policy,
 )
+from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import solo_steps_of
 from sim_kinematic.tasks.rules.rewards import REARRANGE_REWARDS
@@ -65,15 +65,15 @@ class Scripted:
     """Chooses from a list, then waits; keeps how each ended."""
 
     actions: list[Action]
-    when: Callable[[TaskView], str] = lambda view: ""
+    when: Callable[[RearrangeView], str] = lambda view: ""
     ended: list[str] = field(default_factory=list)
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         if view.last is not None:
             self.ended.append(view.last.reason or view.last.outcome)
         return self.actions.pop(0) if self.actions else Action("wait")
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         return self.when(view)
 
 

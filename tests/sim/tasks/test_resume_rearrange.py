@@ -17,7 +17,8 @@ from h3data.recording import Dataset, DatasetWriter, Recording, open_recording, 
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
-from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES, TaskView
+from sim_kinematic.policies.rearrange import PARTNERS, ROBOT_POLICIES
+from sim_kinematic.policies.views import RearrangeView
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
 from sim_kinematic.tasks.resume import counterfactual, resume, verify
 from tests.simulated import rearrange_episode, simulate_rearrange, simulate_wander
@@ -175,10 +176,10 @@ def test_others_take_over(episode: Recording) -> None:
 class Mine:
     """A policy without a name: it turns for ever."""
 
-    def act(self, view: TaskView) -> Action:
+    def act(self, view: RearrangeView) -> Action:
         return Action("turn_left")
 
-    def interrupts(self, view: TaskView) -> str:
+    def interrupts(self, view: RearrangeView) -> str:
         return ""
 
 

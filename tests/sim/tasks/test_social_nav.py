@@ -18,10 +18,11 @@ from sim_kinematic.contact import FclScene, MovingShapes, collide
 from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.step import least_clearance
 from sim_kinematic.policies.policy import Velocity
-from sim_kinematic.policies.social_nav import View, heuristic_expert, policy_by_name
+from sim_kinematic.policies.social_nav import heuristic_expert, policy_by_name
+from sim_kinematic.policies.views import SocialNavView
+from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps, steps_to_find
-from sim_kinematic.tasks.social_nav import sample_pair_starts as draw_starts
-from sim_kinematic.tasks.task import Episode
+from sim_kinematic.tasks.social_nav.episode import sample_pair_starts as draw_starts
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 
@@ -39,7 +40,7 @@ def world(home: Scene, free: FreeSpace, seed: int = 5, **changes: object) -> Epi
     return social_nav_episode(home, seed=seed, spec=SocialNavSpec(**{"max_steps": 150, **changes}), free=free)  # type: ignore[arg-type]
 
 
-def ram(view: View, spec: BaseSpec) -> Velocity:
+def ram(view: SocialNavView, spec: BaseSpec) -> Velocity:
     """Drives straight into the person."""
     command = heuristic_expert(view._replace(geodesic_m=100.0), spec)
     return Velocity(command.forward, command.turn, "follow")
@@ -239,8 +240,8 @@ def test_an_interrupted_episode_can_be_recovered(home: Scene, free: FreeSpace, t
 
 
 # --- policies -----------------------------------------------------------------------------------------------------------
-def view(free: FreeSpace, robot: np.ndarray, heading: float, human: np.ndarray) -> View:
-    return View(free, robot, heading, human, float(free.geodesic(robot, human)), False)
+def view(free: FreeSpace, robot: np.ndarray, heading: float, human: np.ndarray) -> SocialNavView:
+    return SocialNavView(free, robot, heading, human, float(free.geodesic(robot, human)), False)
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRu
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
-from sim_kinematic.tasks.social_nav import goals_of
-from sim_kinematic.tasks.social_nav_episodes import drawn_episode, episode_from, rules_of, set_episode, stored_episode
+from sim_kinematic.tasks.social_nav.episode import episode_from, goals_of, rules_of, stored_episode
+from sim_kinematic.tasks.social_nav.sets import sampled_episode, set_episode
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 HOME = HomeSpec(seed=1)
@@ -120,7 +120,7 @@ def test_a_stored_episode_plays_like_the_drawn_one() -> None:
 
 def test_the_person_goes_where_the_episode_says() -> None:
     """Not where its seed would have sent her; after the last stored goal she goes on by herself."""
-    episode = drawn_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=400))
+    episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=400))
     told = msgspec.structs.replace(episode, human_goals=episode.human_goals[2:0:-1], goals_complete=False)
     world = episode_from(told, open_scene(HOME), spec=SocialNavSpec(max_steps=400, end_on_collision=False))
     recording = simulate_social_nav(world, policy="stand_still")
@@ -136,7 +136,7 @@ def test_the_person_goes_where_the_episode_says() -> None:
 
 
 def test_rules_come_with_the_episode() -> None:
-    episode = drawn_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=77, near_m=0.9))
+    episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=77, near_m=0.9))
     assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
     assert rules_of(bare) == SocialNavSpec(max_steps=77, human=WalkerSpec())  # as in the paper
@@ -150,7 +150,7 @@ def test_rules_come_with_the_episode() -> None:
 
 
 def test_an_episode_of_another_home_is_refused() -> None:
-    episode = drawn_episode(HOME, seed=5, spec=SocialNavSpec())
+    episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec())
     rounded = msgspec.structs.replace(
         episode, human_goals=tuple((round(x, 2), round(z, 2)) for x, z in episode.human_goals)
     )  # fmt: skip

@@ -14,27 +14,31 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, SceneError
+from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec, kinds_of
-from sim_kinematic.agents.stands import discs_fit, robot_fits
-from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
-from sim_kinematic.motion.randomness import generator
+from sim_kinematic.agents.stands import robot_fits
+from sim_kinematic.agents.waypoint_walker import HumanPlan
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.policies.policy import AssignedPolicy
-from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, View
+from sim_kinematic.policies.assignment import AssignedPolicy
+from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
+from sim_kinematic.policies.policy import FunctionPolicy
+from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, policy_by_name
+from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, agent_base, agent_floor
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
-from sim_kinematic.tasks.task import MAX_STEPS, Episode, Outcome, Task, agent_base, agent_floor
+from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, plan_of, rules_of, sample_pair_starts
+from sim_kinematic.tasks.task import Task
 
 HUMAN_SKILLS = ("walk", "turn")
 TRAINING = SocialNavSpec(spawn_distance_m=3.0)
@@ -43,63 +47,6 @@ TRAINING = SocialNavSpec(spawn_distance_m=3.0)
 
 PAPER_OBSERVATIONS = ("arm_depth", "humanoid_detector", "humanoid_gps")
 """What the paper's policy sees (appendix, social navigation). Needs a picture in every step."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Starts:
-    """Where robot and person begin."""
-
-    robot_xz: NDArray[np.float64]
-    robot_heading: float
-    human_xz: NDArray[np.float64]
-    human_heading: float
-
-    @property
-    def places(self) -> Array:
-        """``(x, z, heading)`` of robot and person, [2, 3]."""
-        return np.array([[*self.robot_xz, self.robot_heading], [*self.human_xz, self.human_heading]])
-
-    @classmethod
-    def of(cls, places: Array) -> Starts:
-        """From the first row of a robot and the second of a person, [2, 3]."""
-        robot, human = np.asarray(places, np.float64)
-        return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
-
-
-def sample_pair_starts(
-    free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
-) -> Starts:
-    """Samples starts at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
-
-    ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
-    the rules is kept free of obstacles.
-
-    Raises:
-        SceneError: the scene has no two such places.
-    """
-    rng = generator(seed, "spawn")
-    base_fits = partial(discs_fit, free, spec.robot)
-    farthest = 0.0
-    for _ in range(200):
-        robot_xz, human_xz = free.sample(rng, 2)
-        robot_heading, human_heading = rng.uniform(-np.pi, np.pi, 2)
-        apart = float(np.hypot(*(robot_xz - human_xz)))
-        farthest = max(farthest, apart)
-        if apart < spec.spawn_distance_m:
-            continue
-        if not np.isfinite(free.geodesic(robot_xz, human_xz)):
-            continue
-        if (fits or base_fits)(robot_xz, robot_heading):
-            return Starts(
-                robot_xz=robot_xz,
-                robot_heading=float(robot_heading),
-                human_xz=human_xz,
-                human_heading=float(human_heading),
-            )
-    raise SceneError(
-        f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
-        f"{farthest:.1f} m apart). Hint: a smaller --spawn-distance, or a larger home."
-    )
 
 
 @dataclass(eq=False)
@@ -155,8 +102,6 @@ class SocialNav(Task):
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
 
     def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
-        from sim_kinematic.tasks.social_nav_episodes import episode_from, rules_of
-
         info, agents = recording.episode.info, recording.agents
         lacks = [name for name in ("spec", "robot_start", "human_start") if name not in info]
         if lacks:
@@ -191,9 +136,6 @@ class SocialNav(Task):
 
     # --- policies -----------------------------------------------------------------------------------------------------
     def named_policy(self, episode: Episode, number: int, name: str) -> AssignedPolicy | None:
-        from sim_kinematic.policies.learned import LearnedNavigation, is_learned, network_of, stamped
-        from sim_kinematic.policies.policy import FunctionPolicy
-
         kind = episode.roster[number].kind
         if kind == "robot" and is_learned(name):
             return AssignedPolicy(
@@ -205,13 +147,9 @@ class SocialNav(Task):
         return None
 
     def check_policy(self, kind: str, name: str, spec: Any) -> None:
-        if kind == "robot":
-            from sim_kinematic.policies.learned import is_learned
-            from sim_kinematic.policies.social_nav import policy_by_name
-
-            if is_learned(name):
-                policy_by_name(name)
-                return
+        if kind == "robot" and is_learned(name):
+            policy_by_name(name)
+            return
         super().check_policy(kind, name, spec)
 
     def recorded_default(self, kind: str) -> str | None:
@@ -227,7 +165,7 @@ class SocialNav(Task):
         robot, person = play.world.state.agents
         was, was_person = play.world.before.agents
         episode, step = play.episodes[world], int(play.steps[world])
-        return View(
+        return SocialNavView(
             agent_floor(episode, ROBOT),
             robot.xz[world].copy(),
             float(robot.heading[world]),
@@ -410,25 +348,6 @@ class SocialNav(Task):
         if state.track:
             info["oracle_min_steps"] = _oracle(episode, np.array(state.track))
         return info
-
-
-def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
-    """Points ``(x, z)`` that the person walks to first; none: they are all sampled from the seed."""
-    return tuple((float(x), float(z)) for x, z in episode.extra.get("human_goals", ()))
-
-
-def plan_of(episode: Episode) -> HumanPlan:
-    """What the scripted person will do in an episode of greatest length."""
-    x, z, heading = episode.starts[HUMAN]
-    return human_plan(
-        episode.free,
-        np.array([x, z]),
-        float(heading),
-        episode.seed,
-        episode.spec.human,
-        episode.spec.max_steps,
-        goals_of(episode),
-    )
 
 
 def plan_info(episode: Episode, plan: HumanPlan) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Stored episodes of social navigation: drawn from a seed or read from a file, then played as they are.
+"""Episodes of social navigation: sampled from a seed, stored as records, and read back.
 
 In the paper's evaluation the starts and the person's path are the same for all policies (appendix, social navigation), but
 Habitat does not store them (spec/habitat.md 1.2). Here an episode is a record, `SocialNavEpisode`, whoever made it.
@@ -6,25 +6,105 @@ Habitat does not store them (spec/habitat.md 1.2). Here an episode is a record, 
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
+from h3data.geometry import Array
 from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
-from h3data.habitat.scene_names import open_free_space, open_scene
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneEntry, SceneSet, SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+from sim_kinematic.agents.stands import discs_fit
+from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
+from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.tasks.social_nav import SocialNav, plan_of
-from sim_kinematic.tasks.task import Episode
+from sim_kinematic.tasks.episode import Episode
 
 SNAP_M = 0.05
 """A stored point may be this far off the free floor: files round to a centimetre, navigation meshes to a cell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Where robot and person begin."""
+
+    robot_xz: NDArray[np.float64]
+    robot_heading: float
+    human_xz: NDArray[np.float64]
+    human_heading: float
+
+    @property
+    def places(self) -> Array:
+        """``(x, z, heading)`` of robot and person, [2, 3]."""
+        return np.array([[*self.robot_xz, self.robot_heading], [*self.human_xz, self.human_heading]])
+
+    @classmethod
+    def of(cls, places: Array) -> Starts:
+        """From the first row of a robot and the second of a person, [2, 3]."""
+        robot, human = np.asarray(places, np.float64)
+        return cls(robot_xz=robot[:2], robot_heading=float(robot[2]), human_xz=human[:2], human_heading=float(human[2]))
+
+
+def sample_pair_starts(
+    free: FreeSpace, seed: int, spec: SocialNavSpec, *, fits: Callable[[Array, float], bool] | None = None
+) -> Starts:
+    """Samples starts at least ``spec.spawn_distance_m`` apart on one island (spec/habitat.md 1.2).
+
+    ``fits`` tests the robot at ``(xz [2], heading)`` (`sim_kinematic.agents.stands.robot_fits`); without it only the base of
+    the rules is kept free of obstacles.
+
+    Raises:
+        SceneError: the scene has no two such places.
+    """
+    rng = generator(seed, "spawn")
+    base_fits = partial(discs_fit, free, spec.robot)
+    farthest = 0.0
+    for _ in range(200):
+        robot_xz, human_xz = free.sample(rng, 2)
+        robot_heading, human_heading = rng.uniform(-np.pi, np.pi, 2)
+        apart = float(np.hypot(*(robot_xz - human_xz)))
+        farthest = max(farthest, apart)
+        if apart < spec.spawn_distance_m:
+            continue
+        if not np.isfinite(free.geodesic(robot_xz, human_xz)):
+            continue
+        if (fits or base_fits)(robot_xz, robot_heading):
+            return Starts(
+                robot_xz=robot_xz,
+                robot_heading=float(robot_heading),
+                human_xz=human_xz,
+                human_heading=float(human_heading),
+            )
+    raise SceneError(
+        f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
+        f"{farthest:.1f} m apart). Hint: a smaller --spawn-distance, or a larger home."
+    )
+
+
+def goals_of(episode: Episode) -> tuple[tuple[float, float], ...]:
+    """Points ``(x, z)`` that the person walks to first; none: they are all sampled from the seed."""
+    return tuple((float(x), float(z)) for x, z in episode.extra.get("human_goals", ()))
+
+
+def plan_of(episode: Episode) -> HumanPlan:
+    """What the scripted person will do in an episode of greatest length."""
+    x, z, heading = episode.starts[HUMAN]
+    return human_plan(
+        episode.free,
+        np.array([x, z]),
+        float(heading),
+        episode.seed,
+        episode.spec.human,
+        episode.spec.max_steps,
+        goals_of(episode),
+    )
 
 
 def stored_episode(episode: Episode) -> SocialNavEpisode:
@@ -46,27 +126,6 @@ def stored_episode(episode: Episode) -> SocialNavEpisode:
         scene_source=dict(episode.scene.source),
         rules=msgspec.to_builtins(asdict(episode.spec)),
     )
-
-
-def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 0) -> SocialNavEpisode:
-    """Episode ``index`` in one scene of a set: a pure function, so that a set of 37,000 is a list of 37 homes.
-
-    ``seed`` 0 gives the set's own episodes. The scene and its map are made at the first call and kept.
-
-    Raises:
-        SceneError: the scene has no two starts so far apart.
-    """
-    return drawn_episode(
-        entry.source, seed=scenes.episode_seed(entry.id, index, seed=seed),
-        spec=SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
-    )  # fmt: skip
-
-
-def drawn_episode(source: SceneSource, *, seed: int, spec: SocialNavSpec, robot: str | None = None) -> SocialNavEpisode:
-    """Samples the episode of a seed in a scene under these rules, for one robot."""
-    free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
-    scene, body = open_scene(source), robot or ROBOT_BODY
-    return stored_episode(SocialNav().episode(scene, seed=seed, spec=spec, free=free, robot=body))
 
 
 def episode_from(

@@ -1,0 +1,124 @@
+"""A task of one's own in one file: the robot drives to a point near a person without disturbing them.
+
+h3data generate examples.point_goal:PointGoal --episodes 3 -o out/pg
+h3data metrics out/pg
+python examples/point_goal.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import h3data
+from h3data.errors import SceneError
+from h3data.geometry import wrap_angle
+from h3data.recording import Event
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.policies.policy import Velocity
+from sim_kinematic.policies.views import AgentView
+from sim_kinematic.sensing.sensor import gps_compass
+from sim_kinematic.sensing.table import SENSORS, Sensor
+from sim_kinematic.tasks.episode import Episode, Outcome, TaskSpec
+from sim_kinematic.tasks.play import WorldPlay
+from sim_kinematic.tasks.task import Task
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointGoalSpec(TaskSpec):
+    """Rules, beside those of every task."""
+
+    max_steps: int = 500
+    spawn_distance_m: float = 3.0
+    arrive_m: float = 0.3
+    """The robot has arrived when it is this near to the goal."""
+    personal_m: float = 1.2
+    """Nearer than this disturbs a person: Hall's personal distance."""
+    goal_from_person_m: tuple[float, float] = (1.5, 3.0)
+
+
+def drive_to_goal(view: AgentView, base: Any, *, look_ahead_m: float = 0.3) -> Velocity:
+    """A policy is a function: here along the shortest path, waiting while a person is in the way."""
+    ahead = view.free.next_waypoint(view.xz, view.extra["goal"], beyond_m=look_ahead_m)
+    dx, dz = ahead - view.xz
+    error = float(wrap_angle(np.arctan2(-dz, dx) - view.heading))
+    gap = min(float(np.hypot(*(place[:2] - view.xz))) for place in view.places[1:])
+    forward = 0.0 if abs(error) > 0.5 or gap < 1.3 else 1.0
+    return Velocity(forward, float(np.clip(4 * error, -1, 1)), "drive" if forward else "wait")
+
+
+class PointGoal(Task):
+    """Be at a point near the person, and nearer to them than ``personal_m`` as seldom as possible."""
+
+    Spec = PointGoalSpec
+    columns: Mapping[str, Any] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
+    skills: Mapping[str, tuple[str, ...]] = {"robot": ("drive", "wait")}
+    policies: Mapping[str, Mapping[str, Any]] = {"robot": {"drive_to_goal": drive_to_goal}}
+    defaults: Mapping[str, str] = {"robot": "drive_to_goal", "human": "waypoints"}
+
+    def sample(self, scene: Any, free: Any, seed: int, spec: PointGoalSpec, roster: Any) -> Episode:
+        """Starts as in every task; the goal is on the free floor, at walking distance of the person's start."""
+        starts, rng = self.sample_starts(scene, free, seed, spec, roster), generator(seed, "goal")
+        near, far = spec.goal_from_person_m
+        for goal in free.sample(rng, 500):
+            if near <= free.geodesic(goal, starts[-1, :2]) <= far and free.clearance(goal) > 0.2:
+                extra = {"goal": goal.tolist()}  # recorded, and there again when the episode is simulated again
+                return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts, extra=extra)
+        raise SceneError(f"No free point {near} to {far} m from the person's start. Hint: another scene or seed.")
+
+    def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
+        """Remembers where the goals are and how far it is to them."""
+        if play.memory is None:
+            worlds = play.world.worlds
+            play.memory = {"goal": np.zeros((worlds, 2)), "left": np.zeros(worlds), "done": np.zeros(worlds, np.bool_)}
+        play.memory["goal"][rows] = [play.episodes[w].extra["goal"] for w in rows]
+        play.memory["left"][rows] = self._distance(play)[rows]
+        play.memory["done"][rows] = False
+
+    def judge(self, play: WorldPlay) -> Outcome:
+        """Progress along the shortest path is rewarded, disturbing costs, arriving ends the episode."""
+        memory, spec, (robot, *people) = play.memory, play.spec, play.world.state.agents
+        left, before = self._distance(play), memory["left"]
+        gap = np.min([np.hypot(*(person.xz - robot.xz).T) for person in people], axis=0)
+        disturbs, arrived = gap < spec.personal_m, left < spec.arrive_m
+        events = [
+            (int(w), Event(step=int(play.steps[w]) - 1, agent=0, kind="arrived")) for w in np.flatnonzero(arrived)
+        ]
+        memory["left"], memory["done"] = left, memory["done"] | arrived
+        return Outcome(
+            reward=before - left - 0.1 * disturbs + 10.0 * arrived,
+            terminated=arrived,
+            success=memory["done"],
+            columns={"metrics.goal_distance": left, "metrics.disturbs": disturbs},
+            events=events,
+        )
+
+    def sensors(self, kind: str) -> Mapping[str, Sensor]:
+        """Every task's sensors, and where the goal is: distance [m] and angle [rad], positive to the right."""
+        goal = Sensor(partial(_goal_gps), [0.0, -np.pi], [100.0, np.pi])
+        return {**super().sensors(kind), "goal_gps": goal} if kind == "robot" else super().sensors(kind)
+
+    def _distance(self, play: WorldPlay) -> NDArray[np.float64]:
+        """Length of the shortest path to the goal [m], [W]; the straight line where there is none."""
+        xz, goal = play.world.state.agents[0].xz, play.memory["goal"]
+        far = np.array([play.episodes[w].free.geodesic(xz[w], goal[w]) for w in range(len(xz))])
+        return np.where(np.isfinite(far), far, np.hypot(*(goal - xz).T))
+
+
+def _goal_gps(moment: Any) -> NDArray[np.floating]:
+    return gps_compass(moment.now.xz, moment.now.heading, moment.memory["goal"])
+
+
+if __name__ == "__main__":
+    recording = h3data.simulate(PointGoal(), scenes="medium:1", seed=4)
+    arrived = [event.step for event in recording.events if event.kind == "arrived"]
+    disturbed = recording.columns["metrics.disturbs"].sum()
+    print(f"arrived in step {arrived}, of {len(recording)}, {disturbed} steps too near to the person")
+    env = h3data.make(PointGoal(), scenes="small:1", observations=("goal_gps", "range_scan"))
+    observation, info = env.reset(seed=0)
+    print({name: values.shape for name, values in observation.items()}, "of", len(SENSORS) + 1, "sensors")

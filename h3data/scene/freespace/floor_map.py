@@ -1,0 +1,36 @@
+"""The geometry of the free floor, as it is built and stored; `FreeSpace` answers questions about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry import MultiPolygon
+
+from h3data.scene.freespace._visibility import Graph
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FloorMap:
+    """The free floor for a disc of one radius: polygons, distances to obstacles, visibility graph."""
+
+    key: str
+    """SHA-256 of the geometry and the parameters it was built from; empty if built by hand."""
+    floor_y: float
+    """Height of the floor [m]."""
+    radius_m: float
+    height_m: float
+    """Obstacles count from ``floor_y + max_climb_m`` to ``floor_y + height_m``."""
+    max_climb_m: float
+    cell_m: float
+    """Side of a cell of ``sdf`` [m]."""
+    origin: NDArray[np.float64]
+    """Lower corner (x, z) of cell [0, 0]; the centre of cell [i, j] is ``origin + (i + 0.5, j + 0.5) * cell_m``."""
+    sdf: NDArray[np.float32]
+    """Distance from cell centres to the nearest obstacle or border of the floor, not inflated: an agent fits where it is
+    at least ``radius_m``; negative in obstacles and off the floor. Shape [nx, nz] [m]."""
+    polygon: MultiPolygon
+    """Where the centre may be: floor minus obstacles, shrunk by the radius. Its polygons are the islands, largest first."""
+    graph: Graph
+    """Visibility graph over the corners of ``polygon``, with all shortest paths."""

@@ -1,0 +1,194 @@
+"""How names become policies: of the task, of every task (`COMMON`), of installed packages (entry point group
+``h3data.policies``), ``module:name``, and files of weights (``weights:FILE``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+from h3data.errors import InputError, did_you_mean
+from h3data.plugins import Registry
+from sim_kinematic.avoidance.robot_base import base_of
+from sim_kinematic.motion.randomness import episode_seed
+from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.policies.policy import External, FunctionPolicy, Policy, Still
+from sim_kinematic.policies.waypoints import WanderPolicy, WaypointPolicy
+
+Task = Any
+"""`sim_kinematic.tasks.task.Task`, which lies above policies."""
+Episode = Any
+"""`sim_kinematic.tasks.task.Episode`."""
+
+
+def _waypoints(task: Task, episode: Episode, number: int) -> Policy:
+    nth = number - sum(member.kind == "robot" for member in episode.roster)
+    seed = episode.seed if nth <= 0 else episode_seed(episode.seed, nth)
+    return WaypointPolicy(episode.free, seed, episode.spec.human)
+
+
+def _wander(task: Task, episode: Episode, number: int) -> Policy:
+    return WanderPolicy(episode.free, episode_seed(episode.seed, number), episode.spec.human, number)
+
+
+Factory = Callable[[Task, Episode, int], Policy]
+COMMON: Mapping[str, Mapping[str, Factory]] = {
+    "robot": {"wander": _wander, "still": lambda *_: Still()},
+    "human": {"waypoints": _waypoints, "wander": _wander, "still": lambda *_: Still()},
+}
+"""Policies of tasks whose agents drive and walk, by kind and name."""
+
+
+class AssignedPolicy(NamedTuple):
+    """The policy of one agent."""
+
+    policy: Any
+    name: str
+    """As recorded."""
+    kind: str
+    """``robot`` or ``human``."""
+    plan: str = ""
+    """The plan that a planner follows in this episode; empty for others."""
+
+    @property
+    def is_external(self) -> bool:
+        return isinstance(self.policy, External)
+
+
+Chosen = str | Any | Sequence[Any]
+Assigned = Mapping[str, Chosen]
+KINDS = {"robot": "robot", "human": "human", "person": "human"}
+
+
+@cache
+def plugin_policies() -> Registry[Any]:
+    """Policies of installed packages, and ``module:name``."""
+    return Registry("h3data.policies", {}, what="policy")
+
+
+def assign(task: Task, episode: Episode, chosen: Assigned) -> list[AssignedPolicy]:
+    """As `Task.assign`."""
+    members = episode.roster
+    names = [member.name for member in members]
+    strangers = [key for key in chosen if key not in names and key not in KINDS and not _alias(key, names)]
+    if strangers:
+        raise InputError(
+            f"Nobody is called {strangers[0]!r}.{did_you_mean(strangers[0], names)} Expected some of: {', '.join(names)}."
+        )
+    picked: list[Any] = [None] * len(members)
+    for key, choice in chosen.items():
+        kind = KINDS.get(key) if key not in names or names.count(key) != 1 else None
+        if kind is None:
+            picked[names.index(_alias(key, names) or key)] = choice
+            continue
+        numbers = [k for k, member in enumerate(members) if member.kind == kind]
+        for number, one in zip(numbers, each_of(choice, len(numbers), kind), strict=True):
+            picked[number] = one
+    return [
+        make_policy(task, episode, k, task.defaults[member.kind] if choice is None else choice)
+        for k, (member, choice) in enumerate(zip(members, picked, strict=True))
+    ]
+
+
+def _alias(key: str, names: Sequence[str]) -> str:
+    """``person_2`` means ``human_2``."""
+    name = key.replace("person", "human", 1)
+    return name if name in names and key.startswith("person") else ""
+
+
+def each_of(choice: Chosen, count: int, kind: str) -> list[Any]:
+    """One choice for each of ``count`` agents: one name for all, or one for each, as a sequence or with commas between.
+
+    Raises:
+        InputError: there is neither one nor one for each.
+    """
+    listed = (
+        choice.split(",") if isinstance(choice, str) else list(choice) if isinstance(choice, list | tuple) else [choice]
+    )
+    if len(listed) == 1 and (isinstance(listed[0], str) or count == 1 or isinstance(listed[0], External)):
+        listed *= max(count, 1)
+    if count and len(listed) != count:
+        what, whose = ("policy", "robot") if kind == "robot" else ("partner", "person")
+        raise InputError(
+            f"Expected one {what} for each {whose}, {count} in all, or one name for all; got {len(listed)}."
+        )
+    return listed[:count]
+
+
+def make_policy(task: Task, episode: Episode, number: int, choice: Any) -> AssignedPolicy:
+    """A fresh policy for one agent in one episode.
+
+    Raises:
+        InputError: no such policy; the message lists what there is.
+    """
+    kind = episode.roster[number].kind
+    if isinstance(choice, str):
+        return task_policy(task, episode, number, choice.strip())
+    if isinstance(choice, AssignedPolicy):
+        return choice
+    if isinstance(choice, External):
+        return AssignedPolicy(choice, "external", kind)
+    if hasattr(choice, "act"):
+        return AssignedPolicy(choice, type(choice).__name__, kind)
+    if callable(choice):
+        name = getattr(choice, "__name__", type(choice).__name__)
+        return AssignedPolicy(FunctionPolicy(choice, _base(episode, number)), name, kind)
+    raise InputError(f"Expected a policy by name, with a method act, or a function, got {choice!r}.")
+
+
+def task_policy(task: Task, episode: Episode, number: int, name: str) -> AssignedPolicy:
+    """The policy that a name means for an agent of a task."""
+    kind = episode.roster[number].kind
+    made = task.named_policy(episode, number, name)
+    if made is not None:
+        return made
+    own = {**COMMON[kind], **task.policies.get(kind, {})} if task.uses_common_policies else task.policies.get(kind, {})
+    if name in own:
+        return AssignedPolicy(as_policy(own[name], task, episode, number), name, kind)
+    plugins = plugin_policies()
+    if ":" in name or name in plugins.names():
+        return AssignedPolicy(as_policy(plugins.get(name), task, episode, number), name, kind)
+    raise _unknown(task, kind, name)
+
+
+def check_policy(task: Task, kind: str, name: str) -> None:
+    """As `Task.check_policy`."""
+    own, plugins = policy_names(task, kind), plugin_policies()
+    if name in own:
+        return
+    if ":" in name or name in plugins.names():
+        plugins.get(name)
+        return
+    raise _unknown(task, kind, name)
+
+
+def policy_names(task: Task, kind: str) -> list[str]:
+    """Names of the policies that agents of a kind can have in a task, without those of plug-ins."""
+    common = COMMON[kind] if task.uses_common_policies else {}
+    return list(dict.fromkeys((*task.policies.get(kind, {}), *common)))
+
+
+def _unknown(task: Task, kind: str, name: str) -> InputError:
+    there = [*policy_names(task, kind), *plugin_policies().names()]
+    return InputError(
+        f"Unknown {'policy' if kind == 'robot' else 'partner'} {name!r}.{did_you_mean(name, there)} Expected one of: "
+        f"{', '.join(there)}, weights:FILE or module:name."
+    )
+
+
+def _base(episode: Episode, number: int) -> BaseSpec:
+    body = episode.roster[number].body
+    return base_of(body, episode.spec.robot) if episode.roster[number].kind == "robot" else episode.spec.robot
+
+
+def as_policy(made: Any, task: Task, episode: Episode, number: int) -> Any:
+    """A policy from what a table or a plug-in holds: a factory ``(task, episode, number)``, a class of policies, a policy,
+    or a function ``(view, base)``."""
+    if isinstance(made, type):
+        return made()
+    if hasattr(made, "act"):
+        return made
+    if getattr(made, "__code__", None) is not None and made.__code__.co_argcount == 2:
+        return FunctionPolicy(made, _base(episode, number))
+    return made(task, episode, number)

@@ -1,0 +1,118 @@
+"""What scripted policies are shown. They are privileged: they know the map, and where everybody is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import Array
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.skills import Action, Ending
+from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
+from sim_kinematic.motion.state import NOBODY
+
+
+class AgentView(NamedTuple):
+    """What a privileged policy may know in any task: the map, and where everybody is and was a step ago."""
+
+    step: int
+    seed: int
+    """Of the episode: with ``step`` it decides everything that a policy samples."""
+    agent: int
+    """Number of the agent that decides."""
+    kinds: tuple[str, ...]
+    """``robot`` or ``human`` for each agent, robots first."""
+    free: FreeSpace
+    places: Array
+    """``(x, z, heading)`` of each agent, [A, 3]."""
+    before: Array
+    """The same one step ago."""
+    bases: tuple[BaseSpec, ...]
+    """Discs and limits of each robot."""
+    walker: WalkerSpec
+    extra: Mapping[str, Any]
+    """`Episode.extra`."""
+
+    @property
+    def xz(self) -> Array:
+        """Position of the agent that decides, [2] [m]."""
+        return self.places[self.agent, :2]
+
+    @property
+    def base(self) -> BaseSpec:
+        """Discs and limits of the agent that decides."""
+        return self.bases[self.agent]
+
+    @property
+    def heading(self) -> float:
+        """Heading of the agent that decides [rad]."""
+        return float(self.places[self.agent, 2])
+
+
+class SocialNavView(NamedTuple):
+    """What a privileged policy may know: where both are, and the map."""
+
+    free: FreeSpace
+    robot_xz: NDArray[np.float64]
+    robot_heading: float
+    human_xz: NDArray[np.float64]
+    geodesic_m: float
+    """Length of the shortest path from robot to human [m]; infinite when there is none."""
+    met: bool
+    """The robot has found the person before."""
+    seed: int = 0
+    """Of the episode: with ``step`` it decides everything that a policy draws."""
+    step: int = 0
+    robot_before: tuple[NDArray[np.float64], float] | None = None
+    """Where the robot was before the last step, place and heading; None at the start."""
+    human_before: NDArray[np.float64] | None = None
+    """Where the person was before the last step; None at the start."""
+    future: Callable[[], NDArray[np.float64]] | None = None
+    """Where she will be after this step and each later one [K, 2]: for `future_oracle` alone. None: nobody knows."""
+
+
+class RearrangeView(NamedTuple):
+    """What a privileged policy may know: everything but the other's plan."""
+
+    step: int
+    free: FreeSpace
+    agent: int
+    """Which agent it is that decides."""
+    xz: NDArray[np.float64]
+    heading: float
+    other_xz: NDArray[np.float64]
+    """Of the other agent, the nearest where there are several; NaN when it is alone."""
+    other_track: NDArray[np.float64]
+    """Where the other was in the last steps, the newest last, shape [N, 2] [m]."""
+    close: bool
+    """The other is inside the ellipse in which skills may be interrupted (``agents_within_threshold``)."""
+    objects: NDArray[np.float64]
+    """Where the objects are, shape [K, 3] [m]."""
+    goals: NDArray[np.float64]
+    held_by: NDArray[np.int64]
+    at_goal: NDArray[np.bool_]
+    action: Action | None
+    """What it is doing or, between two actions, has done last."""
+    last: Ending | None
+    """How that ended; None while it goes on."""
+    starts: NDArray[np.float64]
+    """Where the objects were at the beginning, shape [K, 3] [m]."""
+    hand: Callable[[], NDArray[np.floating]]
+    """Gives pose7 [7] of the hand in the world: of a robot's, or of a person's right palm."""
+    arm: NDArray[np.float64]
+    """Positions of the arm's joints of a robot [n]; of a person [0]."""
+    start: NDArray[np.float64]
+    """Where it began, ``(x, z, heading)`` [3],"""
+    before: NDArray[np.float64]
+    """and where it was a step ago."""
+    contact: bool
+    """Its base touched an obstacle in the last step."""
+    collision: bool
+    """Agents touch now."""
+
+    def left_to_do(self) -> list[int]:
+        """Objects that are not at their goals and that the other does not hold."""
+        return [k for k in range(len(self.objects)) if not self.at_goal[k] and self.held_by[k] in (NOBODY, self.agent)]

@@ -1,0 +1,92 @@
+"""The records of a task: its rules, an episode, the outcome of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Robot
+from h3data.geometry import Array
+from h3data.recording import Event
+from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.roster import AgentSpec
+from sim_kinematic.avoidance.robot_base import base_of, floor_of
+from sim_kinematic.motion.spec import HOME_WALKER, BaseSpec, WalkerSpec
+
+MAX_STEPS = 1_000_000
+"""Longest episode that is simulated again: nine hours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSpec:
+    """Rules that every task has; a task's own spec adds to them."""
+
+    max_steps: int = 1500
+    spawn_distance_m: float = 5.0
+    """Least distance between any two agents at the start, where there is room."""
+    agent_radius_m: float = 0.25
+    agent_height_m: float = 1.41
+    """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
+    robot: BaseSpec = field(default_factory=BaseSpec)
+    human: WalkerSpec = HOME_WALKER
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """The unchanging half of an episode: home, map, rules, agents, starts, seed."""
+
+    scene: Scene
+    free: FreeSpace
+    seed: int
+    spec: Any
+    """The task's frozen dataclass."""
+    roster: tuple[AgentSpec, ...]
+    """Robots, then people."""
+    starts: Array
+    """Where each agent begins, ``(x, z, heading)``, shape [A, 3]."""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    """Whatever else the task sampled, as JSON types; recorded in ``info["extra"]``."""
+
+
+@lru_cache(maxsize=256)
+def agent_base(episode: Episode, number: int) -> BaseSpec:
+    """Discs and limits of an agent that drives: a robot's own, else the rules'."""
+    body = episode.roster[number].body
+    return base_of(body, episode.spec.robot) if isinstance(body, Robot) else episode.spec.robot
+
+
+@lru_cache(maxsize=256)
+def agent_floor(episode: Episode, number: int) -> FreeSpace:
+    """The floor on which an agent finds its paths: a robot wider than the rules' agents has one of its own."""
+    body = episode.roster[number].body
+    if not isinstance(body, Robot):
+        return episode.free
+    return floor_of(body, agent_base(episode, number), episode.scene, episode.free)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """The judgement of one step in W worlds, each array [W]."""
+
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    """The rules end the episode."""
+    success: NDArray[np.bool_]
+    """Once true in an episode it should stay true."""
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Values to record, by column name (`Task.columns`), [W, ...] each."""
+    events: Sequence[tuple[int, Event]] = ()
+    """Events of this step with the world that each belongs to."""
+
+
+def with_options(spec: Any, **options: Any) -> Any:
+    """A spec with those options that are not None; ``human_speed`` means the people's walking speed [m/s]."""
+    speed = options.pop("human_speed", None)
+    if speed is not None:
+        spec = replace(spec, human=replace(spec.human, speed_mps=speed))
+    return replace(spec, **{name: value for name, value in options.items() if value is not None})

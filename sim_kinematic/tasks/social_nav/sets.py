@@ -1,0 +1,34 @@
+"""Stored episodes of social navigation, sampled in the homes of a scene set."""
+
+from __future__ import annotations
+
+from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+from h3data.habitat.scene_names import open_free_space, open_scene
+from h3data.scene.scene_sets import SceneEntry, SceneSet, SceneSource
+from sim_kinematic.agents.roster import ROBOT_BODY
+from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.tasks.social_nav.episode import stored_episode
+from sim_kinematic.tasks.social_nav.task import SocialNav
+
+
+def set_episode(scenes: SceneSet, entry: SceneEntry, index: int, *, seed: int = 0) -> SocialNavEpisode:
+    """Episode ``index`` in one scene of a set: a pure function, so that a set of 37,000 is a list of 37 homes.
+
+    ``seed`` 0 gives the set's own episodes. The scene and its map are made at the first call and kept.
+
+    Raises:
+        SceneError: the scene has no two starts so far apart.
+    """
+    return sampled_episode(
+        entry.source, seed=scenes.episode_seed(entry.id, index, seed=seed),
+        spec=SocialNavSpec(spawn_distance_m=scenes.social_nav.spawn_distance_m),
+    )  # fmt: skip
+
+
+def sampled_episode(
+    source: SceneSource, *, seed: int, spec: SocialNavSpec, robot: str | None = None
+) -> SocialNavEpisode:
+    """The episode of a seed in a scene under these rules, for one robot."""
+    free = open_free_space(source, spec.agent_radius_m, spec.agent_height_m)
+    scene, body = open_scene(source), robot or ROBOT_BODY
+    return stored_episode(SocialNav().episode(scene, seed=seed, spec=spec, free=free, robot=body))
