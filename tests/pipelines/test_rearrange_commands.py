@@ -93,7 +93,7 @@ def test_two_people_are_resumed_only_as_two(tmp_path: Path, capsys: pytest.Captu
     assert (made["episodes"], made["failed"]) == (1, [])
     recording = h3data.open(tmp_path / "ds").recording(0)
     assert [agent.model for agent in recording.agents] == ["humanoid/female_0", "humanoid/male_1"]
-    assert recording.episode.info["partner"] == "both,both"
+    assert (recording.episode.info["policy"], recording.episode.info["partner"]) == ("", "both,both")
     assert made["metrics"]["episodes"][0]["notes"]["RC"] == "there is no robot"
     other = run_json(capsys, *args, "--agents", "human,human,human", "--resume", code=2)
     assert "agents was human,male_1, is human,human,human" in other["error"]

@@ -273,15 +273,14 @@ class Rearrange(Task):
     def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         partner = ",".join(p.name for p in policies if p.kind == "human")
         return {
-            "policy": ",".join(p.name for p in policies if p.kind == "robot") or SOLO,
+            "policy": _robots_policy(policies),
             "partner": partner,
             "partner_plan": ",".join(p.plan for p in policies if p.plan),
             "population": "zsc-pop" if partner in ZSC else "train-pop" if partner in POPULATIONS else "",
         }
 
     def run_names(self, policies: Sequence[AssignedPolicy]) -> list[str]:
-        robots, people = (",".join(p.name for p in policies if p.kind == kind) for kind in PAIR)
-        return [robots or SOLO, people]
+        return [_robots_policy(policies), ",".join(p.name for p in policies if p.kind == "human")]
 
     def uid(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> str:
         assert isinstance(episode, RearrangeEpisode)
@@ -378,6 +377,12 @@ def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
     """Bodies of the first robot and the first person; the default ones where there is none."""
     models = {member.kind: member.model for member in reversed(roster)}
     return models.get("robot", ROBOT_BODY), models.get("human", HUMAN_BODY)
+
+
+def _robots_policy(policies: Sequence[AssignedPolicy]) -> str:
+    """Names of the robots' policies; `SOLO` for a person alone, and nothing for several people."""
+    alone = [policy.kind for policy in policies] == ["human"]
+    return SOLO if alone else ",".join(policy.name for policy in policies if policy.kind == "robot")
 
 
 def _starts(episode: RearrangeEpisode) -> dict[str, list[Any]]:
