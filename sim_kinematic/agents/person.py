@@ -329,8 +329,11 @@ class Person:
         self.play(clip, float(phase), float(gait.blend[0]))
 
     def _pose(self, quats: Array, pelvis: Array, moving: Hand | None) -> None:
-        """Take a pose, with arms drawn in where there is little room; arms that hold something and do not move keep
-        carrying it."""
+        self.set_pose(self.with_arms(quats, moving), pelvis)
+
+    def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
+        """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something
+        and do not move keep carrying it."""
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
@@ -340,7 +343,7 @@ class Person:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
                 quats[joints] = arm
-        self.set_pose(quats, pelvis)
+        return quats
 
     def _carry_arm(self, hand: Hand) -> tuple[list[int], Array]:
         if hand not in self._carry_arms:

@@ -106,7 +106,7 @@ class PersonActor:
         if action.skill.startswith("nav"):
             to_goal = action.skill == "nav_to_goal"
             return self._navigate(self.objects.goals[k] if to_goal else self.objects.poses[k, :3], self._hands(k))
-        return self._handle(action.skill == "pick", k)
+        return self._handle(k, None if action.skill == "pick" else self.objects.goals[k])
 
     def idle(self) -> None:
         self._stand()
@@ -191,9 +191,7 @@ class PersonActor:
     def _pace(self, towards: NDArray | None) -> None:
         """One step of walking towards a floor point [2], or of coming to a stand; where she would touch somebody she does not
         get on."""
-        person, gait, before = self.person, self._gait, self._posture()
-        if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
-            self._gait = gait = self._set_off()
+        person, gait, before = self.person, self._gait_here(), self._posture()
         stopped = gait.take([0])
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
             walk_humans(gait, target[None], self.spec)
@@ -240,6 +238,13 @@ class PersonActor:
             self._follow()
             yield
 
+    def _gait_here(self) -> HumanState:
+        """The gait so far; one of standing where something else has moved the person since."""
+        gait = self._gait
+        if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
+            self._gait = gait = self._set_off()
+        return gait
+
     def _set_off(self) -> HumanState:
         """Standing where she is."""
         gait = HumanState.zeros(1)
@@ -255,10 +260,10 @@ class PersonActor:
         self.person.set_pose(posture.quats, posture.pelvis, posture.base)
         self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
 
-    def _handle(self, picks: bool, k: int) -> Skill:
-        """Pick or place; objects change hands in the step in which the hand is there."""
-        name = self.objects.names[k]
-        point = self.objects.poses[k, :3] if picks else self.objects.goals[k]
+    def _handle(self, k: int, goal: NDArray | None) -> Skill:
+        """Pick, or place at a world point [3]; objects change hands in the step in which the hand is there."""
+        name, picks = self.objects.names[k], goal is None
+        point = self.objects.poses[k, :3] if goal is None else goal
         stand = np.append(self.xz, self.heading)
         hands = self._hands(k)
         near: list[Hand] = [hand for hand in hands if self._reaches(stand, point, hand)]

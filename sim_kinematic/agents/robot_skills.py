@@ -191,7 +191,7 @@ class RobotActor:
         error = self._error_to(towards)
         self._step(min(self._no_faster_than(towards, error), most), self._turn(error), towards)
 
-    def _control(self, command: tuple[float, ...]) -> Skill:
+    def _control(self, command: ArrayLike) -> Skill:
         """Moves one step by base velocity, arm joints and grip, without avoidance."""
         state, robot, rules = self.objects.state, self.robot, ArmSpec(grasp_m=self.grip_m)
         action = checked_command(command, robot)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,37 @@ PRIMITIVES = {
 """Command and steps of the robot's primitives: 0.333 m and 9.55 degrees as in Habitat, at our limits of speed."""
 CONTROL = "control"
 """One step of a robot's lower layer: base, arm and hand by `Action.command`."""
+DRIVEN_SKILLS = (*SKILLS, "drop", "hand_over")
+"""Skills of a person who is driven from outside, in the order in which their recordings number them."""
 CHOICE_WAIT_STEPS = 5
 """How long `choices` wait."""
+REASONS = {
+    "already_held": "It is in this agent's hand already.",
+    "blocked": "Another agent is in the way.",
+    "hand_full": "The hand already holds something.",
+    "held_by_other": "Somebody else holds it.",
+    "invalid_posture": "It is out of reach from here.",
+    "missed": "The hand did not get there.",
+    "no_room": "Something is in the way of the arm or the body.",
+    "no_space": "There is no space for it: something else is there.",
+    "no_support": "There is nothing there to put it on.",
+    "no_way": "No path leads to where it can be reached.",
+    "not_a_robot": "Things can only be handed over to a robot.",
+    "not_held": "The hand holds no such thing.",
+    "not_of_a_person": "People cannot do this.",
+    "out_of_reach": "It is too far away to reach from here.",
+    "outside_box": "It is too far away to reach from here.",
+    "robot_busy": "The robot's hand is not free.",
+    "robot_moved": "The robot moved away.",
+    "stuck": "There is no getting on.",
+    "too_far": "It is too far away to reach from here.",
+}
+"""Sentences for the short words that recordings hold about skills that were refused or failed."""
+
+
+def sentence(reason: str) -> str:
+    """The sentence for a recorded reason; an unknown one is repeated as it is."""
+    return REASONS.get(reason, f"It was not possible ({reason}).")
 
 
 class Action(NamedTuple):
@@ -42,8 +71,10 @@ class Action(NamedTuple):
     """Index of the object (or of the object whose goal it is) of the skills that have one."""
     steps: int = 30
     """How long ``wait`` waits."""
-    command: tuple[float, ...] = ()
-    """Of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows."""
+    command: Any = ()
+    """Of ``control``: forward and left turn of the base, each arm joint, grip; -1..1 of what a step allows; of a
+    person a `sim_kinematic.agents.driven.commands.PersonCommand`. Of a driven person's ``place`` the point in the world [3]
+    [m], of ``hand_over`` the robot's number."""
 
 
 class Ending(NamedTuple):

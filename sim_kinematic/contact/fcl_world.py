@@ -79,8 +79,8 @@ class FclScene(_Objects):
 class MovingShapes(_Objects):
     """Convex shapes that are moved by one transform each: links of a robot, capsules of a person, a held object."""
 
-    def __init__(self, shapes: Sequence[Shape]) -> None:
-        pairs = [fcl_geometry(s) for s in shapes]
+    def __init__(self, shapes: Sequence[Shape], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> None:
+        pairs = [fcl_geometry(s, scale) for s in shapes]
         self.shapes = tuple(shapes)
         self._local = np.stack([m for _, m in pairs]) if pairs else np.zeros((0, 4, 4))
         super().__init__([g for g, _ in pairs], list(self._local))

@@ -55,6 +55,11 @@ class AssignedPolicy(NamedTuple):
     def is_external(self) -> bool:
         return isinstance(self.policy, External)
 
+    @property
+    def takes_commands(self) -> bool:
+        """Whether somebody outside decides, now or in the recording that is played again."""
+        return bool(getattr(self.policy, "takes_commands", False))
+
 
 Chosen = str | Any | Sequence[Any]
 Assigned = Mapping[str, Chosen]

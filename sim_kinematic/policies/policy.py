@@ -61,6 +61,8 @@ class External:
     close, as Habitat's learned policies must.
     """
 
+    takes_commands = True
+
     def __init__(self, *, interrupts_when_close: bool = True) -> None:
         self.interrupts_when_close = interrupts_when_close
 

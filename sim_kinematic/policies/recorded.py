@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,6 +24,15 @@ RESUMED = "resumed"
 """Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
 
 
+class RecordedCommand(NamedTuple):
+    """A command from outside, from the recorded raw input."""
+
+    step: int
+    choice: Any
+    interrupts: str = ""
+    """Why it interrupted a running skill; empty: the agent had to choose."""
+
+
 class RecordedVelocities:
     """Repeats recorded base velocities up to a step, then hands over to another policy.
 
@@ -35,15 +44,17 @@ class RecordedVelocities:
 
     @classmethod
     def of(
-        cls, recording: Recording, number: int, commands: Sequence[tuple[int, Any]] | None, *, until: int, own: Any
+        cls, recording: Recording, number: int, commands: Sequence[RecordedCommand] | None, *, until: int, own: Any
     ) -> RecordedVelocities:
         """From the commands that came from outside, else from the column ``agent_<i>.action``.
 
         Raises:
             InputError: commands or skills are not of the kind that the simulator knows.
         """
-        if commands is not None:
-            return cls(dict(commands), until=until, own=own)
+        told = {command.step: command.choice for command in commands or ()}
+        if commands and f"agent_{number}.action" not in recording.columns:
+            # a recording that was continued has commands for the steps before only
+            return cls(told, until=min(until, commands[-1].step + 1), own=own)
         actions = recording.columns[f"agent_{number}.action"]
         if actions.shape != (len(recording), 2) or not np.isfinite(actions).all():
             raise InputError(
@@ -60,7 +71,7 @@ class RecordedVelocities:
             k: Velocity(forward, turn, names[code] if code >= 0 else "")
             for k, ((forward, turn), code) in enumerate(zip(actions[:until].tolist(), codes.tolist(), strict=False))
         }
-        return cls(choices, until=until, own=own)
+        return cls({**choices, **told}, until=until, own=own)
 
     def act(self, view: Any) -> Any:
         if view.step >= self._until:
@@ -75,26 +86,28 @@ class RecordedVelocities:
 class RecordedCommands:
     """Repeats commands that came from outside in a task with skills, then hands over to another policy."""
 
-    def __init__(self, commands: Sequence[tuple[int, Any]], *, until: int, own: Any) -> None:
-        self._commands = [(step, choice) for step, choice in commands if step < until]
+    takes_commands = True
+
+    def __init__(self, commands: Sequence[RecordedCommand], *, until: int, own: Any) -> None:
+        self._commands = [command for command in commands if command.step < until]
         self._until, self._own, self._next = until, own, 0
         self.since = until if own is not None else 0
 
     def act(self, view: Any) -> Any:
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
-        if self._next >= len(self._commands) or self._commands[self._next][0] != view.step:
+        if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
             raise InputError(f"The recorded raw input has no command for step {view.step}.")
         self._next += 1
-        return self._commands[self._next - 1][1]
+        return self._commands[self._next - 1].choice
 
     def interrupts(self, view: Any) -> str:
         """Aborts where a command came while a skill was running."""
         if view.step >= self._until and self._own is not None:
             interrupts = getattr(self._own, "interrupts", None)
             return RESUMED if view.step == self._until else interrupts(view) if interrupts is not None else ""
-        there = self._next < len(self._commands) and self._commands[self._next][0] == view.step
-        return "commanded" if there else ""
+        waiting = self._next < len(self._commands) and self._commands[self._next].step == view.step
+        return self._commands[self._next].interrupts if waiting else ""
 
 
 class RecordedTrack:
@@ -164,7 +177,7 @@ class RecordedPolicy:
         if view.step >= self.until and choice is not None:
             return choice
         interrupted = view.last is not None and view.last.outcome == "aborted"
-        if not interrupted or self._aborted_before(view.step):
+        if not interrupted or not self._next or self._aborted_before(view.step):
             self._running = self._recorded(view.step, choice)
         return self._running
 
@@ -199,15 +212,19 @@ class RecordedPolicy:
         return choice if choice is not None and choice[:2] == action[:2] else action
 
 
-def recorded_choices(recording: Recording, number: int, objects: tuple[str, ...]) -> tuple[list[SkillSpan], NDArray]:
-    """Skill spans of an agent, and its skills and targets step by step [T, 2], checked.
+def recorded_choices(
+    recording: Recording, number: int, objects: tuple[str, ...], since: int = 0
+) -> tuple[list[SkillSpan], NDArray]:
+    """Skill spans of an agent, and its skills and targets step by step [T, 2], checked; ``since`` is the step before which
+    commands from outside decided, whose skills are left out.
 
     Raises:
         InputError: there are other skills or targets than the simulator knows, or commands of the lower layer, which are not
             recorded.
     """
-    spans = [span for span in recording.skills if span.agent == number]
+    spans = [span for span in recording.skills if span.agent == number and (not since or span.end_step >= since)]
     now = np.stack([recording.columns[f"agent_{number}.{name}"] for name in ("skill", "skill_target")], axis=-1)
+    now[:since] = SKILLS.index("wait"), -1
     names = {span.name for span in spans} | {SKILLS[c] for c in now[:, 0].tolist() if 0 <= c < len(SKILLS)}
     if CONTROL in names:
         raise InputError(
@@ -229,7 +246,7 @@ def recorded_choices(recording: Recording, number: int, objects: tuple[str, ...]
     return spans, now
 
 
-def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[tuple[int, Any]]]:
+def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dict[int, list[RecordedCommand]]:
     """Commands from outside by agent, each with its step, from the recorded raw input.
 
     ``decode`` is `sim_kinematic.tasks.task.Task.choice_from_json`.
@@ -237,13 +254,14 @@ def recorded_commands(recording: Recording, decode: Callable[[Any], Any]) -> dic
     Raises:
         InputError: a command is malformed.
     """
-    commands: dict[int, list[tuple[int, Any]]] = {}
+    commands: dict[int, list[RecordedCommand]] = {}
     for event in recording.inputs:
         if event.kind != COMMAND:
             continue
         try:
             data = msgspec.json.decode(event.payload, type=dict[str, Any])
-            commands.setdefault(int(data["agent"]), []).append((int(data["step"]), decode(data["choice"])))
+            command = RecordedCommand(int(data["step"]), decode(data["choice"]), str(data.get("interrupts", "")))
+            commands.setdefault(int(data["agent"]), []).append(command)
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as fault:
             raise InputError(f"Malformed raw input at {event.time_ns} ns: {fault!r}.") from None
     return commands

@@ -44,6 +44,11 @@ class Play(Protocol):
         """The step that is being played, from 0."""
         ...
 
+    @property
+    def over(self) -> bool:
+        """Whether the last step has been played."""
+        ...
+
     def turns(self) -> Generator[int | None, Any, None]:
         """Plays to the end: yields the number of an agent that must decide and takes its choice, and yields None when a
         step is over."""
@@ -182,6 +187,10 @@ class WorldPlay:
     @property
     def step(self) -> int:
         return int(self.steps[0])
+
+    @property
+    def over(self) -> bool:
+        return bool(self.outcome.terminated[0] or self.out_of_time[0])
 
     def view(self, agent: int) -> Any:
         return self.task.view(self, agent, 0)

@@ -27,6 +27,7 @@ from h3data.recording import (
 )
 from h3data.recording import Episode as EpisodeRecord
 from h3data.scene import CATEGORIES, Scene, save_scene, scene_digest
+from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Play
@@ -194,12 +195,17 @@ def describe(
         episode=record,
         assets=tuple(AssetRef(name=name, uri=f"scene:{name}") for name in scene.assets),
         bodies=task.bodies(episode, scene_bodies(scene)),
-        agents=tuple(_agent(task, member) for member in episode.roster),
+        agents=tuple(_agent(task, *pair) for pair in zip(episode.roster, policies, strict=True)),
         attachments={"scene.glb": file},
     )
 
 
-def _agent(task: Task, member: Any) -> Agent:
+def _agent(task: Task, member: AgentSpec, policy: AssignedPolicy) -> Agent:
+    agent = _usual_agent(task, member)
+    return replace(agent, **task.commanded.get(member.kind, {})) if policy.is_external else agent
+
+
+def _usual_agent(task: Task, member: AgentSpec) -> Agent:
     body, skills = member.body, task.skills.get(member.kind, ())
     if isinstance(body, Robot):
         return Agent(

@@ -3,14 +3,15 @@ bring their own clock, such as a person at a keyboard or a learner; `simulate` r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
 from h3data.errors import InputError, did_you_mean
-from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader
+from h3data.recording import STEP_NS, Event, InputEvent, Recording, RecordingHeader, SkillSpan
+from sim_kinematic.agents.skills import sentence
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.policy import External
 from sim_kinematic.policies.recorded import COMMAND
@@ -123,10 +124,34 @@ class StepResult:
     """Number of the step that has just been played, from 0."""
     reward: float
     events: tuple[Event, ...]
+    skills: tuple[SkillSpan, ...]
+    """Skills that ended before or in this step, with outcome and reason."""
+    refused: Mapping[str, str]
+    """By agent controlled from outside, a sentence that says why its skill failed in this step."""
     waiting: tuple[str, ...]
-    """Agents controlled from outside whose next command counts now."""
+    """As `Session.waiting`, for the next step."""
     ended: str
     """What ended the episode; empty while it goes on."""
+
+
+class _Inbox(External):
+    """Holds the commands for one agent until it decides."""
+
+    def __init__(self, external: External) -> None:
+        super().__init__(interrupts_when_close=external.interrupts_when_close)
+        self.pending: Any = None
+        self.latest: Any = None
+        """The last command that the agent has followed."""
+        self.has_news = False
+        """Whether `pending` has not been followed yet."""
+        self.is_urgent = False
+        """Whether it interrupts a running skill."""
+        self.reason = ""
+        """Why a running skill has just been interrupted."""
+
+    def interrupts(self, view: Any) -> str:
+        self.reason = "commanded" if self.has_news and self.is_urgent else super().interrupts(view)
+        return self.reason
 
 
 class Session:
@@ -139,6 +164,8 @@ class Session:
         session.step()
     recording = session.close()
     ```
+
+    docs/sessions.md lists the commands of each task.
     """
 
     def __init__(
@@ -152,16 +179,19 @@ class Session:
     ) -> None:
         """As `simulate`."""
         self.task, self.episode = task, episode
-        self.policies: list[AssignedPolicy] = task.assign(episode, policies)
+        self._inboxes: dict[int, _Inbox] = {}
+        self.policies: list[AssignedPolicy] = []
+        for number, assigned in enumerate(task.assign(episode, policies)):
+            if isinstance(assigned.policy, External):
+                self._inboxes[number] = _Inbox(assigned.policy)
+                assigned = assigned._replace(policy=self._inboxes[number])
+            self.policies.append(assigned)
         self.play = task.play(episode, self.policies)
         header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
-        self._pending: dict[int, Any] = {}
-        self._latest: dict[int, Any] = {}
-        self._turns = Turns(self.play)
+        self._turns: Turns | None = None
         self._closed: Recording | None = None
-        self._settle()
 
     # --- who and what -------------------------------------------------------------------------------------------------
     def number(self, agent: str) -> int:
@@ -179,12 +209,15 @@ class Session:
     @property
     def ended(self) -> str:
         """What ended the episode; empty while it goes on."""
-        return self.play.ended if self._turns.over else ""
+        return self.play.ended if self.play.over else ""
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Agents controlled from outside that must be told what to do before the next step can be played."""
-        return () if self._turns.asked is None else (self.episode.roster[self._turns.asked].name,)
+        """Agents controlled from outside that have nothing to do but what they are told next: no skill of theirs is
+        running."""
+        if self.play.over:
+            return ()
+        return tuple(self.episode.roster[k].name for k in self._inboxes if not self.task.is_busy(self.play, k))
 
     def observe(self, agent: str) -> Any:
         """What a privileged policy of this agent would be shown now (`Task.view`)."""
@@ -192,17 +225,32 @@ class Session:
 
     # --- commands -----------------------------------------------------------------------------------------------------
     def act(self, agent: str, command: Any) -> None:
-        """Tells an agent what to do when it must next decide. It is recorded as raw input, so that the recording can be
-        simulated again from it.
+        """Tells an agent what to do in the next step. A new command interrupts a running skill. It is recorded as raw input,
+        so that the recording can be simulated again from it.
 
         Raises:
             InputError: the agent is not controlled from outside, or the command is malformed.
         """
+        number, inbox = self._controlled(agent)
+        choice = self.task.checked_choice(self.play, number, command)
+        inbox.pending, inbox.has_news = choice, True
+        inbox.is_urgent = self.task.interrupts_running(self.play, number, choice)
+
+    def refusal(self, agent: str, command: Any) -> str | None:
+        """Why an agent could not do something now, as a sentence for people; None: it could. Nothing is done.
+
+        Raises:
+            InputError: the agent is not controlled from outside, or the command is malformed.
+        """
+        number, _ = self._controlled(agent)
+        return self.task.refusal(self.play, number, self.task.checked_choice(self.play, number, command))
+
+    def _controlled(self, agent: str) -> tuple[int, _Inbox]:
         number = self.number(agent)
-        if not isinstance(self.policies[number].policy, External):
+        if number not in self._inboxes:
             name = self.policies[number].name
             raise InputError(f"{agent} follows the policy {name}. Hint: give it External() to control it.")
-        self._pending[number] = self.task.checked_choice(self.play, number, command)
+        return number, self._inboxes[number]
 
     def step(self) -> StepResult:
         """Plays one step. An agent that must decide and was told nothing new goes on with its last command, or does
@@ -211,29 +259,41 @@ class Session:
         Raises:
             InputError: the episode is over.
         """
-        if self._turns.over:
+        if self.ended:
             raise InputError(f"The episode has ended ({self.play.ended}). Hint: session.close() gives its recording.")
+        if self._turns is None:
+            self._turns = Turns(self.play)
+        else:  # only now: a command that has come since may interrupt a running skill
+            self._turns.go_on()
         while self._turns.asked is not None:
             number = self._turns.asked
-            policy = self.policies[number].policy
-            if isinstance(policy, External):
+            if number in self._inboxes:
                 choice = self._choice(number)
                 self._record(number, choice)
             else:
-                choice = policy.act(self.play.view(number))
+                choice = self.policies[number].policy.act(self.play.view(number))
             self._turns.answer(choice)
-        if self._turns.over:
-            return self._result(())
+        events_before, skills_before = len(self.recorder.events), len(self.recorder.skills)
         self.recorder.add()
-        events = tuple(e for e in self.recorder.events if e.step == len(self.recorder) - 1)
-        self._turns.go_on()
-        self._settle()
-        return self._result(events)
+        skills = tuple(self.recorder.skills[skills_before:])
+        return StepResult(
+            step=len(self.recorder) - 1,
+            reward=self.task.last_reward(self.play),
+            events=tuple(self.recorder.events[events_before:]),
+            skills=skills,
+            refused={
+                self.episode.roster[span.agent].name: sentence(span.reason)
+                for span in skills
+                if span.outcome == "failed" and span.agent in self._inboxes
+            },
+            waiting=self.waiting,
+            ended=self.ended,
+        )
 
     def close(self) -> Recording:
         """Ends the session and returns its recording; one that has not ended says so in ``info["ended"]``."""
         if self._closed is None:
-            if not self._turns.over:
+            if not self.play.over:
                 self.play.ended = "closed"
             info = self.task.hindsight(self.episode, self.play, self.policies)
             self._closed = self.recorder.finish(info)
@@ -249,33 +309,18 @@ class Session:
             self.recorder.abort()
 
     # --- inside -------------------------------------------------------------------------------------------------------
-    def _settle(self) -> None:
-        """Lets policies that are here decide until somebody outside is asked or the step can be played."""
-        while self._turns.asked is not None:
-            policy = self.policies[self._turns.asked].policy
-            if isinstance(policy, External):
-                return
-            number = self._turns.asked
-            self._turns.answer(policy.act(self.play.view(number)))
-
     def _choice(self, number: int) -> Any:
-        if number in self._pending:
-            self._latest[number] = self._pending.pop(number)
-            return self._latest[number]
-        return self.task.idle_choice(self.play, number, self._latest.get(number))
+        inbox = self._inboxes[number]
+        if inbox.has_news:
+            inbox.latest, inbox.has_news = inbox.pending, False
+            return inbox.latest
+        return self.task.idle_choice(self.play, number, inbox.latest)
 
     def _record(self, number: int, choice: Any) -> None:
-        step = len(self.recorder)
+        step, inbox = len(self.recorder), self._inboxes[number]
         payload = {"agent": number, "step": step, "choice": self.task.choice_to_json(choice)}
+        if inbox.reason:
+            payload["interrupts"], inbox.reason = inbox.reason, ""
         self.recorder.input(
             InputEvent(time_ns=step * STEP_NS, kind=COMMAND, user=number, payload=msgspec.json.encode(payload).decode())
-        )
-
-    def _result(self, events: Sequence[Event]) -> StepResult:
-        return StepResult(
-            step=len(self.recorder) - 1,
-            reward=self.task.last_reward(self.play),
-            events=tuple(events),
-            waiting=self.waiting,
-            ended=self.ended,
         )

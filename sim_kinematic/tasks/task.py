@@ -51,6 +51,8 @@ class Task:
     """dtype of each column in `Outcome.columns`."""
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
+    commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}
+    """By kind of agent, fields of its recorded `Agent` that differ when it is controlled from outside."""
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Policies by kind of agent and name, beside those that every task has (`sim_kinematic.policies.policy`)."""
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "waypoints"}
@@ -225,6 +227,21 @@ class Task:
     def idle_choice(self, play: Play, number: int, last: Any) -> Any:
         """The choice of an agent controlled from outside that was told nothing new: to go on as before."""
         return Velocity(0.0, 0.0) if last is None else last
+
+    def is_busy(self, play: Play, number: int) -> bool:
+        """Whether an agent goes on with something by itself until it ends or a command interrupts it."""
+        del play, number
+        return False
+
+    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
+        """Whether a command from outside interrupts what the agent is doing; by default all do."""
+        del play, number, choice
+        return True
+
+    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
+        """Why a command, as `checked_choice` returned it, would be refused now, as a sentence; None: it would not."""
+        del play, number, choice
+        return None
 
     def choice_to_json(self, choice: Any) -> Any:
         """A choice as JSON types, for the recorded raw input."""

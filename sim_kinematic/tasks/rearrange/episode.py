@@ -19,6 +19,7 @@ from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
+from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.roster import AgentSpec, kinds_of, make_roster, sample_places
@@ -203,14 +204,8 @@ def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
         for i in scene.instances
         if i.motion == "kinematic"
         and len(scene.assets[i.asset].mesh.vertices)
-        and _extent(scene, i)[0] <= spec.object_radius_m
+        and object_extent(scene, i)[0] <= spec.object_radius_m
     ]
-
-
-def _extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
-    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
-    low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
-    return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +228,7 @@ class _Draw:
         if there are no such places, or if the way past all of them is certainly longer than ``longest_m``."""
         names = {i.name for i in chosen}
         taken = [
-            (i.pose[:3], _extent(self.scene, i)[0])
+            (i.pose[:3], object_extent(self.scene, i)[0])
             for i in self.scene.instances
             if i.motion == "kinematic" and i.name not in names
         ]
@@ -261,7 +256,7 @@ class _Draw:
         within_m: float, away_from: tuple[Array, str] | None = None,
     ) -> tuple[Array, str] | None:  # fmt: skip
         """A free spot [3] for a thing that both agents reach, and its receptacle; it is taken from then on."""
-        radius, low, high = _extent(self.scene, thing)
+        radius, low, high = object_extent(self.scene, thing)
         order = rng.permutation(len(self.surfaces))
         near = order if np.isinf(within_m) else order[self._ways(here)[order] <= within_m]
         for k in near[:12].tolist():

@@ -16,13 +16,15 @@ from h3data.errors import InputError
 from h3data.geometry import ground_pose
 from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
+from sim_kinematic.agents.driven.object_room import ObjectRoom
+from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_arm_clearance import arm_clearance
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.roster import kinds_of
-from sim_kinematic.agents.skills import CONTROL, SKILLS, Action, Ending, Objects, Skill
+from sim_kinematic.agents.skills import CONTROL, DRIVEN_SKILLS, Action, Ending, Objects, Skill
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
 from sim_kinematic.avoidance.yielding import NO_PATH
@@ -73,6 +75,8 @@ class AgentRun:
     ending: Ending | None = None
     skill: Skill | None = None
     begun: int = 0
+    _driven_since: int = -1
+    """First step of the commands that a driven person has followed without a skill in between; -1: they follow none."""
 
     @property
     def is_free(self) -> bool:
@@ -96,6 +100,8 @@ class AgentRun:
             if self.skill is None:
                 if chosen is None:
                     chosen = yield self.number
+                if self._driven_since >= 0 and chosen.skill != CONTROL:
+                    self._end_drive(step - 1)
                 self.action, self.begun, chosen = chosen, step, None
                 why = self.actor.infeasible(self.action)
                 if why:  # a no-op that takes one step, as Habitat's
@@ -117,7 +123,23 @@ class AgentRun:
     def _end(self, step: int, ending: Ending) -> None:
         self.skill, self.ending = None, ending
         self.actor.path, self.actor.yields = NO_PATH, True
-        self.write(step, ending.outcome, ending.reason)
+        if self.action.skill == CONTROL and isinstance(self.actor, DrivenPerson):
+            # one span for a whole drive: 30 a second were 8% of the CPU of a step
+            self._driven_since = self.begun if self._driven_since < 0 else self._driven_since
+        else:
+            self.write(step, ending.outcome, ending.reason)
+
+    def _end_drive(self, step: int) -> None:
+        self.begun, self._driven_since = self._driven_since, -1
+        self.write(step, "done", "")
+
+    def finish(self, step: int) -> None:
+        """Reports what is still running in the last step."""
+        if self._driven_since >= 0:
+            self._end_drive(step)
+        elif self.skill is not None:
+            self.write(step, "running", "")
+        self.skill = None
 
     def write(self, step: int, outcome: str, reason: str) -> None:
         """Reports the action up to ``step``."""
@@ -182,6 +204,8 @@ class RearrangePlay:
         for actor in self.actors:
             actor.agreed = not alone
             actor.meets = partial(self.encounters.meets, actor)
+            if isinstance(actor, DrivenPerson):
+                actor.actors = self.actors
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.starts.copy()
@@ -198,7 +222,12 @@ class RearrangePlay:
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
         person = Person(body, base, objects, spec=spec.human, free=world.free)
-        return PersonActor(person, world.free, spec.human, self.objects, number, room)
+        if not self.policies[number].takes_commands:
+            return PersonActor(person, world.free, spec.human, self.objects, number, room)
+        return DrivenPerson(
+            person, world.free, spec.human, self.objects, number, room,
+            object_room=ObjectRoom(world.scene, self.objects.names, world.free.floor_y), radius_m=spec.agent_radius_m,
+        )  # fmt: skip
 
     def turns(self) -> Generator[int | None, Action, None]:
         """As `sim_kinematic.tasks.play.Play.turns`."""
@@ -226,12 +255,14 @@ class RearrangePlay:
                 return
             yield None
 
+    @property
+    def over(self) -> bool:
+        return self.ended != "max_steps" or self.steps == self.episode.spec.max_steps
+
     def finish(self) -> None:
         """Reports the skills that are still running."""
         for runner in self.runners:
-            if runner.skill is not None:
-                runner.write(self.step, "running", "")
-                runner.skill = None
+            runner.finish(self.step)
 
     def runner(self, number: int) -> AgentRun:
         """The run of an agent."""
@@ -283,9 +314,11 @@ class RearrangePlay:
             else:
                 frame = frames[runner.number]
                 row |= {at + "base_pose": frame.base, at + "root_pose": frame.root, at + "joint_quat": frame.joints}
+                if isinstance(actor, DrivenPerson):
+                    row[at + "action"] = actor.command
             row |= {
                 at + "grasp_body": self.bodies[self.objects.held(runner.number)],
-                at + "skill": SKILLS.index(runner.action.skill),
+                at + "skill": DRIVEN_SKILLS.index(runner.action.skill),
                 at + "skill_target": runner.action.target,
             }
         row["metrics.at_goal"] = self.at_goal.copy()

@@ -20,9 +20,11 @@ from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
 from h3data.recording import Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene
+from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
+from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.robot_skills import checked_command
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, kinds_of, make_roster
-from sim_kinematic.agents.skills import CONTROL, SKILLS, Action
+from sim_kinematic.agents.skills import CONTROL, DRIVEN_SKILLS, SKILLS, Action, sentence
 from sim_kinematic.motion.randomness import episode_seed
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy
 from sim_kinematic.policies.rearrange import (
@@ -81,6 +83,9 @@ class Rearrange(Task):
     clip_coded: ClassVar[bool] = False
     uses_common_policies: ClassVar[bool] = False
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": SKILLS, "human": SKILLS[:5]}
+    commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
+        "human": {"skill_names": DRIVEN_SKILLS, "action_names": ("forward", "turn_left")}
+    }
     policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "robot": ROBOT_POLICIES,
         "human": dict.fromkeys(PARTNERS, partner_policy),
@@ -207,30 +212,45 @@ class Rearrange(Task):
     # --- commands from outside ----------------------------------------------------------------------------------------
     def checked_choice(self, play: Play, number: int, choice: Any) -> Action:
         assert isinstance(play, RearrangePlay)
-        if not isinstance(choice, Action):
-            raise InputError(f"Expected an Action (sim_kinematic.agents.skills), got {choice!r}.")
-        play.objects.why_not(number, choice)
         body = play.episode.roster[number].body
-        if choice.skill == CONTROL and play.episode.roster[number].kind == "robot":
+        if not isinstance(choice, Action):
+            choice = _robot_action(choice, body) if isinstance(body, Robot) else action_of(choice, play.objects, number)
+        elif choice.skill in SKILLS or isinstance(body, Robot):
+            play.objects.why_not(number, choice)
+        if choice.skill == CONTROL and isinstance(body, Robot):
             checked_command(choice.command, body)  # type: ignore[arg-type]
         return choice
 
     def idle_choice(self, play: Play, number: int, last: Any) -> Action:
-        """To go on with what is running, else to stand for a step."""
+        """To go on with what is running or with the last velocity, else to stand for a step."""
         assert isinstance(play, RearrangePlay)
         runner = play.runner(number)
-        return runner.action if runner.skill is not None else SHORT_WAIT
+        if runner.skill is not None:
+            return runner.action
+        if last is not None and last.skill == CONTROL:
+            return last
+        return Action(CONTROL, command=STAND) if isinstance(runner.actor, DrivenPerson) else SHORT_WAIT
+
+    def is_busy(self, play: Play, number: int) -> bool:
+        assert isinstance(play, RearrangePlay)
+        runner = play.runner(number)
+        return not runner.is_free and runner.action.skill != "wait"
+
+    def interrupts_running(self, play: Play, number: int, choice: Any) -> bool:
+        assert isinstance(play, RearrangePlay)
+        return interrupts_skill(choice) and choice != play.runner(number).action
+
+    def refusal(self, play: Play, number: int, choice: Any) -> str | None:
+        assert isinstance(play, RearrangePlay)
+        actor = play.actors[number]
+        why = actor.refusal(choice) if isinstance(actor, DrivenPerson) else actor.infeasible(choice)
+        return sentence(why) if why else None
 
     def choice_to_json(self, choice: Any) -> Any:
-        return {
-            "skill": choice.skill,
-            "target": choice.target,
-            "steps": choice.steps,
-            "command": msgspec.to_builtins(choice.command),
-        }
+        return command_to_json(choice)
 
     def choice_from_json(self, data: Any) -> Any:
-        return Action(str(data["skill"]), int(data["target"]), int(data["steps"]), tuple(data["command"]))
+        return command_from_json(data)
 
     def last_reward(self, play: Play) -> float:
         assert isinstance(play, RearrangePlay)
@@ -299,6 +319,13 @@ class Rearrange(Task):
         return {"ended": play.ended, "solo_steps": play.step + 1 if alone else solo_steps_of(episode)}
 
     # --- simulating again ---------------------------------------------------------------------------------------------
+    def recorded_policy(self, episode: Episode, number: int, name: Any) -> AssignedPolicy:
+        assert isinstance(episode, RearrangeEpisode)
+        if name == "external":  # whoever that was, they are not here: the agent stands still
+            kind = episode.roster[number].kind
+            return AssignedPolicy(planner("still", episode.seed, len(episode.targets)), "external", kind)
+        return super().recorded_policy(episode, number, name)
+
     def needed_columns(self, recording: Recording) -> list[str]:
         return [f"agent_{k}.{name}" for k in range(len(recording.agents)) for name in ("skill", "skill_target")]
 
@@ -319,13 +346,17 @@ class Rearrange(Task):
         objects = tuple(target.name for target in episode.targets)
         commands, verifies, policies = recorded_commands(recording, self.choice_from_json), not changed, []
         for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):
-            policy: Any
-            if k in commands:
-                policy = RecordedCommands(commands[k], until=until, own=None if verifies else assigned.policy)
-            else:
-                policy = RecordedPolicy(*_checked(recording, k, objects), until=until, since=since)
+            policy: Any = None if verifies else assigned.policy
+            # a driven person on a recorded track is asked nothing after the commands that came before it
+            on_track = is_counterfactual(recording) and recording.agents[k].skill_names == DRIVEN_SKILLS
+            if not on_track and (k not in commands or 0 < since < until):
+                policy = RecordedPolicy(
+                    *_checked(recording, k, objects, since if k in commands else 0), until=until, since=since
+                )
                 if not verifies and assigned.policy is not None:
                     policy.own, policy.since = assigned.policy, until if changed[k] else min(since, until)
+            if k in commands or on_track:  # of a recording that was continued, only the steps before
+                policy = RecordedCommands(commands.get(k, []), until=min(since or until, until), own=policy)
             policies.append(assigned._replace(policy=policy))
         return policies
 
@@ -358,6 +389,19 @@ class Rearrange(Task):
 
     def merged_spans(self, robots: Sequence[SkillSpan], people: Sequence[SkillSpan]) -> tuple[SkillSpan, ...]:
         return tuple(sorted((*robots, *people), key=lambda span: span.end_step))
+
+
+def _robot_action(command: Any, robot: Robot) -> Action:
+    """The action by which a robot follows a velocity (forward, turn): its arm and its grip stay as they are."""
+    if np.shape(command) == (2,):
+        forward, turn = command
+    elif hasattr(command, "forward") and hasattr(command, "turn"):
+        forward, turn = command.forward, command.turn
+    else:
+        raise InputError(
+            f"Expected an Action (sim_kinematic.agents.skills), a Velocity or a pair (forward, turn), got {command!r}."
+        )
+    return Action(CONTROL, command=(float(forward), float(turn), *[0.0] * (len(robot.require_arm()) + 1)))
 
 
 @lru_cache(maxsize=16)
@@ -417,6 +461,6 @@ def _track_from(recording: Recording) -> int:
     return step
 
 
-def _checked(recording: Recording, k: int, objects: tuple[str, ...]) -> tuple[Any, tuple[str, ...], Any]:
-    spans, now = recorded_choices(recording, k, objects)
+def _checked(recording: Recording, k: int, objects: tuple[str, ...], since: int) -> tuple[Any, tuple[str, ...], Any]:
+    spans, now = recorded_choices(recording, k, objects, since)
     return spans, objects, now

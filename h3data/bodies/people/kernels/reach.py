@@ -122,15 +122,16 @@ def _bend(body, x, trunk, k, turn, at, quats):
 
 
 @njit(nogil=True)
-def pose_arm(body, collar, shoulder, target, pole, quats):
-    """Shoulder and elbow so that the palm is at ``target``, the elbow towards ``pole``. All in the body frame.
+def pose_arm(body, palm, collar, shoulder, target, pole, quats):
+    """Shoulder and elbow so that the ``palm``, given in the forearm's frame from the wrist, is at ``target``, the elbow
+    towards ``pole``: all three in one frame, that of ``collar`` and ``shoulder``.
 
     The elbow is a hinge about the shoulder frame's y axis, so the distance gives its angle, and the plane of the arm the
     rest. Returns by how much the arm is too short or too long [m], the flexion, the shoulder's turn and the sine between
     pole and arm.
     """
     upper, lower = row3(body.offsets, body.joints[2]), row3(body.offsets, body.joints[3])
-    lower = (lower[0] + body.palm[0], lower[1] + body.palm[1], lower[2] + body.palm[2])
+    lower = (lower[0] + palm[0], lower[1] + palm[1], lower[2] + palm[2])
     way = plus(target, shoulder, -1.0)
     distance = math.sqrt(dot(way, way))
     # |upper + R_y(angle) lower|^2 = distance^2 is a cos(angle) + b sin(angle) = c
@@ -209,11 +210,14 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
         (1 - arm) * body.pole[1] + arm * x[POLE + 1],
         (1 - arm) * body.pole[2] + arm * x[POLE + 2],
     )
-    miss, flexion, arm_turn, spread = pose_arm(body, collar_turn, shoulder, target, turned(chest, unit(pole)), quats)
+    grasp = (body.palm[0], body.palm[1], body.palm[2])
+    miss, flexion, arm_turn, spread = pose_arm(
+        body, grasp, collar_turn, shoulder, target, turned(chest, unit(pole)), quats
+    )
     elbow = plus(shoulder, turned(arm_turn, row3(body.offsets, body.joints[2])), 1.0)
     fore_turn = multiply(arm_turn, row4(quats, body.joints[2]))
     wrist = plus(elbow, turned(fore_turn, row3(body.offsets, body.joints[3])), 1.0)
-    palm = plus(wrist, turned(fore_turn, (body.palm[0], body.palm[1], body.palm[2])), 1.0)
+    palm = plus(wrist, turned(fore_turn, grasp), 1.0)
     # --- the head looks at the target, the other arm hangs
     head_at = plus(neck, turned(multiply(chest, row4(body.stand, _NECK)), row3(body.offsets, _HEAD)), 1.0)
     look = turned(inverse(chest), unit(plus(target, head_at, -1.0)))

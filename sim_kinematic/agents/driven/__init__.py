@@ -1,0 +1,1 @@
+"""People driven from outside, step by step."""

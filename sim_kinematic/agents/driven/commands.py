@@ -1,0 +1,183 @@
+"""Commands for a person who is driven from outside, step by step: by a keyboard, a headset, a learner."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.errors import InputError
+from sim_kinematic.agents.skills import CONTROL, Action, Objects
+
+HEAD_YAW_RAD, HEAD_PITCH_RAD = float(np.radians(75.0)), float(np.radians(50.0))
+"""The head turns this far from the direction of the chest at most."""
+FAR_M = 1000.0
+"""Larger coordinates are refused: they are a fault of the sender, and squared they would overflow."""
+
+Vector = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class HandTarget:
+    """Where a palm should be."""
+
+    position: Vector
+    """In the agent root frame (x forward, y up, z right), [3] [m]: it moves with the person. Out of reach, the arm stretches
+    towards it."""
+    rotation: Vector | None = None
+    """Quaternion xyzw of the wrist's axes in the agent root frame [4]; None leaves the wrist straight."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """Takes an object."""
+
+    object: str | int
+    """Name, or index among the objects of the task."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Puts down what is held."""
+
+    point: Vector
+    """Where the origin of the object comes to be, in the world, [3] [m]."""
+
+
+@dataclass(frozen=True)
+class Drop:
+    """Lets go of what is held: at once it lies on whatever is below it."""
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """Gives what is held to a robot whose hand is empty and within reach."""
+
+    agent: int
+    """Number of the robot."""
+
+
+Do = Pick | Place | Drop | HandOver
+
+
+@dataclass(frozen=True)
+class PersonCommand:
+    """What a driven person does in one step."""
+
+    forward: float = 0.0
+    """-1..1 of the walking speed; negative walks backwards."""
+    turn: float = 0.0
+    """-1..1 of the turn rate, positive to the left."""
+    left: HandTarget | None = None
+    right: HandTarget | None = None
+    """Targets of the hands; None: an arm swings, or carries what the hand holds."""
+    head: tuple[float, float] | None = None
+    """Yaw to the left and pitch downwards of the head from the direction of the chest [rad]; None looks ahead."""
+    do: Do | None = None
+    """A skill to begin. While it runs, nothing else of the command counts; the person first comes to a stand."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether the command only keeps the person standing: a running skill goes on under it."""
+        return self == STAND
+
+
+STAND = PersonCommand()
+
+
+def action_of(command: Any, objects: Objects, agent: int) -> Action:
+    """The `Action` by which a person follows a command: a `PersonCommand`, one of its skills, a pair (forward, turn), or
+    anything with ``forward`` and ``turn``.
+
+    Raises:
+        InputError: it is malformed: unknown object, number out of range or not finite.
+    """
+    given: Any = PersonCommand(do=command) if isinstance(command, Pick | Place | Drop | HandOver) else command
+    do = getattr(given, "do", None)
+    if isinstance(do, Pick):
+        return Action("pick", _index(do.object, objects))
+    if isinstance(do, Place):
+        return Action("place", objects.held(agent), command=_numbers("a point", do.point, 3, FAR_M))
+    if isinstance(do, Drop):
+        return Action("drop", objects.held(agent))
+    if isinstance(do, HandOver):
+        return Action("hand_over", objects.held(agent), command=(int(do.agent),))
+    if do is not None:
+        raise InputError(f"Expected Pick, Place, Drop or HandOver, got {do!r}.")
+    if not hasattr(given, "forward") and np.shape(given) == (2,):
+        given = PersonCommand(*given)
+    if not (hasattr(given, "forward") and hasattr(given, "turn")):
+        raise InputError(f"Expected a PersonCommand, a skill, or a pair (forward, turn), got {command!r}.")
+    forward, turn = _numbers("a velocity", (given.forward, given.turn), 2, np.inf)
+    head = getattr(given, "head", None)
+    left, right = (_target(getattr(given, side, None)) for side in ("left", "right"))
+    checked = PersonCommand(
+        # float32, as the column of actions has it: what is recorded is what was done
+        float(np.float32(np.clip(forward, -1, 1))),
+        float(np.float32(np.clip(turn, -1, 1))),
+        left,
+        right,
+        None if head is None else _numbers("yaw and pitch of the head", head, 2, FAR_M),  # type: ignore[arg-type]
+    )
+    return Action(CONTROL, command=checked)
+
+
+def command_to_json(action: Action) -> dict[str, Any]:
+    """An action as JSON types, for the recorded raw input."""
+    command = msgspec.to_builtins(action.command)
+    if isinstance(command, dict):
+        del command["do"]  # an action is one or the other
+    return {"skill": action.skill, "target": action.target, "steps": action.steps, "command": command}
+
+
+def command_from_json(data: Any) -> Action:
+    """The action that `command_to_json` wrote."""
+    given, command = data["command"], ()
+    if isinstance(given, dict):
+        left, right = (msgspec.convert(given[side], HandTarget | None) for side in ("left", "right"))
+        head = msgspec.convert(given["head"], tuple[float, float] | None)
+        command = PersonCommand(float(given["forward"]), float(given["turn"]), left, right, head)
+    else:
+        command = tuple(msgspec.convert(given, list[float]))
+    return Action(str(data["skill"]), int(data["target"]), int(data["steps"]), command)
+
+
+def interrupts_skill(action: Action) -> bool:
+    """Whether a command from outside interrupts a running skill; one to stand still lets it go on."""
+    return not (isinstance(action.command, PersonCommand) and action.command.stands)
+
+
+def _index(name: str | int, objects: Objects) -> int:
+    index = objects.names.index(name) if name in objects.names else name
+    if not isinstance(index, int) or not 0 <= index < len(objects.names):
+        raise InputError(f"There is no object {name!r} in this task. Expected one of: {', '.join(objects.names)}.")
+    return index
+
+
+def _target(target: Any) -> HandTarget | None:
+    if target is None:
+        return None
+    if not isinstance(target, HandTarget):
+        target = HandTarget(target)
+    rotation = target.rotation
+    if rotation is not None:
+        rotation = _numbers("a rotation", rotation, 4, FAR_M)
+        length = float(np.linalg.norm(rotation))
+        if length < 1e-6:
+            raise InputError(f"Expected a quaternion xyzw other than zero, got {target.rotation!r}.")
+        rotation = tuple(component / length for component in rotation)
+    return HandTarget(_numbers("the position of a hand", target.position, 3, FAR_M), rotation)
+
+
+def _numbers(what: str, values: Sequence[float], count: int, most: float) -> Vector:
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        array = np.full(0, np.nan)
+    if array.shape != (count,) or not np.isfinite(array).all() or (np.abs(array) > most).any():
+        within = "" if np.isinf(most) else f" up to {most:g}"
+        raise InputError(f"Expected {what} as {count} finite numbers{within}, got {values!r}.")
+    return tuple(array.tolist())

@@ -1,0 +1,83 @@
+"""Room for an object that is put down: whether it fits somewhere, whether something carries it, and where it falls to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from h3data.geometry import Array, pose_to_matrix
+from h3data.scene import Instance, Scene
+from sim_kinematic.contact import MovingShapes, collide
+from sim_kinematic.contact.clearance import scenery_of
+
+SUNK_M = 0.01
+"""A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
+SUPPORT_M = 0.05
+"""What carries a thing is at most this far below it."""
+APART_M = 0.01
+"""Least gap between the circles of two things that stand side by side, as where episodes are sampled."""
+FALL_STEP_M, FALL_HALVINGS = 0.02, 6
+
+
+class ObjectRoom:
+    """The static things of a scene and its other movable ones."""
+
+    def __init__(self, scene: Scene, names: Sequence[str], floor_y: float) -> None:
+        """``names`` are the objects of the task, in the order of their poses [K, 7]."""
+        self._scenery, self._floor_y = scenery_of(scene), floor_y
+        instances = {i.name: i for i in scene.instances}
+        self._shapes = [
+            MovingShapes(scene.assets[instances[n].asset].shapes, instances[n].scale.tolist()) for n in names
+        ]
+        self._extents = [object_extent(scene, instances[n]) for n in names]
+        self._others = [
+            (i.pose[:3].astype(np.float64), object_extent(scene, i))
+            for i in scene.instances
+            if i.motion == "kinematic" and i.name not in names
+        ]
+
+    def refusal(self, k: int, pose: Array, poses: Array) -> str:
+        """Why object ``k`` cannot be put down at a pose7, beside the others at ``poses`` [K, 7]: ``no_space``,
+        ``no_support``, or nothing."""
+        if pose[1] + self._extents[k][1] < self._floor_y - SUNK_M or self._collides(k, pose, SUNK_M):
+            return "no_space"
+        things = [(poses[n, :3], self._extents[n]) for n in range(len(poses)) if n != k] + self._others
+        radius, low, high = self._extents[k]
+        for place, (other_radius, other_low, other_high) in things:
+            beside = np.hypot(*(pose[:3] - place)[[0, 2]]) > radius + other_radius + APART_M
+            if not beside and pose[1] + low < place[1] + other_high and place[1] + other_low < pose[1] + high:
+                return "no_space"
+        on_floor = pose[1] + low - self._floor_y <= SUPPORT_M
+        return "" if on_floor or self._collides(k, pose, -SUPPORT_M) else "no_support"
+
+    def fallen(self, k: int, pose: Array) -> Array:
+        """The pose7 of object ``k`` after it has fallen straight down on what is below; one that is in something stays."""
+        lowest = self._floor_y - self._extents[k][1] - pose[1]
+        down = 0.0
+        if lowest >= 0 or self._collides(k, pose, 0.0):
+            return pose.copy()
+        while down > lowest and not self._collides(k, pose, max(down - FALL_STEP_M, lowest)):
+            down = max(down - FALL_STEP_M, lowest)
+        step = min(FALL_STEP_M, down - lowest)
+        for _ in range(FALL_HALVINGS):
+            step /= 2
+            if step and not self._collides(k, pose, down - step):
+                down -= step
+        result = pose.copy()
+        result[1] += down
+        return result
+
+    def _collides(self, k: int, pose: Array, lift_m: float) -> bool:
+        """Whether the object touches something static at a pose7 that is ``lift_m`` higher."""
+        shapes = self._shapes[k]
+        frame = pose_to_matrix(pose)
+        frame[1, 3] += lift_m
+        shapes.set_transforms(np.broadcast_to(frame, (len(shapes), 4, 4)))
+        return collide(self._scenery, shapes)
+
+
+def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float]:
+    """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
+    low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
+    return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])

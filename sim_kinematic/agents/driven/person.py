@@ -1,0 +1,316 @@
+"""A person driven from outside: velocity, hands and head in every step, and skills that a command begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from h3data.bodies.people.kernels.hands import lead_arm, turn_head
+from h3data.bodies.people.reach import Hand, reacher
+from h3data.geometry import (
+    Array,
+    ground_pose,
+    pose_inverse,
+    pose_multiply,
+    quat_from_heading,
+    quat_multiply,
+    quat_nlerp,
+)
+from sim_kinematic.agents.arm_tuck import HANDS
+from sim_kinematic.agents.driven.commands import (
+    HEAD_PITCH_RAD,
+    HEAD_YAW_RAD,
+    STAND,
+    HandTarget,
+    PersonCommand,
+)
+from sim_kinematic.agents.driven.object_room import ObjectRoom
+from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
+from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robot_skills import RobotActor
+from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
+from sim_kinematic.agents.stands import nearest_stand, person_stands
+from sim_kinematic.motion.gait import cycle_phase, drive_people
+from sim_kinematic.motion.spec import STEP_S
+from sim_kinematic.motion.state import HumanState
+
+HAND_STEPS = 8
+"""An arm takes this many steps from its swing to its target, and back."""
+HAND_MPS = 4.0
+"""A hand moves no faster than this; the palms of people who play in a headset reach 3 m/s."""
+HEAD_RAD_S = 6.0
+"""The head turns no faster than this."""
+FADE_STEPS = 8
+"""Over this many steps a pose that a skill has left is blended into that of the next command. Without it, interrupting a
+reach turned a shoulder by up to 76 degrees in one step."""
+MEETING_M = 0.12
+"""A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
+_NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(eq=False)
+class DrivenPerson(PersonActor):
+    """A person that follows `PersonCommand`s. Until the first of them, it does every skill exactly as a `PersonActor`."""
+
+    object_room: ObjectRoom | None = None
+    """Tests where an object fits; None: it fits everywhere."""
+    radius_m: float = 0.25
+    """Of the disc that keeps clear of obstacles."""
+    actors: Sequence[PersonActor | RobotActor] = ()
+    """All agents of the episode, by number."""
+    command: tuple[float, float] = (0.0, 0.0)
+    """Forward and left turn of the last step, -1..1; zero while a skill runs."""
+    _turned: float = 0.0
+    """By how much it has turned on the spot since it began to [rad], positive to the left."""
+    _turn_blend: float = 0.0
+    _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    """How far the left and the right arm are at their targets, 0..1."""
+    _targets: list[HandTarget] = field(default_factory=lambda: [HandTarget((0.0, 0.0, 0.0))] * 2)
+    _points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 3)))
+    """Where the palms are led to now [2, 3] [m]: the targets, but no faster than a hand moves."""
+    _head: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    _left: tuple[Array, Array] | None = None
+    """The pose that the last skill left, while it is blended out."""
+    _fade: float = 0.0
+    _drives: bool = False
+
+    # --- what it can do -----------------------------------------------------------------------------------------------
+    def infeasible(self, action: Action) -> str:
+        k, skill = action.target, action.skill
+        if skill == CONTROL:
+            return ""
+        if skill in ("drop", "hand_over") or (skill == "place" and action.command):
+            held = self.objects.held(self.number)
+            if held < 0 or held != k:
+                return "not_held"
+            if skill == "drop":
+                return ""
+            return self._cannot_give(action) if skill == "hand_over" else self._cannot_place(k, _point(action))
+        return super().infeasible(action)
+
+    def refusal(self, action: Action) -> str:
+        """Why an action would fail if it began now, as far as can be told; empty: it would not."""
+        why = self.infeasible(action)
+        if why or action.skill not in ("pick", "place") or action.command:
+            return why
+        k = action.target
+        return self._cannot_reach(self.objects.poses[k, :3] if action.skill == "pick" else self.objects.goals[k], k)
+
+    def stand_for(self, point: ArrayLike) -> Array | None:
+        """Returns the nearest stand ``(x, z, heading)`` [3] from which a hand reaches a world point [3] [m] with room for the
+        body; None if there is none. It may take 50 ms."""
+        point, held = np.asarray(point, np.float64), self.objects.held(self.number)
+        hands: tuple[Hand, ...] = HANDS_TRIED if held < 0 else self._hands(held)
+        for hand in hands:
+            stands = person_stands(self.free, self.person.body, point, hand)
+            k, _ = nearest_stand(self.free, stands, self.xz, None, partial(self._has_room, point=point, hand=hand))
+            if k >= 0:
+                return stands[k]
+        return None
+
+    def _cannot_reach(self, point: NDArray, k: int) -> str:
+        stand = np.append(self.xz, self.heading)
+        near: list[Hand] = [hand for hand in self._hands(k) if self._reaches(stand, point, hand)]
+        if not near:
+            return "out_of_reach"
+        return "" if any(self._has_room(stand, point, hand) for hand in near) else "no_room"
+
+    def _cannot_place(self, k: int, point: NDArray) -> str:
+        if self.object_room is not None:
+            why = self.object_room.refusal(k, self._upright(k, point), self.objects.poses)
+            if why:
+                return why
+        return self._cannot_reach(point, k)
+
+    def _cannot_give(self, action: Action) -> str:
+        robot = self._robot(action)
+        if robot is None:
+            return "not_a_robot"
+        if self.objects.held(robot.number) >= 0 or not robot.yields:
+            return "robot_busy"
+        return self._cannot_reach(self._meeting_point(robot), action.target)
+
+    def _robot(self, action: Action) -> RobotActor | None:
+        number = int(action.command[0])
+        robot = self.actors[number] if 0 <= number < len(self.actors) else None
+        return robot if isinstance(robot, RobotActor) else None
+
+    # --- skills -------------------------------------------------------------------------------------------------------
+    def start(self, action: Action) -> Skill:
+        if action.skill == CONTROL:
+            assert isinstance(action.command, PersonCommand)
+            return self._control(action.command)
+        return self._after_standing(action)
+
+    def idle(self) -> None:
+        if self._stirs:
+            self._drive(STAND)
+        else:
+            self.command = 0.0, 0.0
+            super().idle()
+
+    def _control(self, command: PersonCommand) -> Skill:
+        self._drive(command)
+        yield
+        return Ending("done")
+
+    def _after_standing(self, action: Action) -> Skill:
+        """A skill, once the person has come to a stand with arms and head as skills expect them."""
+        self.command = 0.0, 0.0
+        while self._stirs:
+            self._drive(STAND)
+            yield
+        self._drives = False
+        if action.skill == "drop":
+            return (yield from self._drop(action.target))
+        if action.skill == "hand_over":
+            return (yield from self._give(action))
+        if action.skill == "place" and action.command:
+            return (yield from self._handle(action.target, _point(action)))
+        return (yield from super().start(action))
+
+    @property
+    def _stirs(self) -> bool:
+        """Whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
+        moves = self._gait.blend[0] > 0 or self._turn_blend > 0 or self._fade > 0
+        return self._drives and bool(moves or self._shares.any() or self._head.any())
+
+    def _drop(self, k: int) -> Skill:
+        person, name = self.person, self.objects.names[k]
+        hand = self._hands(k)[0]
+        pose = self._upright(k, person.objects[name][:3])
+        del person.held[hand]
+        person.objects[name] = pose if self.object_room is None else self.object_room.fallen(k, pose)
+        self._leave_pose()
+        for _ in range(FADE_STEPS):
+            self._drive(STAND)
+            yield
+        return Ending("done")
+
+    def _give(self, action: Action) -> Skill:
+        """Brings the hand near the robot's; there the object changes hands. The robot needs to keep still for it."""
+        robot, k = self._robot(action), action.target
+        assert robot is not None, "checked before it starts"
+        hand, name, point = self._hands(k)[0], self.objects.names[k], self._meeting_point(robot)
+        motion = self._careful(self.person.place(point, hand))
+        self.yields, given = False, False
+        while True:
+            near = float(np.linalg.norm(robot.hand_pose[:3] - point)) <= robot.grip_m
+            if not given and (not near or self.objects.held(robot.number) >= 0 or not robot.yields):
+                return Ending("failed", "robot_moved" if not near else "robot_busy")
+            try:
+                next(motion)
+            except StopIteration as end:
+                return Ending("done") if given else Ending("failed", end.value.reason or "out_of_reach")
+            if not given and hand not in self.person.held:
+                given = True
+                self.objects.held_by[k] = robot.number
+                self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(robot.hand_pose), self.objects.poses[k])
+            if given:
+                self.person.objects[name] = self.objects.poses[k].copy()
+            yield
+
+    def _meeting_point(self, robot: RobotActor) -> Array:
+        """Where the hand gives, beside the robot's on the person's side, in the world [3]."""
+        hand = robot.hand_pose[:3]
+        towards = np.array([self.xz[0] - hand[0], 0.0, self.xz[1] - hand[2]])
+        return hand + towards * (MEETING_M / max(float(np.linalg.norm(towards)), MEETING_M))
+
+    def _upright(self, k: int, point: NDArray) -> Array:
+        """pose7 of what is held, put down at a point as it stood when it was taken."""
+        held = self.person.held[self._hands(k)[0]]
+        return np.concatenate([point, quat_multiply(quat_from_heading(self.heading), held.stood)])
+
+    # --- one step under a command -------------------------------------------------------------------------------------
+    def _drive(self, command: PersonCommand) -> None:
+        """Moves the person by one step; nothing moves that would touch an agent that the person avoids."""
+        if not self._drives:
+            self._drives = True
+            if self._gait_here().blend[0] == 0:
+                self._leave_pose()
+        gait, before = self._gait_here(), self._posture()
+        self._lead(command)
+        stopped, turning = gait.take([0]), (self._turned, self._turn_blend)
+        for velocity in ((command.forward, command.turn), (0.0, 0.0)):
+            self.command = velocity
+            drive_people(
+                gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True
+            )  # fmt: skip
+            self._show(gait, float(gait.heading[0] - stopped.heading[0]))
+            if not self.meets():
+                break
+            self._gait = gait = stopped.take([0])
+            self._turned, self._turn_blend = turning
+            self._take(before)
+        self._follow()
+
+    def _lead(self, command: PersonCommand) -> None:
+        """Brings arms, head and the blend with an earlier pose on by one step."""
+        for k, target in enumerate((command.left, command.right)):
+            rate = 1 / HAND_STEPS
+            if target is None:
+                self._shares[k] = max(self._shares[k] - rate, 0.0)
+                continue
+            way = np.array(target.position) - self._points[k]
+            most = HAND_MPS * STEP_S / max(float(np.linalg.norm(way)), 1e-9) if self._shares[k] else 1.0
+            self._points[k] += min(most, 1.0) * way
+            self._targets[k], self._shares[k] = target, min(self._shares[k] + rate, 1.0)
+        most = HEAD_RAD_S * STEP_S
+        aim = np.zeros(2) if command.head is None else np.array(command.head)
+        aim = np.clip(aim, (-HEAD_YAW_RAD, -HEAD_PITCH_RAD), (HEAD_YAW_RAD, HEAD_PITCH_RAD))
+        self._head += np.clip(aim - self._head, -most, most)
+        self._fade = max(self._fade - 1 / FADE_STEPS, 0.0)
+
+    def _leave_pose(self) -> None:
+        self._left, self._fade = (self.person.quats.copy(), self.person.pelvis.copy()), 1.0
+
+    def _show(self, gait: HumanState, turned: float) -> None:
+        """Takes the pose of a gait, with arms and head led to their targets."""
+        person, body = self.person, self.person.body
+        person.base = ground_pose(gait.xz[0], gait.heading[0], float(person.base[1]))
+        clip, phase, blend = self._clip(gait, turned)
+        quats, pelvis = body.clip_pose([clip], [phase], [blend])
+        quats, pelvis = person.with_arms(quats[0]), pelvis[0]
+        for k, hand in enumerate(HANDS):
+            if self._shares[k] > 0:
+                target, share, solver = self._targets[k], self._shares[k], reacher(body, hand)
+                turn = _NO_TURN if target.rotation is None else np.array(target.rotation)
+                lead_arm(
+                    solver.body, solver.table.values, solver.table.low, solver.table.step, quats, pelvis,
+                    self._points[k], turn, target.rotation is not None, share * share * (3 - 2 * share),
+                )  # fmt: skip
+        if self._head.any():
+            turn_head(quats, *self._head)
+        if self._fade > 0 and self._left is not None:
+            weight = self._fade * self._fade * (3 - 2 * self._fade)
+            quats = quat_nlerp(quats, self._left[0], np.full(len(quats), weight))
+            pelvis = pelvis + weight * (self._left[1] - pelvis)
+        person.set_pose(quats, pelvis)
+
+    def _clip(self, gait: HumanState, turned: float) -> tuple[int, float, float]:
+        """Clip, phase and blend: walking, else stepping round on the spot, else standing."""
+        body, rate = self.person.body, STEP_S / self.spec.blend_s
+        if gait.blend[0] > 0:
+            self._turn_blend = 0.0
+            clip = body.clip_for_speed(self.spec.speed_mps)
+            return clip, float(cycle_phase(body.clips[clip], gait.distance[0], gait.set_off[0])), float(gait.blend[0])
+        if abs(turned) > 1e-9:
+            if self._turn_blend == 0 or turned * self._turned < 0:
+                self._turned = 0.0
+            self._turned += turned
+            # as in walking, one foot stands at half of the blend
+            self._turn_blend = min(max(self._turn_blend, 0.5) + rate, 1.0)
+        else:
+            self._turn_blend = max(self._turn_blend - rate, 0.0)
+        if self._turn_blend == 0:
+            return 0, 0.0, 1.0
+        clip = body.motion_names.index("turn_left" if self._turned > 0 else "turn_right")
+        return clip, body.clips[clip].start_phase + self._turned / body.clips[clip].turn_rad, self._turn_blend
+
+
+def _point(action: Action) -> Array:
+    return np.array(action.command, np.float64)
