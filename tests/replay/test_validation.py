@@ -179,13 +179,12 @@ def test_any_recording_can_be_judged(recording: Recording) -> None:
         assert finding.subject in str(finding)
 
 
-@given(data=st.data())
-def test_flipped_bits_are_found(episode: Recording, data: st.DataObject) -> None:
+@given(which=st.integers(0, 2**16), row=st.integers(0, 119), seed=st.integers(0, 2**32))
+def test_flipped_bits_are_found(episode: Recording, which: int, row: int, seed: int) -> None:
     """Neither the validation nor the simulator stumbles over them, and both notice."""
-    name = data.draw(st.sampled_from([n for n in episode.columns if n.startswith(("agent_", "sim."))]))
+    names = [n for n in episode.columns if n.startswith(("agent_", "sim."))]
+    name, rng = names[which % len(names)], np.random.default_rng(seed)
     array = episode.columns[name].copy()
-    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
-    row = data.draw(st.integers(0, len(array) - 1))
     array[row] = random_bits(rng, array.dtype.name, array.shape[1:])
     broken = replace(episode, columns={**episode.columns, name: array})
     same = array.tobytes() == episode.columns[name].tobytes()

@@ -50,7 +50,9 @@ def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np
     rest = robot.link_matrices(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), robot.rest[None])[0]
     shanks = [int(robot.joint_links[leg.columns[2]]) for leg in robot.legs]
     feet = np.stack([rest[k, :3, :3] @ leg.foot + rest[k, :3, 3] for k, leg in zip(shanks, robot.legs, strict=True)])
-    there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1)
+    # a damaged quaternion gives a matrix without an inverse: such steps keep their recorded joints
+    is_turned = np.abs(np.linalg.norm(bases[:, 3:], axis=1) - 1) < 0.1
+    there: NDArray[np.bool_] = np.all(np.isfinite(bases), axis=1) & is_turned
     jump = np.linalg.norm(np.diff(bases[:, :3], axis=0, prepend=bases[:1, :3]), axis=1) > JUMP_M
     begins = np.flatnonzero(jump | (there != np.concatenate([[False], there[:-1]])))
     for first, last in zip(begins, [*begins[1:], len(bases)], strict=True):
