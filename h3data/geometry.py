@@ -8,6 +8,8 @@ and keeps the floating dtype of its operands.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,8 +24,14 @@ def _floating(value: ArrayLike) -> Array:
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
-def _components(vectors: Array) -> list[Array]:
-    """Components [...] of vectors [..., n], as views."""
+def _components(vectors: Array, *others: Array) -> list[Any]:
+    """Components [...] of vectors [..., n], as views; of a single double vector as Python floats, unless they will meet
+    ``others`` of another kind.
+
+    The same bits come out, in a third of the time: a step of a person poses some twenty single quaternions.
+    """
+    if all(v.ndim == 1 and v.dtype == np.float64 for v in (vectors, *others)):
+        return vectors.tolist()
     return [vectors[..., k] for k in range(vectors.shape[-1])]
 
 
@@ -36,8 +44,8 @@ def normalized(vectors: ArrayLike) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
-    ax, ay, az = _components(a)
-    bx, by, bz = _components(b)
+    ax, ay, az = _components(a, b)
+    bx, by, bz = _components(b, a)
     x = ay * bz - az * by
     out = np.empty((*np.shape(x), 3), np.result_type(a, b))
     out[..., 0] = x
@@ -49,8 +57,8 @@ def cross(a: Array, b: Array) -> Array:
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Hamilton product ``a b``, shape [..., 4]: the rotation by ``b`` followed by the one by ``a``."""
     a, b = _floating(a), _floating(b)
-    ax, ay, az, aw = _components(a)
-    bx, by, bz, bw = _components(b)
+    ax, ay, az, aw = _components(a, b)
+    bx, by, bz, bw = _components(b, a)
     x = aw * bx + ax * bw + ay * bz - az * by
     out = np.empty((*np.shape(x), 4), np.result_type(a, b))
     out[..., 0] = x

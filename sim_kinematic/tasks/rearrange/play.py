@@ -89,7 +89,8 @@ class AgentRun:
         Who is interrupted and chooses the same again goes on with it.
         """
         chosen: Action | None = None
-        if self.skill is not None and (reason := self.interrupts(view)):
+        goes_on = self.skill is not None and self.action.skill != CONTROL  # a command lasts one step: nothing to abort
+        if goes_on and (reason := self.interrupts(view)):
             self.ending = Ending("aborted", reason)
             chosen = yield self.number
             if chosen == self.action:
