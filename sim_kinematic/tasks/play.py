@@ -76,6 +76,7 @@ class Rules(Protocol):
 
     skills: ClassVar[Mapping[str, tuple[str, ...]]]
     columns: ClassVar[Mapping[str, Any]]
+    records_judgement: ClassVar[bool]
 
     def begin(self, play: WorldPlay, rows: NDArray[np.intp]) -> None: ...
 
@@ -250,7 +251,10 @@ class WorldPlay:
                 walks = own.distance[0] > was.distance[0]
                 code = words.index("walk" if walks else "turn") if words else -1
                 numbers += (x, z, heading, own.distance[0] - own.set_off[0], own.blend[0], *own.arms[0], code)
-        return (*numbers, {name: np.asarray(v)[0] for name, v in self.outcome.columns.items()}, self.world.touching[0])
+        judged = {name: np.asarray(v)[0] for name, v in self.outcome.columns.items()}
+        if self.task.records_judgement:
+            judged |= {"metrics.reward": self.outcome.reward[0], "metrics.success": self.outcome.success[0]}
+        return (*numbers, judged, self.world.touching[0])
 
     def columns(self, snapshots: Sequence[Any], first: int) -> Columns:
         numbers = np.array([row[:-2] for row in snapshots], np.float64)
@@ -279,7 +283,8 @@ class WorldPlay:
             result["metrics.collision"] = np.array([row[-1].any() for row in snapshots])
         if contact:
             result["metrics.robot_contact"] = np.any(contact, axis=0)
-        for name, dtype in self.task.columns.items():
+        judgement = {"metrics.reward": np.float32, "metrics.success": np.bool_} if self.task.records_judgement else {}
+        for name, dtype in {**self.task.columns, **judgement}.items():
             result[name] = np.array([row[-2][name] for row in snapshots]).astype(dtype)
         return result
 

@@ -49,6 +49,9 @@ class Task:
     """Metrics profile of its recordings: a name or ``module:name``; empty: the profile of its name, else the generic one."""
     columns: ClassVar[Mapping[str, Any]] = {}
     """dtype of each column in `Outcome.columns`."""
+    records_judgement: ClassVar[bool] = True
+    """Whether each step's reward and success are recorded (``metrics.reward``, ``metrics.success``), for the metrics profile
+    ``task``. The built-in tasks, whose metrics follow from other columns, do without."""
     skills: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of what agents of a kind report to be doing; a kind without any has no skill column."""
     commanded: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]] = {}

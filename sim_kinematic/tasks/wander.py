@@ -33,6 +33,7 @@ class Wander(Task):
     defaults: ClassVar[Mapping[str, str]] = {"robot": "wander", "human": "wander"}
 
     bodies_in_agents: ClassVar[bool] = True
+    records_judgement: ClassVar[bool] = False
 
     def default_spec(self) -> SocialNavSpec:
         return SocialNavSpec(max_steps=self.steps)

@@ -79,7 +79,7 @@ class SocialNav(Task):
 
     name: ClassVar[str] = "social_nav"
     Spec: ClassVar[type[Any]] = SocialNavSpec
-    profile: ClassVar[str] = ""
+    records_judgement: ClassVar[bool] = False
     columns: ClassVar[Mapping[str, Any]] = {
         "sim.human_goal": np.int32,
         "sim.human_leg": np.int32,

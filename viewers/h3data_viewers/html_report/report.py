@@ -31,6 +31,7 @@ from h3data_viewers.html_report.report_paper import (
     partner_tables,
     rearrangement_table,
     social_nav_table,
+    task_table,
 )
 from h3data_viewers.html_report.report_pictures import (
     Highlight,
@@ -42,11 +43,10 @@ from h3data_viewers.html_report.report_pictures import (
 )
 from h3data_viewers.html_report.report_study import study_runs, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
-from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings
+from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
 
 _BESIDE = 4
 """With more partners than this, heat maps stand below each other."""
-_PARTNER_METRICS = {"social_nav": ("S", "F", "CR"), "rearrange": ("SR", "RE", "CR")}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,13 +93,11 @@ def make_report(
     if len(data.runs) > 1 and not pairs:
         missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
     body, plans = [], Plans()
-    several = sum(bool(data.of_task(task)) for task in TASKS) > 1
-    for task, name in TASKS.items():
-        runs, tail = data.of_task(task), f" in {name}" if several else ""
-        if runs:
-            body += _task_sections(task, runs, tables, plans, missing, tail)
-            if chosen := highlights(runs, pictures):
-                body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], tail))
+    for task in data.tasks:
+        runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
+        body += _task_sections(task, runs, tables, plans, missing, tail)
+        if chosen := highlights(runs, pictures):
+            body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], tail))
     if pairs:
         text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
         body.append(_section("paired", "Paired differences", text))
@@ -162,7 +160,7 @@ def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
             missing.append(f"Human-in-the-loop study: {why}.")
     else:
         missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
-    return tables
+    return [*tables, *(task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS)]
 
 
 def _task_sections(
@@ -176,13 +174,13 @@ def _task_sections(
         parts.append(_section(task, table.title, to_html(table) + beside))
     if task == "rearrange":
         parts += [_section(t.key, t.title, to_html(t)) for t in tables if t.key in ("hitl", "contrasts")]
-    partners = partner_tables(runs, _PARTNER_METRICS[task])
+    partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
         css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"
         parts.append(_section(f"{task}-partners", "Policies and partners" + tail, f'<div class="{css}">{heats}</div>'))
     else:
-        missing.append(f"Policies by partner in {TASKS[task]}: all episodes have the same partner.")
+        missing.append(f"Policies by partner in {task_name(task)}: all episodes have the same partner.")
     lead = "<p class=quiet>Each bar counts episodes; the upright line is the mean.</p>"
     parts.append(_section(f"{task}-spread", "Distributions" + tail, lead + names + _panels(distribution_charts(runs))))
     if charts := time_charts(runs):
@@ -199,10 +197,9 @@ def _task_sections(
 
 def _highlighted(task: str, chosen: Sequence[Highlight], plans: Plans, assets: Sequence[Path], tail: str) -> Part:
     cards = "".join(highlight_card(highlight, plans, assets) for highlight in chosen)
-    first, *others = ranked_by(task)
+    ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
-        f"<p class=quiet>Ranked by {first}, then {', '.join(others)}. Plans: robot orange, person blue; a ring is the "
-        "start, a dot the end.</p>"
+        f"<p class=quiet>Ranked by {ranking}. Plans: robot orange, person blue; a ring is the start, a dot the end.</p>"
     )
     return _section(f"{task}-episodes", "Worst and best episodes" + tail, lead + cards)
 
@@ -219,7 +216,7 @@ def _foot() -> str:
 
 
 def _title(data: ReportData) -> str:
-    tasks = [name for task, name in TASKS.items() if data.of_task(task)]
+    tasks = [task_name(task) for task in data.tasks]
     return (" and ".join(tasks).capitalize() or "Recordings") + (
         f": {len(data.runs)} runs" if len(data.runs) > 1 else ""
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from h3data.metrics import Metric, metrics_of
 from h3data.metrics.paper.published import published_results
-from h3data_viewers.html_report.report_data import GRID_S, ReportEpisode, Run
+from h3data_viewers.html_report.report_data import GRID_S, Run
 from h3data_viewers.html_report.report_svg import Svg, axes, linear, tick_text, ticks, x_axis
 
 COLORS = 8
@@ -113,43 +113,39 @@ def _distribution(metric: Metric, runs: Sequence[Run]) -> str:
 
 # --- over time --------------------------------------------------------------------------------------------------------
 def time_charts(runs: Sequence[Run]) -> list[str]:
-    """Distance over time with quartiles, and the shares of episodes that have met their aim, and touched the person."""
+    """Distance over time with quartiles, and the shares of episodes that have reached each milestone of their profile."""
     kept = [(k, run) for k, run in enumerate(runs) if any(len(e.distance_m) for e in run.episodes)]
     if not kept:
         return []
     longest = _longest(kept)
-    if runs[0].task == "rearrange":
-        aim = ("Task done by then", "SR", _row_done)
-    else:
-        aim = ("Person found by then", "S", lambda e: e.metrics.encounter_row)
-    charts = [_distance(kept, longest, zone=runs[0].task == "social_nav")]
-    for title, decides, row_of in (aim, ("Person touched by then", "CR", lambda e: e.metrics.contact_row)):
-        known = [(k, run, [e for e in run.episodes if not np.isnan(e.metrics.values[decides])]) for k, run in kept]
+    layout = runs[0].profile.report
+    charts = [_distance(kept, longest, zone=layout.distance_zone_m)]
+    for milestone in layout.milestones:
+        known = [
+            (k, run, [e for e in run.episodes if not np.isnan(e.metrics.values[milestone.metric])]) for k, run in kept
+        ]
         times = [
-            (k, run, [e.seconds(row_of(e)) if row_of(e) >= 0 else np.inf for e in episodes])
+            (k, run, [e.seconds(e.metrics.moments[flag]) if flag in e.metrics.moments else np.inf for e in episodes])
+            for flag in (milestone.flag,)
             for k, run, episodes in known
             if episodes
         ]
         if times:
-            charts.append(_share(title, times, longest))
+            charts.append(_share(milestone.title, times, longest))
     return charts
-
-
-def _row_done(episode: ReportEpisode) -> int:
-    values = episode.metrics.values
-    return int(values["TS"]) - 1 if values["SR"] == 1 else -1
 
 
 def _longest(kept: Sequence[tuple[int, Run]]) -> float:
     return max(e.seconds(e.metrics.rows - 1) for _, run in kept for e in run.episodes)
 
 
-def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: bool) -> str:
+def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: tuple[float, float] | None) -> str:
     quartiles = [(k, run, _quartiles([e.distance_m for e in run.episodes])) for k, run in kept]
     high = max([2.5, *(float(np.nanmax(q)) for _, _, q in quartiles if q.size and not np.isnan(q).all())])
     svg, x, y = _panel(longest, high, "Distance of robot and person over time: median and quartiles", "seconds")
     if zone:
-        svg.rect(x(0), y(2), x(longest) - x(0), y(1) - y(2), "zone")
+        near, far = zone
+        svg.rect(x(0), y(far), x(longest) - x(0), y(near) - y(far), "zone")
     for k, _, q in quartiles:
         t = np.arange(q.shape[1]) * GRID_S
         known = ~np.isnan(q).any(0)
@@ -160,7 +156,7 @@ def _distance(kept: Sequence[tuple[int, Run]], longest: float, *, zone: bool) ->
         t = np.arange(q.shape[1]) * GRID_S
         svg.path([(x(a), y(b)) for a, b in zip(t, q[1], strict=True)], f"line {series_class(k)}")
     caption = "Distance [m]: median and quartiles of the episodes that last"
-    return _figure(svg, caption + ("; shaded: 1–2 m, following" if zone else ""))
+    return _figure(svg, caption + (f"; shaded: {zone[0]:g}–{zone[1]:g} m, following" if zone else ""))
 
 
 def _quartiles(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.float64]:

@@ -17,11 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics import EpisodeMetrics, MetricsTable, measure, tabulate
+from h3data.metrics import EpisodeMetrics, MetricsTable, Profile, tabulate
 from h3data.metrics.batch import find_sources, recordings
+from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
 from h3data.recording.storage import AnyPath
 
+_FIRST = ("social_nav", "rearrange")
+"""Tasks that a report begins with."""
 GRID_S = 0.5
 """Distances are kept at this spacing."""
 TRACK_S = 0.1
@@ -77,7 +80,9 @@ class Run:
     name: str
     policy: str
     task: str
-    """``social_nav`` or ``rearrange``."""
+    """As the profile calls it: ``social_nav``, ``rearrange``, or a task of another package."""
+    profile: Profile
+    """What measures the task, and says how it is shown."""
     episodes: tuple[ReportEpisode, ...]
     table: MetricsTable
 
@@ -98,13 +103,19 @@ class ReportData:
         """Of all runs."""
         return (episode for run in self.runs for episode in run.episodes)
 
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that there are episodes of: social navigation, rearrangement, then others as they come."""
+        there = dict.fromkeys(run.task for run in self.runs)
+        return tuple(sorted(there, key=lambda task: [*_FIRST, task].index(task)))
+
     def of_task(self, task: str) -> tuple[Run, ...]:
         """The runs of one task."""
         return tuple(run for run in self.runs if run.task == task)
 
 
 def gather(paths: Iterable[str | os.PathLike[str]]) -> ReportData:
-    """Read and measure every recording of datasets, logs and folders of logs by the profile ``paper``.
+    """Reads every recording of datasets, logs and folders of logs, and measures each by the profile of its task.
 
     Raises:
         InputError: there is no recording, or a path is given twice; what `tabulate` refuses.
@@ -117,26 +128,34 @@ def gather(paths: Iterable[str | os.PathLike[str]]) -> ReportData:
     if twice:
         raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
     grouped: dict[tuple[int, str, str], list[ReportEpisode]] = {}
+    profiles: dict[tuple[int, str, str], Profile] = {}
     unmeasured: dict[str, list[str]] = {}
     count = 0
     for place, root in enumerate(roots):
         for source in find_sources([root]):
-            for index, recording in enumerate(recordings([source], "paper")):
+            for index, recording in enumerate(recordings([source])):
                 count += 1
                 try:
-                    episode = _episode(source, index, recording)
+                    profile = profile_for(recording.episode.task, recording.episode.info)
+                    episode = _episode(source, index, recording, profile)
                 except InputError as fault:
                     unmeasured.setdefault(_reason(fault), []).append(
                         f"{source.name}#{index}" if source.is_dir() else source.name
                     )
                     continue
                 policy = episode.policy or root.stem or "unnamed"
-                grouped.setdefault((place, episode.metrics.task, policy), []).append(episode)
+                key = (place, episode.metrics.task, policy)
+                if profiles.setdefault(key, profile) is not profile:
+                    raise InputError(
+                        f"Episodes of {episode.metrics.task!r} by {policy!r} in {root} ask for two metrics profiles, "
+                        f"{profiles[key].name} and {profile.name}. Hint: report them separately."
+                    )
+                grouped.setdefault(key, []).append(episode)
     if not count:
         raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
     return ReportData(
         paths=roots,
-        runs=_runs(grouped, roots),
+        runs=_runs(grouped, profiles, roots),
         unmeasured={reason: tuple(names) for reason, names in unmeasured.items()},
         curves={root.name: curve for root in roots if (curve := read_curves(root / CURVES_FILE))},
     )
@@ -178,8 +197,8 @@ def read_curves(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 # --- inside -----------------------------------------------------------------------------------------------------------
-def _episode(source: AnyPath, index: int, recording: Recording) -> ReportEpisode:
-    metrics = measure(recording, "paper")
+def _episode(source: AnyPath, index: int, recording: Recording, profile: Profile) -> ReportEpisode:
+    metrics = profile.measure(recording)
     info = recording.episode.info
     tracks = tuple(
         Track(kind=agent.kind, xz=_sampled(recording.agent_column(i, "base_pose")[:, [0, 2]], metrics.dt_ns))
@@ -200,7 +219,11 @@ def _episode(source: AnyPath, index: int, recording: Recording) -> ReportEpisode
     )
 
 
-def _runs(grouped: Mapping[tuple[int, str, str], Sequence[ReportEpisode]], roots: Sequence[Path]) -> tuple[Run, ...]:
+def _runs(
+    grouped: Mapping[tuple[int, str, str], Sequence[ReportEpisode]],
+    profiles: Mapping[tuple[int, str, str], Profile],
+    roots: Sequence[Path],
+) -> tuple[Run, ...]:
     """Named by policy; where several datasets hold a policy, by dataset as well."""
     policies = [(task, policy) for _, task, policy in grouped]
     names: list[str] = []
@@ -210,8 +233,10 @@ def _runs(grouped: Mapping[tuple[int, str, str], Sequence[ReportEpisode]], roots
         if name in names and policies.count((task, policy)) > 1:
             name = f"{policy} ({roots[place]})"
         names.append(name)
-        table = tabulate((e.metrics for e in episodes), profile="paper")
-        runs.append(Run(name=name, policy=policy, task=task, episodes=tuple(episodes), table=table))
+        profile = profiles[place, task, policy]
+        table = tabulate((e.metrics for e in episodes), profile=profile.name)
+        run = Run(name=name, policy=policy, task=task, profile=profile, episodes=tuple(episodes), table=table)
+        runs.append(run)
     return tuple(runs)
 
 

@@ -144,6 +144,33 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
     )
 
 
+# --- any other task ---------------------------------------------------------------------------------------------------
+def task_table(name: str, runs: Sequence[Run]) -> Table:
+    """Means with intervals of each run, in the columns that the task's profile chooses."""
+    profile = runs[0].profile
+    shown = profile.report.columns or tuple(m.name for m in profile.metrics)
+    metrics = [m for m in profile.metrics if m.name in shown]
+    summaries = [run.table.summary() for run in runs]
+    best = _best([{m: s.mean for m, s in summary.items()} for summary in summaries], metrics)
+    rows = []
+    for k, (run, summary) in enumerate(zip(runs, summaries, strict=True)):
+        cells = []
+        for metric in metrics:
+            s, factor = summary[metric.name], 100.0 if metric.name in profile.report.percent else 1.0
+            cell = mean_cell(factor * s.mean, factor * s.low, factor * s.high, digits=_digits(metric))
+            cells.append(_strong(cell, k in best[metric.name]))
+        rows.append(Row(name=run.name, cells=tuple(cells), small=counted(len(run.episodes), "episode")))
+    title = profile.report.title or name.capitalize()
+    return Table(
+        key=runs[0].task,
+        title=title,
+        caption=f"{title}, by the metrics profile {profile.name}. Mean over episodes with 95 % interval.",
+        name_head="Policy",
+        columns=tuple(metric_column(m) for m in metrics),
+        sections=(Section(title="", rows=tuple(rows)),),
+    )
+
+
 # --- paired differences -----------------------------------------------------------------------------------------------
 def paired_tables(data: ReportData) -> list[Table]:
     """One table for each pair of runs over the same episodes, up to 6; with more runs, each against the first."""

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError
+from h3data.metrics import Profile
+from h3data.metrics.report_layout import Milestone
 from h3data_viewers.html_report.report_charts import series_class
 from h3data_viewers.html_report.report_data import GRID_S, ReportEpisode, Run, Track, read_whole
 from h3data_viewers.html_report.report_svg import Svg, linear
@@ -196,14 +198,14 @@ class Highlight:
     episode: ReportEpisode
 
 
-def ranked_by(task: str) -> tuple[str, ...]:
-    """Metrics that say which episode of a task is better, the first one first."""
-    return ("SR", "RE", "TS") if task == "rearrange" else ("F", "SPS", "S")
+def ranked_by(profile: Profile) -> tuple[str, ...]:
+    """Metrics that say which episode is better, the most important first."""
+    return profile.report.ranking or tuple(m.name for m in profile.metrics if m.direction != "neither")[:3]
 
 
 def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     """Up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
-    ranked = [sorted(run.episodes, key=lambda e: _score(e, run.task)) for run in runs]
+    ranked = [sorted(run.episodes, key=lambda e: _score(e, run.profile)) for run in runs]
     chosen: list[Highlight] = []
     for depth in range(max(map(len, ranked), default=0)):
         for kind in ("worst", "best"):
@@ -215,9 +217,10 @@ def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     return sorted(chosen, key=lambda h: (h.place, h.kind == "best"))
 
 
-def _score(episode: ReportEpisode, task: str) -> tuple[float, ...]:
-    values = [episode.metrics.values.get(name, np.nan) for name in ranked_by(task)]
-    signs = [-1.0 if name == "TS" else 1.0 for name in ranked_by(task)]
+def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:
+    values = [episode.metrics.values.get(name, np.nan) for name in ranked_by(profile)]
+    lower = {m.name for m in profile.metrics if m.direction == "lower"}
+    signs = [-1.0 if name in lower else 1.0 for name in ranked_by(profile)]
     return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
 
 
@@ -230,7 +233,7 @@ def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Pa
 
     episode = highlight.episode
     tag = highlight.kind if len(highlight.run.episodes) > 1 else "only one"
-    rows = key_rows(episode)
+    rows = key_rows(episode, highlight.run.profile.report.milestones)
     scene, frames, missing = None, [], ""
     try:
         replay = Replay(read_whole(episode), assets=assets)
@@ -272,8 +275,8 @@ def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Pa
     )
 
 
-def key_rows(episode: ReportEpisode) -> list[tuple[int, str]]:
-    """Up to four rows that tell the story, with what happens there."""
+def key_rows(episode: ReportEpisode, milestones: Sequence[Milestone] = ()) -> list[tuple[int, str]]:
+    """Up to five rows that tell the story, with what happens there: start, end, milestones, the encounter."""
     metrics = episode.metrics
     last = metrics.rows - 1
     if last < 0:
@@ -288,6 +291,10 @@ def key_rows(episode: ReportEpisode) -> list[tuple[int, str]]:
         rows.setdefault(2 * last // 3, "two thirds of the episode")
     if 0 <= contact < last:
         rows[contact] = "first contact"
+    for milestone in milestones:
+        row = metrics.moments.get(milestone.flag)
+        if row is not None and row not in (found, contact):
+            rows[row] = milestone.label
     return sorted(rows.items())[:5]
 
 

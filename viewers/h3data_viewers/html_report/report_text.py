@@ -6,27 +6,19 @@ from collections.abc import Sequence
 from datetime import date
 from html import escape
 
-from h3data.metrics import Metric, metrics_of
-from h3data.metrics.paper.published import published_results
+from h3data.metrics import Metric
 from h3data_viewers.html_report.report_data import ReportData
 from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, counted, number, to_html
 
 TASKS = {"social_nav": "social navigation", "rearrange": "social rearrangement"}
-"""What reports call the tasks, in their order."""
+"""Names of the paper's tasks."""
 _LISTED = 5_000
 """At most so many episodes are listed one by one."""
-_PHRASES = {
-    "social_nav": {
-        "S": "finds the person in",
-        "F": "follows at a rate F of",
-        "CR": "touches the person in",
-    },
-    "rearrange": {
-        "SR": "completes the task in",
-        "RE": "has a relative efficiency of",
-        "CR": "touches the person in",
-    },
-}
+
+
+def task_name(task: str) -> str:
+    """What reports call a task."""
+    return TASKS.get(task, task.replace("_", " "))
 
 
 def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Sequence[tuple[str, str]]) -> str:
@@ -74,11 +66,15 @@ def _findings(data: ReportData) -> list[str]:
     lines = []
     for run in data.runs:
         summary, metrics = run.table.summary(), {m.name: m for m in run.table.metrics}
-        paper = published_results().social_nav.row_of(run.policy) if run.task == "social_nav" else None
+        layout = run.profile.report
+        row = layout.published().row_of(run.policy) if layout.published else None
+        published = row.values if row else {}
         said = []
-        for name, phrase in _PHRASES[run.task].items():
+        for name, phrase in (
+            layout.findings or {m.name: f"{m.title.lower()}:" for m in run.profile.metrics[:3]}
+        ).items():
             if summary[name].count:
-                beside = f" (paper: {_in_words(metrics[name], paper.values[name][0])})" if paper else ""
+                beside = f" (paper: {_in_words(metrics[name], published[name][0])})" if name in published else ""
                 said.append(f"{phrase} {_in_words(metrics[name], summary[name].mean)}{beside}")
         lines.append(f"{run.name} ({counted(len(run.episodes), 'episode')}) {', '.join(said)}.")
     return lines
@@ -93,8 +89,8 @@ def _in_words(metric: Metric, mean: float) -> str:
 def episode_list(data: ReportData) -> str:
     """A table per task, folded; it can be sorted."""
     parts = []
-    for task, name in TASKS.items():
-        runs = data.of_task(task)
+    for task in data.tasks:
+        name, runs = task_name(task), data.of_task(task)
         rows = [
             Row(
                 name=e.metrics.episode_id,
@@ -120,7 +116,7 @@ def episode_list(data: ReportData) -> str:
             name_head="Episode",
             columns=(
                 *(Column(head=head) for head in ("Run", "Partner", "Scene", "Steps")),
-                *(Column(head=m.name, hint=m.title) for m in metrics_of("paper", task)),
+                *(Column(head=m.name, hint=m.title) for m in runs[0].profile.metrics),
             ),
             sections=(Section(title="", rows=tuple(shown)),),
         )
@@ -130,7 +126,9 @@ def episode_list(data: ReportData) -> str:
 
 def meanings(data: ReportData) -> str:
     """Definitions of the metrics that are shown, and what had to be assumed."""
-    terms = [m for task in TASKS if data.of_task(task) for m in metrics_of("paper", task)]
+    terms = list(dict.fromkeys(m for run in data.runs for m in run.profile.metrics))
+    profiles = dict.fromkeys(run.profile.name for run in data.runs)
+    named = " and ".join(f"<code>{escape(name)}</code>" for name in profiles)
     notes = [
         f"{run.name}, {name}: {text} ({times} of {len(run.episodes)} episodes)"
         for run in data.runs
@@ -139,8 +137,8 @@ def meanings(data: ReportData) -> str:
     ]
     said = "".join(f"<li>{escape(line)}</li>" for line in notes)
     return (
-        "<p>Computed from the recordings alone by the profile <code>paper</code> of h3data. Intervals hold 95 %: Wilson's "
-        "for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. An episode that does not "
+        f"<p>Computed from the recordings alone by the metrics profile{'s' * (len(profiles) > 1)} {named}. Intervals hold "
+        "95 %: Wilson's for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. An episode that does not "
         "define a metric is left out of its mean.</p>"
         f'<dl class="definitions-list">{"".join(map(_definition, terms))}</dl>'
         + (f'<h3>Notes of the measurement</h3><ul class="notes">{said}</ul>' if said else "")
