@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,10 +56,10 @@ class PointGoal(Task):
     """Be at a point near the person, and nearer to them than ``personal_m`` as seldom as possible."""
 
     Spec = PointGoalSpec
-    columns: Mapping[str, Any] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
-    skills: Mapping[str, tuple[str, ...]] = {"robot": ("drive", "wait")}
-    policies: Mapping[str, Mapping[str, Any]] = {"robot": {"drive_to_goal": drive_to_goal}}
-    defaults: Mapping[str, str] = {"robot": "drive_to_goal", "human": "waypoints"}
+    columns: ClassVar[Mapping[str, Any]] = {"metrics.goal_distance": np.float32, "metrics.disturbs": np.bool_}
+    skills: ClassVar[Mapping[str, tuple[str, ...]]] = {"robot": ("drive", "wait")}
+    policies: ClassVar[Mapping[str, Mapping[str, Any]]] = {"robot": {"drive_to_goal": drive_to_goal}}
+    defaults: ClassVar[Mapping[str, str]] = {"robot": "drive_to_goal", "human": "waypoints"}
 
     def sample(self, scene: Any, free: Any, seed: int, spec: PointGoalSpec, roster: Any) -> Episode:
         """Starts as in every task; the goal is on the free floor, at walking distance of the person's start."""

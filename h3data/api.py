@@ -65,7 +65,7 @@ def render_frame(
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
 
 
-def make(task: str, *args: Any, **options: Any) -> Any:
+def make(task: Any, *args: Any, **options: Any) -> Any:
     """A training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)`` (docs/environments.md).
 
     Arguments are those of `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the
@@ -78,12 +78,12 @@ def make(task: str, *args: Any, **options: Any) -> Any:
     return _simulator("envs.make").make(task, *args, **options)
 
 
-def session(task: str, *args: Any, **options: Any) -> Any:
+def session(task: Any, *args: Any, **options: Any) -> Any:
     """An episode to be played one step at a time: `sim_kinematic.tasks.sessions.session`."""
     return _simulator("tasks.sessions").session(task, *args, **options)
 
 
-def simulate(task: str, *args: Any, **options: Any) -> Recording:
+def simulate(task: Any, *args: Any, **options: Any) -> Recording:
     """One episode played under policies: `sim_kinematic.tasks.sessions.simulate`."""
     return _simulator("tasks.sessions").simulate(task, *args, **options)
 

@@ -18,7 +18,7 @@ from h3data.errors import H3DataError, InputError, PluginError, did_you_mean
 
 T = TypeVar("T")
 
-_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 """``module:name``, as in an entry point."""
 
 
@@ -106,7 +106,7 @@ class Registry(Generic[T]):
             raise PluginError(self._conflict(name, claims))
         if claims:
             return self._load(claims[0])
-        if _REFERENCE.fullmatch(name):
+        if REFERENCE.fullmatch(name):
             return self._load(Plugin(name, name))
         known = self.names()
         raise InputError(

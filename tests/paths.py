@@ -5,6 +5,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"
 EXAMPLES = ROOT / "examples"
+DOCS = ROOT / "docs"
 
 REAL = ROOT.parent / "shared" / "real"
 """Real Habitat files, which are not part of the repository."""

@@ -6,8 +6,8 @@ from h3data.bodies.people.humanoid_file import humanoid_names, load_humanoid
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.bodies.robots.ik import IkResult, solve_ik
 from h3data.bodies.robots.robot import JointTargets, Robot, RobotCamera, RobotLeg, RobotLink
-from h3data.bodies.robots.robot_files import is_robot_file, robot_names
-from h3data.bodies.robots.robot_loading import load_robot
+from h3data.bodies.robots.robot_files import is_robot, is_robot_file, robot_names
+from h3data.bodies.robots.robot_loading import guess_robot_settings, load_robot
 from h3data.bodies.robots.urdf import Urdf, read_urdf
 
 __all__ = [
@@ -24,7 +24,9 @@ __all__ = [
     "RobotLink",
     "SkinnedMesh",
     "Urdf",
+    "guess_robot_settings",
     "humanoid_names",
+    "is_robot",
     "is_robot_file",
     "load_humanoid",
     "load_robot",

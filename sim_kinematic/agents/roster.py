@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from h3data.bodies import Robot, humanoid_names, is_robot_file, load_humanoid, load_robot, robot_names
+from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_names
 from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
@@ -76,7 +76,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         return kind, model if colon else human
     if name in humanoid_names() or str(name).endswith(".npz"):
         return "human", name
-    if isinstance(name, str) and name and (name in robot_names() or is_robot_file(name)):
+    if isinstance(name, str) and is_robot(name):
         return "robot", name
     known = ("robot", "human", *robot_names(), *humanoid_names())
     raise InputError(

@@ -68,10 +68,10 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
     frames = robot.link_matrices(IDENTITY_POSE[None], zeros[None])[0]
     tops = [_points(robot, k, frames)[:, 1].max() for k in body if robot.links[k].shapes]
     return RobotSettings(
-        base_height_m=round(height, 4),
-        body_height_m=round(max([top + height for top in tops], default=0.5), 3),
-        base_discs_m=tuple(round(x, 3) for x in discs),
-        base_radius_m=radius,
+        base_height_m=round(float(height), 4),
+        body_height_m=round(float(max([top + height for top in tops], default=0.5)), 3),
+        base_discs_m=tuple(round(float(x), 3) for x in discs),
+        base_radius_m=float(radius),
         rest=tuple(round(float(q), 3) for q in rest),
         hand_link="" if hand is None else robot.links[hand.link].name,
         hand_position=(0.0, 0.0, 0.0) if hand is None else _vector(hand.position),

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+import os
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from h3data.bodies.robots.robot_settings import decode_settings
 from h3data.builtin import builtin_path
 from h3data.errors import InputError, did_you_mean
+from h3data.plugins import REFERENCE, Registry
 
 SETTINGS_NAME = "robot.toml"
+
+
+def _check(loaded: Any) -> None:
+    if not isinstance(loaded, str | os.PathLike) or not is_robot_file(Path(loaded)):
+        raise InputError(f"expected the path of a .urdf, of a robot.toml, or of a folder with one, got {loaded!r}")
+
+
+@cache
+def _built_in() -> dict[str, Path]:
+    """Folders of the built-in robots by name."""
+    return {path.parent.name: path.parent for path in sorted(builtin_path("robots").glob("*/robot.urdf"))}
+
+
+@cache
+def _registry() -> Registry[Any]:
+    """Paths of robots: built-in ones, and those of packages (entry points of the group ``h3data.robots``)."""
+    return Registry("h3data.robots", _built_in(), what="robot", check=_check)
 
 
 class RobotFiles(NamedTuple):
@@ -21,8 +41,16 @@ class RobotFiles(NamedTuple):
 
 
 def robot_names() -> tuple[str, ...]:
-    """Names of the built-in robots, sorted."""
-    return tuple(sorted(path.parent.name for path in builtin_path("robots").glob("*/robot.urdf")))
+    """Names of the built-in robots, then of those of installed packages."""
+    return _registry().names()
+
+
+def is_robot(name_or_path: str | Path) -> bool:
+    """Whether `find_robot` may know a robot by this: a name, ``module:name``, or the path of its files."""
+    text = str(name_or_path)
+    return text in _built_in() or (
+        bool(text) and (is_robot_file(text) or bool(REFERENCE.fullmatch(text)) or text in robot_names())
+    )
 
 
 def is_robot_file(path: str | Path) -> bool:
@@ -34,15 +62,18 @@ def is_robot_file(path: str | Path) -> bool:
 
 
 def find_robot(name_or_path: str | Path) -> RobotFiles:
-    """Returns the files of a robot by name (`robot_names`), or by the path of its URDF, its ``robot.toml`` or its folder.
+    """Returns the files of a robot by name (`robot_names`), ``module:name``, or path of its URDF, ``robot.toml`` or folder.
 
     Raises:
         InputError: There is no such robot, or its folder does not say which of several URDFs is meant.
+        PluginError: The package that offers it cannot be used.
         FormatError: Its ``robot.toml`` cannot be read.
     """
-    if str(name_or_path) in robot_names():
-        return _in_folder(builtin_path("robots") / str(name_or_path))
-    path = Path(name_or_path)
+    text, path = str(name_or_path), Path(name_or_path)
+    if text in _built_in():
+        return _in_folder(_built_in()[text])
+    if not is_robot_file(path) and (text in robot_names() or REFERENCE.fullmatch(text)):
+        path = Path(_registry().get(text))
     if path.suffix.lower() == ".urdf":
         return RobotFiles(path, _settings_beside(path))
     if path.name == SETTINGS_NAME and not path.is_dir():
@@ -52,8 +83,8 @@ def find_robot(name_or_path: str | Path) -> RobotFiles:
     if is_robot_file(path):
         return _in_folder(path)
     raise InputError(
-        f"No built-in robot {str(name_or_path)!r}.{did_you_mean(str(name_or_path), robot_names())} There are: "
-        f"{', '.join(robot_names()) or 'none'}; or give the path of a .urdf, of a robot.toml, or of a folder with one."
+        f"Unknown robot {text!r}.{did_you_mean(text, robot_names())} Expected one of: "
+        f"{', '.join(robot_names())}; or the path of a .urdf, of a robot.toml, or of a folder with one."
     )
 
 

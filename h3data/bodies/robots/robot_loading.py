@@ -46,6 +46,17 @@ def load_robot(name_or_path: str | Path, *, up: Literal["z", "y"] = "z", fill_in
     return _loaded(files, up, fill_in, *map(_version, files))
 
 
+def guess_robot_settings(urdf: str | Path, *, up: Literal["z", "y"] = "z") -> RobotSettings:
+    """Returns the settings that `load_robot` guesses for a URDF without a ``robot.toml``.
+
+    Raises:
+        InputError: There is no such file.
+        FormatError: It is not a usable URDF.
+    """
+    read, sure = with_stand_ins(read_urdf(urdf, allow_missing=True))
+    return guess_settings(_robot(read, RobotSettings(), up), sure)
+
+
 @lru_cache(maxsize=32)
 def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: tuple[int, int]) -> Robot:
     del versions  # only part of the key: changed files are read again
@@ -54,10 +65,10 @@ def _loaded(files: RobotFiles, up: Literal["z", "y"], fill_in: bool, *versions: 
         robot = _robot(urdf, read_settings(files.settings, urdf), up)
     else:
         urdf, sure = with_stand_ins(urdf)
-        guessed = files.settings is None
-        settings = (
-            guess_settings(_robot(urdf, RobotSettings(), up), sure) if guessed else read_settings(files.settings, urdf)
-        )
+        if files.settings is None:
+            settings = guess_settings(_robot(urdf, RobotSettings(), up), sure)
+        else:
+            settings = read_settings(files.settings, urdf)
         robot = _robot(urdf, settings, up)
     return robot if len(robot.hull_discs) else replace(robot, hull_discs=resting_hull(robot))
 

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 import tyro
 
-from h3data.bodies import Robot, load_robot, robot_names, solve_ik
+from h3data.bodies import Robot, guess_robot_settings, load_robot, robot_names, solve_ik
+from h3data.bodies.robots.robot_files import SETTINGS_NAME
+from h3data.bodies.robots.robot_settings import encode_settings
 from h3data.errors import InputError
 from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
@@ -108,9 +111,41 @@ class RobotsReach:
         return Outcome(text="\n".join(lines), data=data, exit_code=0 if found.reached else 1)
 
 
+@dataclass(frozen=True)
+class RobotsInit:
+    """Write a robot.toml for a URDF, to be edited: what h3data guesses about its base, arm, hand, cameras and posture.
+
+    Put beside the URDF, the file is used from then on; docs/robots.md explains its fields.
+
+    Examples:
+        h3data robots init fetch.urdf
+        h3data robots init my_robot/my_robot.urdf -o my_robot/robot.toml --force
+    """
+
+    urdf: tyro.conf.Positional[Path]
+    """The .urdf file."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """File to write (default: robot.toml beside the URDF)."""
+    up: UpChoice = "z"
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        settings = guess_robot_settings(self.urdf, up=self.up)
+        target = claim_file(self.out or self.urdf.with_name(SETTINGS_NAME), force=self.force)
+        reference = self.urdf.name if target.parent.resolve() == self.urdf.parent.resolve() else self.urdf.resolve()
+        settings = msgspec.structs.replace(settings, urdf=str(reference))
+        header = "# What a URDF cannot say about a robot, guessed by h3data; docs/robots.md explains the fields.\n"
+        target.write_text(header + encode_settings(settings), encoding="utf-8")
+        hand = f"hand {settings.hand_link}" if settings.hand_link else "no hand found"
+        discs = f"{len(settings.base_discs_m)} base discs of {settings.base_radius_m} m"
+        text = f"wrote {target}: {discs}, {hand}, cameras: {', '.join(c.name for c in settings.cameras) or 'none'}"
+        return Outcome(text=text, data={"file": str(target), "settings": msgspec.to_builtins(settings)})
+
+
 ROBOTS = Group(
-    "Robots: show the built-in ones or any URDF, ask what their hand reaches.",
-    {"show": RobotsShow, "reach": RobotsReach},
+    "Robots: show the built-in ones or any URDF, ask what their hand reaches, begin a robot.toml.",
+    {"show": RobotsShow, "reach": RobotsReach, "init": RobotsInit},
 )
 
 
