@@ -143,6 +143,9 @@ def _section(key: str, title: str, html: str) -> Part:
 
 
 def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
+    others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
+    if len(others) == len(data.tasks):
+        return others  # of a study of another task nobody expects the paper's tables
     tables = []
     if runs := data.of_task("social_nav"):
         tables.append(social_nav_table(runs))
@@ -160,7 +163,7 @@ def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
             missing.append(f"Human-in-the-loop study: {why}.")
     else:
         missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
-    return [*tables, *(task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS)]
+    return [*tables, *others]
 
 
 def _task_sections(

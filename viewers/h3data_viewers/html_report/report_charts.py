@@ -47,7 +47,7 @@ def _estimates(metric: Metric, runs: Sequence[Run], paper: Sequence) -> str:
     summaries = [run.table.summary()[metric.name] for run in runs]
     published = [(row.name, row.values[metric.name]) for row in paper if metric.name in row.values]
     ends = [v for s in summaries for v in (s.mean, s.high) if np.isfinite(v)] + [v[0] for _, v in published]
-    high = 1.0 if metric.unit == "1" else max(ends, default=1.0) * 1.08
+    high = 1.0 if metric.range == (0.0, 1.0) else max(ends, default=1.0) * 1.08
     bottom = 8 + _ROW * (len(runs) + len(published)) + (8 if published else 0)
     alt = f"{metric.title}: " + "; ".join(f"{r.name} {s.mean:.2f}" for r, s in zip(runs, summaries, strict=True))
     svg = Svg(_WIDTH, bottom + 38, alt)
@@ -88,7 +88,9 @@ def _distribution(metric: Metric, runs: Sequence[Run]) -> str:
         return ""
     everything = np.concatenate(columns)
     low, high = (
-        (0.0, 1.0) if metric.unit == "1" else (min(0.0, everything.min()), float(everything.max()) * 1.02 or 1.0)
+        (0.0, 1.0)
+        if metric.range == (0.0, 1.0)
+        else (min(0.0, everything.min()), float(everything.max()) * 1.02 or 1.0)
     )
     lane = 44.0
     bottom = 6 + lane * len(runs)
