@@ -8,11 +8,16 @@ import numpy as np
 
 from h3data.geometry import Array, pose_to_matrix
 from h3data.scene import Instance, Scene
-from sim_kinematic.contact import MovingShapes, collide
+from sim_kinematic.contact import MovingShapes, collide, contacts
 from sim_kinematic.contact.clearance import scenery_of
 
 SUNK_M = 0.01
 """A thing may be put this deep into what carries it: recorded goals float 1 mm above a surface, a hand errs by 1 cm."""
+INSIDE_M = 0.025
+"""A thing may be this deep in what stands beside it: sampled goals keep to the surface that carries them, not out of its own
+edges (1 of 16 goals in small homes is 2.1 cm in one)."""
+UPRIGHT = 0.7
+"""A contact counts as one from the side where the vertical part of its normal is smaller."""
 SUPPORT_M = 0.05
 """What carries a thing is at most this far below it."""
 APART_M = 0.01
@@ -40,7 +45,7 @@ class ObjectRoom:
     def refusal(self, k: int, pose: Array, poses: Array) -> str:
         """Why object ``k`` cannot be put down at a pose7, beside the others at ``poses`` [K, 7]: ``no_space``,
         ``no_support``, or nothing."""
-        if pose[1] + self._extents[k][1] < self._floor_y - SUNK_M or self._collides(k, pose, SUNK_M):
+        if pose[1] + self._extents[k][1] < self._floor_y - SUNK_M or self._is_inside(k, pose):
             return "no_space"
         things = [(poses[n, :3], self._extents[n]) for n in range(len(poses)) if n != k] + self._others
         radius, low, high = self._extents[k]
@@ -67,6 +72,13 @@ class ObjectRoom:
         result = pose.copy()
         result[1] += down
         return result
+
+    def _is_inside(self, k: int, pose: Array) -> bool:
+        """Whether the object is in something static deeper than it may be."""
+        return self._collides(k, pose, SUNK_M) and any(
+            contact.depth_m > INSIDE_M or abs(contact.normal[1]) > UPRIGHT
+            for contact in contacts(self._scenery, self._shapes[k])
+        )
 
     def _collides(self, k: int, pose: Array, lift_m: float) -> bool:
         """Whether the object touches something static at a pose7 that is ``lift_m`` higher."""
