@@ -61,7 +61,7 @@ def test_reach_tells_joints_and_whether_it_gets_there(capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["show", "spot"], "No built-in robot 'spot'"),
+        (["show", "spot"], "Unknown robot 'spot'"),
         (["show", "-o", "robots.gif"], "ends in .png or .jpg"),
         (["show", "-o", "robots.png", "--views", "0"], "--views 1 to 24"),
         (["show", "-o", "robots.png", "--width", "9999999"], "--width 200 to 8000"),

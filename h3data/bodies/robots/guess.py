@@ -34,6 +34,8 @@ TIGHT = 1.25
 """Discs of a row are wide enough at this many times half the width of the base; more discs would be hardly narrower."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
+HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
+"""The camera of a hand is this far above its shapes and behind what it holds; it looks at a point this far ahead."""
 SNAP = 0.9
 """A direction within 26 degrees (this cosine) of an axis of its link is taken for the axis."""
 
@@ -178,7 +180,8 @@ def _cameras(robot: Robot, hand: Hand | None, frames: Array) -> list[CameraSetti
     """One on the hand, and one where the robot's own camera is: an optical frame, else a camera, else its head."""
     cameras = []
     if hand is not None:
-        cameras.append(_camera("robot_arm", robot, hand.link, hand.forward, hand.up, (224, 171), hand.position))
+        eye, view = _over_the_hand(robot, hand)
+        cameras.append(_camera("robot_arm", robot, hand.link, view, hand.up, (224, 171), eye))
     named = [k for k, link in enumerate(robot.links) if re.search(EYES, link.name.lower())]
     ranks = ("rgb_optical|color_optical", "optical", "rgb|color", "camera|eye", "head")
     eyes = [k for rank in ranks for k in named if re.search(rank, robot.links[k].name.lower())]
@@ -187,6 +190,17 @@ def _cameras(robot: Robot, hand: Hand | None, frames: Array) -> list[CameraSetti
         forward, up = (np.eye(3)[2], -np.eye(3)[1]) if optical else _level(frames[eyes[0]])
         cameras.append(_camera("robot_head", robot, eyes[0], forward, up, (480, 640)))
     return cameras
+
+
+def _over_the_hand(robot: Robot, hand: Hand) -> tuple[Array, Array]:
+    """Position and viewing direction of a camera above a hand, in its link's frame.
+
+    Between the fingers, where things are held, it would see nothing but these.
+    """
+    shapes = robot.links[hand.link].shapes
+    tops = [float((shape_points(shape) @ hand.up).max() - hand.position @ hand.up) for shape in shapes]
+    eye = hand.position + hand.up * (max([*tops, 0.0]) + HAND_CAMERA_UP_M) - hand.forward * HAND_CAMERA_BACK_M
+    return eye, normalized(hand.position + hand.forward * HAND_CAMERA_AIM_M - eye)
 
 
 def _level(frame: Array) -> tuple[Array, Array]:

@@ -18,6 +18,8 @@ SETTINGS_NAME = "robot.toml"
 def _check(loaded: Any) -> None:
     if not isinstance(loaded, str | os.PathLike) or not is_robot_file(Path(loaded)):
         raise InputError(f"expected the path of a .urdf, of a robot.toml, or of a folder with one, got {loaded!r}")
+    if not Path(loaded).exists():
+        raise InputError(f"expected a .urdf, a robot.toml, or a folder with one, found none there: {loaded}")
 
 
 @cache
@@ -72,7 +74,9 @@ def find_robot(name_or_path: str | Path) -> RobotFiles:
     text, path = str(name_or_path), Path(name_or_path)
     if text in _built_in():
         return _in_folder(_built_in()[text])
-    if not is_robot_file(path) and (text in robot_names() or REFERENCE.fullmatch(text)):
+    # `origin` also knows a name that two packages claim, which `robot_names` leaves out: the registry then names both
+    claimed = REFERENCE.fullmatch(text) or _registry().origin(text) != repr(text)
+    if not is_robot_file(path) and claimed:
         path = Path(_registry().get(text))
     if path.suffix.lower() == ".urdf":
         return RobotFiles(path, _settings_beside(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,8 +14,10 @@ import tyro
 from h3data.bodies import Robot, guess_robot_settings, load_robot, robot_names, solve_ik
 from h3data.bodies.robots.robot_files import SETTINGS_NAME
 from h3data.bodies.robots.robot_settings import encode_settings
-from h3data.errors import InputError
+from h3data.errors import H3DataError, InputError
 from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
+
+log = logging.getLogger(__name__)
 
 UpChoice = Annotated[
     Literal["z", "y"], tyro.conf.arg(help="Axis of a URDF's base frame that points up; Habitat's own robots have y.")
@@ -32,7 +35,7 @@ class RobotsShow:
     """
 
     names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Built-in robots or .urdf files; nothing means all built-in ones."""
+    """Names of robots, or .urdf files; nothing means all robots with a name."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """PNG or JPEG file to write."""
     views: int = 6
@@ -46,7 +49,7 @@ class RobotsShow:
     def run(self) -> Outcome:
         from h3data.render.image_files import write_image
 
-        robots = [load_robot(name, up=self.up) for name in self.names or robot_names()]
+        robots = [load_robot(name, up=self.up) for name in self.names] or _usable_robots(self.up)
         rows = [_row(robot) for robot in robots]
         if self.out is None:
             return Outcome(text="\n".join(_line(row) for row in rows), data={"robots": rows})
@@ -147,6 +150,17 @@ ROBOTS = Group(
     "Robots: show the built-in ones or any URDF, ask what their hand reaches, begin a robot.toml.",
     {"show": RobotsShow, "reach": RobotsReach, "init": RobotsInit},
 )
+
+
+def _usable_robots(up: Literal["z", "y"]) -> list[Robot]:
+    """All robots with a name; warns about those of installed packages that cannot be loaded, and leaves them out."""
+    robots = []
+    for name in robot_names():
+        try:
+            robots.append(load_robot(name, up=up))
+        except H3DataError as fault:
+            log.warning("Ignored: %s", fault)
+    return robots
 
 
 def _row(robot: Robot) -> dict[str, Any]:

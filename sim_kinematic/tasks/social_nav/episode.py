@@ -65,7 +65,7 @@ def sample_pair_starts(
     """
     rng = generator(seed, "spawn")
     base_fits = partial(discs_fit, free, spec.robot)
-    farthest = 0.0
+    farthest, misfits = 0.0, 0
     for _ in range(200):
         robot_xz, human_xz = free.sample(rng, 2)
         robot_heading, human_heading = rng.uniform(-np.pi, np.pi, 2)
@@ -82,9 +82,11 @@ def sample_pair_starts(
                 human_xz=human_xz,
                 human_heading=float(human_heading),
             )
+        misfits += 1
+    narrow = f" At {misfits} of these pairs the robot did not fit: base_discs_m and base_radius_m of its robot.toml say its size."
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
-        f"{farthest:.1f} m apart). Hint: a smaller --spawn-distance, or a larger home."
+        f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller --spawn-distance, or a larger home."
     )
 
 

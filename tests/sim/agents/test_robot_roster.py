@@ -93,12 +93,12 @@ def test_kinds_may_be_named_with_their_bodies() -> None:
 @pytest.mark.parametrize(
     ("agents", "message"),
     [
-        ("robot:", "No built-in robot ''"),
-        ("robot:female_0", "No built-in robot 'female_0'"),
+        ("robot:", "Unknown robot ''"),
+        ("robot:female_0", "Unknown robot 'female_0'"),
         ("human:quad_arm", "No built-in humanoid 'quad_arm'"),
         ("robot:no/such.urdf", "found none there: no/such.urdf"),
         ("no/such/robot.toml", "found none there: no/such/robot.toml"),
-        ("cat:quad_arm", "Unknown agent 'cat:quad_arm'"),
+        ("cat:no-such", "Unknown agent 'cat:no-such'"),
         ("quadarm", "Did you mean 'quad_arm'"),
     ],
 )
