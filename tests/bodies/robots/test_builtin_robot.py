@@ -237,7 +237,7 @@ def test_wrong_joint_count_is_refused(robot: Robot) -> None:
 
 
 def test_unknown_names_say_what_there_is(robot: Robot) -> None:
-    with pytest.raises(InputError, match=r"No built-in robot 'spot'.*quad_arm"):
+    with pytest.raises(InputError, match=r"Unknown robot 'spot'.*quad_arm"):
         load_robot("spot")
     with pytest.raises(InputError, match=r"no camera 'x'.*robot_arm"):
         robot.camera("x")
