@@ -17,7 +17,7 @@ from h3data.bodies.people.reach import Hand
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_inverse, pose_multiply, pose_to_matrix
 from h3data.scene import Scene
 from sim_kinematic.agents.person import Person
-from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, contacts, shapes_from_capsules
+from sim_kinematic.contact import MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of
 
 TOLERANCE_M = 0.02
@@ -66,20 +66,15 @@ class ReachRoom:
         """Whether she can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
         base = ground_pose(stand[:2], float(stand[2]), self._floor_y)
         frames = pose_to_matrix(base) @ self._capsules(base, np.asarray(point, np.float64), hand)
-        allowed = self._supports(point)
         trunk, arm = self._parts[hand]
-        for pose in frames[::-1]:  # at the point she leans most
-            trunk.shapes.set_transforms(pose[trunk.rows])
-            if collide(self._scenery, trunk.shapes):
-                return False
-            arm.shapes.set_transforms(pose[arm.rows])
-            if any(self._scenery.names[c.index_a] not in allowed for c in contacts(self._scenery, arm.shapes)):
-                return False
-        return True
+        if trunk.shapes.touches_along(self._scenery, frames[:, trunk.rows]):
+            return False
+        return not arm.shapes.touches_along(self._scenery, frames[:, arm.rows], except_for=self._supports(point))
 
     def _supports(self, point: Array) -> set[str]:
-        foot = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M, 0.0])
-        self._below.set_transforms(capsule_transforms(foot[None], np.asarray(point, np.float64)[None]))
+        upright = np.eye(4)
+        upright[:3, 3] = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M / 2, 0.0])
+        self._below.set_transforms(upright[None])
         return {self._scenery.names[c.index_a] for c in contacts(self._scenery, self._below)}
 
     def _capsules(self, base: Array, point: Array, hand: Hand) -> NDArray[np.floating]:

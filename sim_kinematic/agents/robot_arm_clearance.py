@@ -68,6 +68,8 @@ class ArmClearance:
         over = np.asarray(point, np.float64) + np.array([0.0, APPROACH_M, 0.0])
         raised = np.array([shoulder[0], over[1], shoulder[2]])
         start, end = np.stack([shoulder, raised]), np.stack([raised, over])
+        if not self._scenery.is_near(start, end, LINE_RADIUS_M):
+            return True
         line = MovingShapes(shapes_from_capsules(start, end, LINE_RADIUS_M))
         line.set_transforms(capsule_transforms(start, end))
         return not collide(self._scenery, line)
@@ -82,12 +84,10 @@ class ArmClearance:
         way = self._way(round(distance, 3), round(float(point[1]) - self._floor_y, 3))
         if way is None:
             return False
-        for part, frames in zip((self._hand, self._arm), way, strict=True):
-            for pose in (base @ frames)[::-1]:  # where it is farthest out
-                part.shapes.set_transforms(pose)
-                if collide(self._scenery, part.shapes):
-                    return False
-        return True
+        return not any(
+            part.shapes.touches_along(self._scenery, base @ frames)
+            for part, frames in zip((self._hand, self._arm), way, strict=True)
+        )
 
     def _way(self, distance: float, height: float) -> tuple[Array, Array] | None:
         """Frames in the root frame of the shapes of hand [T, H, 4, 4] and arm [T + 1, S, 4, 4] on their way to what lies so far

@@ -66,6 +66,7 @@ class RobotHumanContact:
         return result
 
 
+@lru_cache(maxsize=8)
 def clear_of_furniture(scene: Scene, robot: Robot) -> Callable[[Array], bool]:
     """A test whether the whole resting robot at a base pose [7] keeps out of the static things in a scene.
 

@@ -7,15 +7,18 @@ meshes; one geometry per object, since contacts name geometries; a broad phase i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import pose_to_matrix
-from h3data.scene.records import Scene, Shape
+from h3data.geometry import pose_to_matrix, transform_points
+from h3data.kernels import kernel
+from h3data.scene.records import Capsule, Scene, Shape
+from h3data.scene.shape_bounds import bounding_capsule, shape_bounds
 from sim_kinematic.contact.shapes import fcl_geometry
 
 if TYPE_CHECKING:
@@ -61,7 +64,7 @@ class FclScene(_Objects):
     """The static instances of a scene. Their shapes stay primitives; object k belongs to instance ``names[k]``."""
 
     def __init__(self, scene: Scene) -> None:
-        geometries, matrices, names = [], [], []
+        geometries, matrices, names, bounds = [], [], [], []
         for instance in scene.static_instances:
             rigid = pose_to_matrix(np.asarray(instance.pose, np.float64))
             for shape in scene.assets[instance.asset].shapes:
@@ -69,8 +72,17 @@ class FclScene(_Objects):
                 geometries.append(geometry)
                 matrices.append(rigid @ local)
                 names.append(instance.name)
+                bounds.append(_bounds(shape, rigid.astype(np.float64), instance.scale))
         self.names: tuple[str, ...] = tuple(names)
+        self.bounds: NDArray[np.float64] = np.array(bounds).reshape(-1, 2, 3)
+        """Lower and upper corner of a box around each part, world, [n, 2, 3] [m]."""
         super().__init__(geometries, matrices)
+
+    def is_near(self, start: ArrayLike, end: ArrayLike, radius_m: float) -> bool:
+        """Whether the bounding box of a capsule between ``start`` and ``end`` [n, 3] overlaps that of a part: a first question,
+        50 times as fast as FCL's answer."""
+        start, end = (np.asarray(ends, np.float64)[None] for ends in (start, end))
+        return len(_near_pairs(start, end, np.full(start.shape[1], radius_m), self.bounds)) > 0
 
     def __repr__(self) -> str:
         return f"FclScene({len(self)} convex parts of {len(set(self.names))} instances)"
@@ -81,7 +93,7 @@ class MovingShapes(_Objects):
 
     def __init__(self, shapes: Sequence[Shape], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> None:
         pairs = [fcl_geometry(s, scale) for s in shapes]
-        self.shapes = tuple(shapes)
+        self.shapes, self._scale = tuple(shapes), tuple(float(one) for one in scale)
         self._local = np.stack([m for _, m in pairs]) if pairs else np.zeros((0, 4, 4))
         super().__init__([g for g, _ in pairs], list(self._local))
 
@@ -99,8 +111,88 @@ class MovingShapes(_Objects):
             one.setTransform(_transform(world[k]))
         self.manager.update()  # without it the broad phase still sees the old places and misses contacts
 
+    def touches_along(self, scene: FclScene, transforms: ArrayLike, *, except_for: Collection[str] = ()) -> bool:
+        """Whether a shape overlaps a part of the scene in any of T poses, asked from the last one back.
+
+        The answer is that of `set_transforms` and `collide` (`contacts` with ``except_for``) for each pose in turn, which
+        takes four times as long: only pairs whose bounding boxes overlap are moved and asked here.
+
+        Args:
+            scene: The static scene.
+            transforms: As in `set_transforms`, for each pose, [T, n, 4, 4].
+            except_for: Names of instances that may be touched.
+        """
+        import fcl
+
+        frames = np.asarray(transforms, np.float64)[::-1]
+        start, end, radius = self._capsules
+        pairs = _near_pairs(
+            transform_points(frames, start[:, None])[..., 0, :], transform_points(frames, end[:, None])[..., 0, :],
+            radius, scene.bounds,
+        )  # fmt: skip
+        request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
+        if not except_for:
+            request = fcl.CollisionRequest()
+        moved = (-1, -1)
+        for pose, k, part in pairs.tolist():
+            if except_for and scene.names[part] in except_for:
+                continue
+            if moved != (pose, k):
+                self.objects[k].setTransform(_transform(frames[pose, k] @ self._local[k]))
+                moved = pose, k
+            if fcl.collide(scene.objects[part], self.objects[k], request, fcl.CollisionResult()):
+                return True
+        return False
+
+    @cached_property
+    def _capsules(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Ends [n, 3] and radii [n] of capsules around the shapes, in the frames that the transforms move."""
+        ends = [bounding_capsule(shape) for shape in self.shapes]
+        scale = np.array(self._scale)
+        start, end = (np.array([one[side] for one in ends]).reshape(-1, 3) * scale for side in (0, 1))
+        return start, end, np.array([one[2] for one in ends]) * np.abs(scale).max()
+
     def __repr__(self) -> str:
         return f"MovingShapes({len(self)} shapes)"
+
+
+def _bounds(shape: Shape, rigid: NDArray[np.float64], scale: ArrayLike) -> NDArray[np.float64]:
+    """Corners [2, 3] of a box around a shape as `fcl_geometry` makes it: with the fattest radius under an uneven scale."""
+    scale = np.asarray(scale, np.float64)
+    if not isinstance(shape, Capsule):
+        return shape_bounds(shape, rigid @ np.diag([*scale, 1.0]))
+    ends = transform_points(rigid, np.stack([shape.start, shape.end]) * scale)
+    margin = shape.radius * float(np.abs(scale).max())
+    return np.stack([ends.min(0) - margin, ends.max(0) + margin])
+
+
+MARGIN_M = 1e-6
+"""Bounding boxes that are this near overlap: what touches within rounding must be asked."""
+
+
+@kernel()
+def _near_pairs(start, end, radius, bounds):
+    """Poses, shapes and parts [N, 3] whose bounding boxes overlap, of capsules [T, n, 3] and of boxes [m, 2, 3]."""
+    found = np.empty((64, 3), np.int64)
+    count = 0
+    for t in range(start.shape[0]):
+        for k in range(start.shape[1]):
+            r = radius[k] + MARGIN_M
+            x0, x1 = min(start[t, k, 0], end[t, k, 0]) - r, max(start[t, k, 0], end[t, k, 0]) + r
+            y0, y1 = min(start[t, k, 1], end[t, k, 1]) - r, max(start[t, k, 1], end[t, k, 1]) + r
+            z0, z1 = min(start[t, k, 2], end[t, k, 2]) - r, max(start[t, k, 2], end[t, k, 2]) + r
+            for m in range(bounds.shape[0]):
+                if bounds[m, 0, 0] > x1 or bounds[m, 1, 0] < x0 or bounds[m, 0, 2] > z1 or bounds[m, 1, 2] < z0:
+                    continue
+                if bounds[m, 0, 1] > y1 or bounds[m, 1, 1] < y0:
+                    continue
+                if count == len(found):
+                    more = np.empty((2 * count, 3), np.int64)
+                    more[:count] = found
+                    found = more
+                found[count, 0], found[count, 1], found[count, 2] = t, k, m
+                count += 1
+    return found[:count]
 
 
 def collide(a: _Objects, b: _Objects) -> bool:
