@@ -131,6 +131,10 @@ class World:
         """Numbers (a < b) of all pairs of agents."""
         self.touching = np.zeros((self.worlds, len(self.pairs)), np.bool_)
         """Pairs that touch after the last step, [W, P]."""
+        self.floor_y: Array = np.zeros(self.worlds)
+        """Height of the floor in each world [m], [W]."""
+        self.rows = np.arange(self.worlds)
+        """Numbers of all worlds, [W]."""
         self._kept: dict[int, Posture] = {}
         self._contact = _PairContacts(self.roster, self.pairs)
 
@@ -150,6 +154,7 @@ class World:
             self.floors = list(floors)
         for w, free in zip(rows.tolist(), floors, strict=True):
             self.floors[w] = free
+        self.floor_y = np.array([free.floor_y for free in self.floors])
         number = {id(free): k for k, free in enumerate(dict.fromkeys(self.floors))}
         of = np.array([number[id(free)] for free in self.floors])
         self.groups = [(self.floors[g[0]], g) for g in (np.flatnonzero(of == k) for k in np.unique(of))]
@@ -182,19 +187,21 @@ class World:
                 own, body = part.agents[k], member.body
                 if isinstance(own, HumanState) and isinstance(body, Humanoid):
                     if isinstance(command, Drive):
+                        velocity = command.velocity if alone else command.velocity[rows]
                         self.blocked[rows, k] = drive_people(
-                            own, free, command.velocity[rows], self.walker, radius_m=self._person_radius_m
+                            own, free, velocity, self.walker, radius_m=self._person_radius_m
                         )
                     if not isinstance(command, Keep):
                         draw_arms(own, free, body, self.walker.arms)
             for k, command in enumerate(commands):
                 own = part.agents[k]
                 if isinstance(own, RobotState) and isinstance(command, Drive):
-                    drive_robots(own, free, command.velocity[rows], self.bases[k])
+                    velocity = command.velocity if alone else command.velocity[rows]
+                    drive_robots(own, free, velocity, self.bases[k])
                     self.blocked[rows, k] = own.contact
             if not alone:
                 self.state.put(rows, part)
-        self.touching = self._touching(np.arange(self.worlds))
+        self.touching = self._touching(None)
 
     def posture(self, agent: int, rows: Rows) -> Posture:
         """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
@@ -210,11 +217,6 @@ class World:
         return Posture(
             np.full(len(rows), clip), _recorded(phase), _recorded(own.blend[rows]), _recorded(own.arms[rows])
         )
-
-    @property
-    def floor_y(self) -> Array:
-        """Height of the floor in each world [m], [W]."""
-        return np.array([free.floor_y for free in self.floors])
 
     # --- parts of a step ----------------------------------------------------------------------------------------------
     def _checked(self, commands: Sequence[Command]) -> list[Command]:
@@ -238,7 +240,12 @@ class World:
             checked.append(type(command)(values))
         return checked
 
-    def _touching(self, rows: Rows) -> NDArray[np.bool_]:
+    def _touching(self, rows: Rows | None) -> NDArray[np.bool_]:
+        """Pairs that touch in the worlds ``rows`` [n], in all if None."""
+        if rows is None:
+            return self._contact.touching(
+                self.state, self.rows, self.floor_y, self.posture, self.walker.speed_mps, everywhere=True
+            )
         return self._contact.touching(self.state, rows, self.floor_y, self.posture, self.walker.speed_mps)
 
 
@@ -267,17 +274,21 @@ class _PairContacts:
         floor_y: Array,
         posture: Callable[[int, Rows], Posture],
         speed_mps: float,
+        *,
+        everywhere: bool = False,
     ) -> NDArray[np.bool_]:
         agents = state.agents
         result = np.zeros((len(rows), len(self._pairs)), np.bool_)
         for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
-            gap = agents[a].xz[rows] - agents[b].xz[rows]
+            gap = agents[a].xz - agents[b].xz
+            gap = gap if everywhere else gap[rows]
             apart = np.hypot(gap[:, 0], gap[:, 1])
             if contact is None:
                 result[:, p] = apart <= self._reach[a] + self._reach[b]
                 continue
-            near = np.flatnonzero(apart <= contact.gate_m + 1e-3)
-            if len(near):
+            is_near = apart <= contact.gate_m + 1e-3
+            if is_near.any():
+                near = np.flatnonzero(is_near)
                 at = rows[near]
                 result[near, p] = contact.touching_many(
                     ground_pose(agents[a].xz[at], agents[a].heading[at], floor_y[at]).astype(np.float32),

@@ -219,7 +219,7 @@ class SocialNav(Task):
     def judge(self, play: WorldPlay) -> Outcome:
         state: SocialNavState = play.memory
         had = state.found.copy()
-        self._look(play, np.arange(play.world.worlds))
+        self._look(play, play.world.rows)
         if state.rewards is not None:
             state.collisions += state.collides | play.world.state.robots[0].contact
             worth = state.rewards.step(self._encounter(play))
@@ -281,8 +281,16 @@ class SocialNav(Task):
         robot, person = world.state.agents
         everywhere = len(rows) == world.worlds
         for free, group in world.groups:
+            if len(group) == world.worlds and everywhere:
+                state.geodesic[:] = free.geodesic(robot.xz, person.xz)
+                continue
             some = group if everywhere else np.intersect1d(group, rows)
             state.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
+        if everywhere:
+            state.collides[:] = world.touching[:, 0]
+            state.faces[:] = facing(robot.xz, robot.heading, person.xz)
+            state.found |= is_found(state.geodesic, state.faces, play.spec) & (play.steps > 0)
+            return
         state.collides[rows] = world.touching[rows, 0]
         state.faces[rows] = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
         began = play.steps[rows] > 0  # the start itself is no step
