@@ -36,6 +36,9 @@ DISCS = 5
 LEAST_RADIUS_M = 0.1
 HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
 """The camera of a hand is this far above its shapes and behind what it holds; it looks at a point this far ahead."""
+SHELLS = 4
+"""Shapes, one around the other, out of which a camera is moved at most."""
+LENS_M = 0.01
 SNAP = 0.9
 """A direction within 26 degrees (this cosine) of an axis of its link is taken for the axis."""
 
@@ -68,6 +71,7 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
         zeros if hand is None else compact_posture(robot, hand.link, body, zeros, float(max(map(abs, discs)) + radius))
     )
     frames = robot.link_matrices(IDENTITY_POSE[None], zeros[None])[0]
+    resting = robot.link_matrices(IDENTITY_POSE[None], np.asarray(rest, np.float64)[None])[0]
     tops = [_points(robot, k, frames)[:, 1].max() for k in body if robot.links[k].shapes]
     return RobotSettings(
         base_height_m=round(float(height), 4),
@@ -79,7 +83,7 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
         hand_position=(0.0, 0.0, 0.0) if hand is None else _vector(hand.position),
         hand_forward=(1.0, 0.0, 0.0) if hand is None else _vector(hand.forward),
         hand_up=(0.0, 0.0, 1.0) if hand is None else _vector(hand.up),
-        cameras=tuple(_cameras(robot, hand, frames)),
+        cameras=tuple(_cameras(robot, hand, frames, resting)),
     )
 
 
@@ -176,7 +180,7 @@ def _snapped(direction: Array) -> Array:
 
 
 # --- cameras ----------------------------------------------------------------------------------------------------------
-def _cameras(robot: Robot, hand: Hand | None, frames: Array) -> list[CameraSettings]:
+def _cameras(robot: Robot, hand: Hand | None, frames: Array, resting: Array) -> list[CameraSettings]:
     """One on the hand, and one where the robot's own camera is: an optical frame, else a camera, else its head."""
     cameras = []
     if hand is not None:
@@ -188,8 +192,30 @@ def _cameras(robot: Robot, hand: Hand | None, frames: Array) -> list[CameraSetti
     if eyes:
         optical = "optical" in robot.links[eyes[0]].name.lower()  # ROS: z ahead, y down
         forward, up = (np.eye(3)[2], -np.eye(3)[1]) if optical else _level(frames[eyes[0]])
-        cameras.append(_camera("robot_head", robot, eyes[0], forward, up, (480, 640)))
+        eye = forward * _free_ahead(robot, resting, eyes[0], forward)
+        cameras.append(_camera("robot_head", robot, eyes[0], forward, up, (480, 640), eye))
     return cameras
+
+
+def _free_ahead(robot: Robot, frames: Array, link: int, forward: Array) -> float:
+    """How far ahead of the origin of a link [m] nothing of the robot is around a camera any more: with boxes instead of
+    meshes the robot's own camera is often inside its head."""
+    eye, ahead, moved = frames[link][:3, 3], frames[link][:3, :3] @ forward, 0.0
+    for _ in range(SHELLS):
+        exits = []
+        for number, other in enumerate(robot.links):
+            turn, origin = frames[number][:3, :3], frames[number][:3, 3]
+            at, way = turn.T @ (eye + moved * ahead - origin), turn.T @ ahead
+            seen = [] if other.mesh is None else [np.asarray(other.mesh.vertices, np.float64)]
+            for points in (*seen, *map(shape_points, other.shapes)):
+                low, high = points.min(0), points.max(0)
+                if ((at > low) & (at < high)).all():
+                    with np.errstate(divide="ignore"):
+                        exits.append(float((np.where(way > 0, high - at, low - at) / way)[way != 0].min()))
+        if not exits:
+            return moved
+        moved += max(exits) + LENS_M
+    return moved
 
 
 def _over_the_hand(robot: Robot, hand: Hand) -> tuple[Array, Array]:
