@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from h3data.pseudonyms import KEY_VARIABLE
 from tests.paths import REAL
 
 try:
@@ -62,6 +63,14 @@ def install_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     for name in set(sys.modules) - before:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
             del sys.modules[name]
+
+
+@pytest.fixture(autouse=True, scope="session")
+def participant_key_of_the_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """User ids are hashed with a key of the tests, never with that of whoever runs them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(KEY_VARIABLE, str(tmp_path_factory.mktemp("keys") / "participants.key"))
+        yield
 
 
 @pytest.fixture(autouse=True, scope="session")

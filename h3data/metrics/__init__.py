@@ -1,6 +1,6 @@
 """Task metrics of recordings, from their columns alone: profiles, tables, comparisons of runs, plans of studies."""
 
-from h3data.metrics.batch import measure_files
+from h3data.metrics.batch import measure_files, measure_tables
 from h3data.metrics.differences import Differences, compare_runs, compare_tables
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.explain import explain, explain_episode, list_metrics
@@ -23,7 +23,6 @@ from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, 
 from h3data.metrics.study import (
     Block,
     Session,
-    anonymous_id,
     latin_square,
     plan_sessions,
     read_session,
@@ -32,6 +31,7 @@ from h3data.metrics.study import (
 )
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
 from h3data.metrics.table_files import events_of, write_events, write_series, write_table
+from h3data.pseudonyms import anonymous_id
 
 __all__ = [
     "PROFILES",
@@ -67,6 +67,7 @@ __all__ = [
     "measure",
     "measure_files",
     "measure_many",
+    "measure_tables",
     "metrics_of",
     "plan_sessions",
     "profiles_named",

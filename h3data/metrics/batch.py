@@ -13,13 +13,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 from h3data.errors import InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.profile import Profile
 from h3data.metrics.registry import measure, profile_for, profiles_named
-from h3data.metrics.requirements import stored_columns
+from h3data.metrics.requirements import UnmeasurableError, stored_columns
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.opening import logs_in
@@ -29,10 +30,21 @@ _CHUNK = 16
 """Episodes read together from a dataset."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """An episode that cannot be measured."""
+
+    name: str
+    """Path of the log, or ``ds#3``."""
+    error: UnmeasurableError
+
+
 def measure_files(
     paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None = None, *, workers: int | None = None
 ) -> MetricsTable:
-    """Returns the metrics of every recording in MCAP logs, datasets, and folders of MCAP logs.
+    """Returns the metrics of every recording in MCAP logs, datasets, and folders of these, which are walked.
+
+    Episodes that lack agents or data that every metric needs are listed in `MetricsTable.left_out`.
 
     Args:
         paths: Files and folders.
@@ -41,28 +53,46 @@ def measure_files(
 
     Raises:
         InputError: there is no recording; an episode occurs twice; metrics, steps or units differ; see `tabulate`.
+        UnmeasurableError: none of the episodes can be measured.
     """
-    sources = list(find_sources(paths))
-    if not sources:
-        raise InputError("Expected at least one recording (.mcap) or dataset.")
-    return tabulate(measure_sources(sources, profile, workers=workers), profile=profile)
+    rows, left_out = _measured(paths, profile, workers)
+    return tabulate(rows, profile=profile, left_out=_counted(left_out))
+
+
+def measure_tables(
+    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None = None, *, workers: int | None = None
+) -> tuple[MetricsTable, ...]:
+    """As `measure_files`, with a table for each task whose metrics differ; the first lists what is left out of all."""
+    rows, left_out = _measured(paths, profile, workers)
+    groups: dict[tuple[str, ...], list[EpisodeMetrics]] = {}
+    for row in rows:
+        groups.setdefault(tuple(metric.id for metric in row.metrics), []).append(row)
+    some = _counted(left_out)
+    return tuple(
+        tabulate(group, profile=profile, left_out={} if k else some) for k, group in enumerate(groups.values())
+    )
 
 
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
-    """Yields datasets and MCAP logs in order; a folder that is not a dataset stands for the logs in it."""
+    """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
     for path in map(place, paths):
         if not path.is_dir() or (path / "meta").is_dir() or (path / "h3").is_dir():
             yield path
-        elif logs := logs_in(path):
-            yield from logs
-        else:
+            continue
+        datasets = sorted({file.parent.parent for file in path.rglob("meta/info.json")})
+        logs = [log for log in logs_in(path, below=True) if not any(root in log.parents for root in datasets)]
+        if not logs and not datasets:
             raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
+        yield from (*logs, *datasets)
 
 
 def measure_sources(
     sources: Sequence[AnyPath], profile: str | None = None, *, workers: int | None = None
-) -> Iterator[EpisodeMetrics]:
-    """Yields the metrics of each episode of datasets and logs in order, with a chunk per worker in memory."""
+) -> Iterator[EpisodeMetrics | LeftOut]:
+    """Yields the metrics of each episode of datasets and logs in order, or why there are none.
+
+    A chunk of episodes per worker is in memory.
+    """
     if profile is not None:
         profiles_named(profile)  # a misspelt name fails before the first episode is read
     count = workers if workers is not None else len(os.sched_getaffinity(0))
@@ -87,17 +117,46 @@ def recordings(sources: Sequence[AnyPath], profile: str | None = None) -> Iterat
                 yield from _read(opened, chunk, profile)
 
 
-def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics]]]:
+def _measured(
+    paths: Iterable[str | os.PathLike[str] | RemotePath], profile: str | None, workers: int | None
+) -> tuple[list[EpisodeMetrics], list[LeftOut]]:
+    sources = list(find_sources(paths))
+    if not sources:
+        raise InputError("Expected at least one recording (.mcap) or dataset.")
+    results = list(measure_sources(sources, profile, workers=workers))
+    left_out = [result for result in results if isinstance(result, LeftOut)]
+    if left_out and len(left_out) == len(results):
+        raise left_out[0].error
+    return [result for result in results if isinstance(result, EpisodeMetrics)], left_out
+
+
+def _counted(left_out: Iterable[LeftOut]) -> dict[str, tuple[str, ...]]:
+    """Names of the episodes by the reason why they are left out."""
+    reasons: dict[str, tuple[str, ...]] = {}
+    for episode in left_out:
+        reasons[episode.error.reason] = (*reasons.get(episode.error.reason, ()), episode.name)
+    return reasons
+
+
+def _attempt(name: str, recording: Recording, profile: str | None) -> EpisodeMetrics | LeftOut:
+    try:
+        return measure(recording, profile)
+    except UnmeasurableError as error:
+        return LeftOut(name=name, error=error)
+
+
+def _jobs(sources: Sequence[AnyPath], profile: str | None) -> Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]]:
     for source in sources:
         if not source.is_dir():
-            yield lambda source=source: [measure(only(source), profile)]
+            yield lambda source=source: [_attempt(str(source), only(source), profile)]
             continue
         dataset = open_recording(source)
         assert isinstance(dataset, Dataset)
         per_thread = _PerThread(source)
         for chunk in _chunks(dataset):
-            yield lambda opened=per_thread, chunk=chunk: [
-                measure(r, profile) for r in _read(opened.dataset, chunk, profile)
+            yield lambda opened=per_thread, chunk=chunk, source=source: [
+                _attempt(f"{source}#{index}", recording, profile)
+                for index, recording in zip(chunk, _read(opened.dataset, chunk, profile), strict=True)
             ]
 
 
@@ -151,14 +210,16 @@ class _PerThread:
         return self._local.dataset
 
 
-def _in_order(jobs: Iterator[Callable[[], list[EpisodeMetrics]]], *, workers: int) -> Iterator[EpisodeMetrics]:
+def _in_order(
+    jobs: Iterator[Callable[[], list[EpisodeMetrics | LeftOut]]], *, workers: int
+) -> Iterator[EpisodeMetrics | LeftOut]:
     """Yields results in the order of the jobs; a few more jobs than workers are under way at any time."""
     if workers == 1:
         for job in jobs:
             yield from job()
         return
     with ThreadPoolExecutor(workers) as pool:
-        waiting: deque[Future[list[EpisodeMetrics]]] = deque()
+        waiting: deque[Future[list[EpisodeMetrics | LeftOut]]] = deque()
         try:
             for job in jobs:
                 waiting.append(pool.submit(job))

@@ -37,7 +37,7 @@ class Metric:
     """Paper, section or code that defines it."""
     columns: tuple[str, ...] = ()
     """Required data. ``<robot>`` and ``<human>`` are agent numbers, ``<i>`` is every agent; ``info:<key>`` is a key of
-    `Episode.info`, ``events:<kind>`` a kind of event."""
+    `Episode.info`, ``events:<kind>`` a kind of event. ``a or b``: one of the two is enough."""
     optional: tuple[str, ...] = ()
     """Data read where present; a note says what replaces it."""
     undefined: str = ""

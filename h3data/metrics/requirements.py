@@ -9,6 +9,9 @@ from h3data.metrics.episode import Notes
 from h3data.metrics.metric import Metric
 from h3data.recording.records import Recording
 
+OR = " or "
+"""Between columns of which one is enough."""
+
 
 class UnmeasurableError(InputError):
     """A recording lacks agents or data that metrics need."""
@@ -85,7 +88,7 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
     """Returns the names of the columns that these metrics may read in recordings of up to ``agents`` agents."""
     names: dict[str, None] = {}
     for metric in metrics:
-        for name in (*metric.columns, *metric.optional):
+        for name in (alternative for entry in (*metric.columns, *metric.optional) for alternative in entry.split(OR)):
             if ":" in name:
                 continue
             head, _, rest = name.partition(">.")
@@ -94,7 +97,11 @@ def stored_columns(metrics: Iterable[Metric], agents: int) -> list[str]:
     return list(names)
 
 
-def _has(recording: Recording, name: str) -> bool:
+def _has(recording: Recording, entry: str) -> bool:
+    return any(_has_one(recording, name) for name in entry.split(OR))
+
+
+def _has_one(recording: Recording, name: str) -> bool:
     kind, colon, key = name.partition(":")
     if colon and kind == "info":
         return recording.episode.info.get(key) is not None

@@ -1,13 +1,9 @@
-"""Planning a study with people: balanced orders of conditions, a session manifest per participant, anonymous ids."""
+"""Planning a study with people: balanced orders of conditions, a session manifest per participant."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import hmac
 import math
 import os
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +13,6 @@ import numpy as np
 
 from h3data.errors import FormatError, InputError
 from h3data.files import part_file
-
-_SHORTEST_KEY = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +71,7 @@ def plan_sessions(
     and episodes to participants is random with ``seed``.
 
     Args:
-        participants: Ids (see `anonymous_id`), or their number: then P01, P02, ...
+        participants: Ids (see `h3data.pseudonyms.anonymous_id`), or their number: then P01, P02, ...
         conditions: Names such as solo, learn_single, plan_pop3.
         episodes: Episode ids by scene.
         episodes_per_condition: Episodes of each block.
@@ -161,23 +155,6 @@ def read_session(path: str | os.PathLike[str]) -> Session:
         raise InputError(f"Cannot read the session manifest: {error.strerror}. File: {path}") from error
     except msgspec.DecodeError as error:
         raise FormatError(f"Expected a session manifest (h3data/session@1): {error}. File: {path}") from error
-
-
-def anonymous_id(person: str, *, key: bytes) -> str:
-    """Returns the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
-
-    HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
-    whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
-    """
-    if len(key) < _SHORTEST_KEY:
-        raise InputError(
-            f"Expected a key of {_SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32)."
-        )
-    text = unicodedata.normalize("NFKC", person).strip().casefold()
-    if not text:
-        raise InputError("Expected a person's name or e-mail address, got an empty text.")
-    digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
-    return "P-" + base64.b32encode(digest).decode()[:10]
 
 
 def _take(left: dict[str, list[str]], scene: str, count: int) -> tuple[str, ...]:

@@ -18,6 +18,9 @@ from h3data.metrics.registry import find_profile, measure
 from h3data.recording.records import Recording
 from h3data.stats import bootstrap_interval, wilson_interval
 
+_NAMED = 4
+"""Episodes named for each reason why some are left out."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
@@ -47,6 +50,8 @@ class MetricsTable:
     """The rows with their notes."""
     metrics: tuple[Metric, ...]
     """Definitions of the columns, in their order."""
+    left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names of the episodes that could not be measured, by the reason."""
     _summaries: dict[tuple[float, int, int], dict[str, Summary]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -87,7 +92,7 @@ class MetricsTable:
             of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
             lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
         deviations = (e.protocol_deviations for e in self.episodes)
-        return "\n".join([aligned(lines), *self._note_lines(), *deviation_lines(deviations)])
+        return "\n".join([aligned(lines), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()])
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
         """Summary, notes and all episodes as JSON types; NaN becomes None."""
@@ -107,6 +112,7 @@ class MetricsTable:
             "metrics": {m.name: m.id for m in self.metrics},
             "summary": summary,
             "episodes": [e.to_dict() for e in self.episodes],
+            "left_out": {reason: list(names) for reason, names in self.left_out.items()},
         }
 
     def to_json(self, *, confidence: float = 0.95, indent: int | None = 2) -> str:
@@ -124,6 +130,13 @@ class MetricsTable:
                 f"  {', '.join(names)}: {text}" + (f" ({times} of {len(self)} episodes)" if len(self) > 1 else "")
             )
         return ["Notes", *lines] if lines else []
+
+    def _left_out_lines(self) -> list[str]:
+        lines = []
+        for reason, names in self.left_out.items():
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            lines.append(f"  {reason}: {', '.join(names[:_NAMED])}{more}")
+        return ["Left out", *lines] if lines else []
 
 
 def summarize(
@@ -162,10 +175,16 @@ def measure_many(recordings: Iterable[Recording], profile: str | None = None) ->
     return tabulate((measure(recording, profile) for recording in recordings), profile=profile)
 
 
-def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str | None = None) -> MetricsTable:
+def tabulate(
+    episodes: Iterable[EpisodeMetrics],
+    *,
+    profile: str | None = None,
+    left_out: Mapping[str, tuple[str, ...]] | None = None,
+) -> MetricsTable:
     """Returns the table of episodes that were measured elsewhere, such as by several workers.
 
-    ``profile`` names the metrics of a table without episodes (default: ``paper``).
+    ``profile`` names the metrics of a table without episodes (default: ``paper``), ``left_out`` has the names of episodes
+    that could not be measured, by the reason.
 
     Raises:
         InputError: an episode occurs twice, or episodes differ in what cannot be averaged: metrics, step length, units.
@@ -180,6 +199,7 @@ def tabulate(episodes: Iterable[EpisodeMetrics], *, profile: str | None = None) 
         columns={m.name: np.array([e.values[m.name] for e in rows], np.float64) for m in metrics},
         episodes=rows,
         metrics=metrics,
+        left_out=left_out or {},
     )
 
 

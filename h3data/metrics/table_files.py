@@ -17,6 +17,7 @@ from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.metrics.explain import runs
 from h3data.metrics.registry import series_of
+from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable
 from h3data.recording.records import Recording
 
@@ -53,7 +54,7 @@ def write_events(recordings: Iterable[Recording], path: str | os.PathLike[str], 
     target = Path(path)
     write = _by_ending(target, {".parquet": _write_parquet, ".csv": _write_csv})
     with part_file(target) as part:
-        return write((_events_table(recording, profile) for recording in recordings), part)
+        return write(_events_tables(recordings, profile), part)
 
 
 def events_of(recording: Recording, profile: str | None = None) -> list[dict[str, Any]]:
@@ -104,14 +105,23 @@ def _series_tables(recordings: Iterable[Recording], profile: str | None) -> Iter
             "row": np.arange(rows),
             "time_ns": recording.columns["time_ns"],
         }
-        yield pa.table(columns | {name: pa.array(v) for name, v in series_of(recording, profile).items()})
+        try:
+            series = series_of(recording, profile)
+        except UnmeasurableError:
+            continue  # `measure_files` lists it as left out
+        yield pa.table(columns | {name: pa.array(v) for name, v in series.items()})
 
 
-def _events_table(recording: Recording, profile: str | None) -> pa.Table:
+def _events_tables(recordings: Iterable[Recording], profile: str | None) -> Iterator[pa.Table]:
     kinds = [("episode_id", pa.string()), ("what", pa.string())]
     kinds += [("first_row", pa.int64()), ("last_row", pa.int64()), ("seconds", pa.float64())]
-    rows = [{"episode_id": recording.episode.episode_id, **event} for event in events_of(recording, profile)]
-    return pa.Table.from_pylist(rows, schema=pa.schema(kinds))
+    for recording in recordings:
+        try:
+            events = events_of(recording, profile)
+        except UnmeasurableError:
+            continue  # `measure_files` lists it as left out
+        rows = [{"episode_id": recording.episode.episode_id, **event} for event in events]
+        yield pa.Table.from_pylist(rows, schema=pa.schema(kinds))
 
 
 def _write_parquet(tables: Iterable[pa.Table], path: Path) -> int:

@@ -20,6 +20,7 @@ from h3data.metrics import (
     measure,
     measure_files,
     measure_many,
+    measure_tables,
     series_of,
     write_events,
     write_series,
@@ -121,11 +122,36 @@ def test_logs_folders_and_datasets_mix(dataset, tmp_path):
         measure_files([dataset], "papre")
 
 
-def test_an_episode_that_cannot_be_measured_is_named(tmp_path):
+def test_an_episode_that_cannot_be_measured_is_left_out_by_name(tmp_path, capsys):
     lonely = dataclasses.replace(episode(1), agents=episode(1).agents[:1])
     root = write(tmp_path / "ds", [episode(0), lonely])
+    write_mcap(dataclasses.replace(episode(2), agents=()), tmp_path / "nobody.mcap")
+    table = measure_files([tmp_path])
+    assert table.episode_ids == ("e000",)
+    assert table.left_out == {"needs a robot and a human": (str(tmp_path / "nobody.mcap"), f"{root}#1")}
+    assert (
+        main(["metrics", str(tmp_path), "--series", str(tmp_path / "s.csv"), "--events", str(tmp_path / "e.csv")]) == 0
+    )
+    assert f"needs a robot and a human: {tmp_path / 'nobody.mcap'}, {root}#1" in capsys.readouterr().out
+    assert "e001" not in (tmp_path / "s.csv").read_text()
     with pytest.raises(InputError, match="'e001' has no human"):
-        measure_files([root])
+        measure_files([f"{root}#1"])
+
+
+def test_folders_are_walked_and_tasks_have_tables_of_their_own(tmp_path, capsys):
+    (tmp_path / "deep" / "er").mkdir(parents=True)
+    write_mcap(episode(0), tmp_path / "deep" / "er" / "a.mcap")
+    write(tmp_path / "deep" / "ds", [episode(1)])
+    assert measure_files([tmp_path]).episode_ids == ("e000", "e001")
+    other = episode(2)
+    other = dataclasses.replace(other, episode=dataclasses.replace(other.episode, task="juggling"))
+    write_mcap(other, tmp_path / "z.mcap")
+    tables = measure_tables([tmp_path])
+    assert [(t.profile, len(t)) for t in tables] == [("paper", 2), ("task", 1)]
+    assert main(["metrics", str(tmp_path)]) == 0
+    assert "juggling: 1 episodes" in capsys.readouterr().out
+    assert main(["metrics", str(tmp_path), "-o", str(tmp_path / "t.csv")]) == 2
+    assert "juggling (1 episodes, profile task)" in capsys.readouterr().err
 
 
 def test_a_column_that_some_episodes_lack_is_undefined_there(tmp_path):

@@ -218,9 +218,12 @@ def test_rearrangement_by_hand():
     done = [[0, 0], [0, 0], [1, 0], [1, 0], [1, 1]]
     values = measure(tidy(done, [7, 7, -1, -1, -1], [9, 9, 9, 9, -1])).values
     assert values == {"SR": 1, "RE": 160.0, "CR": 0, "RC": 0.5, "TS": 5}
-    # Nobody finishes: all 5 rows count as steps, RE takes E = 10.
-    values = measure(tidy([*done[:4], [1, 0]], [7, 7, -1, -1, -1], hits=(1,))).values
-    assert values == {"SR": 0, "RE": 80.0, "CR": 1, "RC": 1.0, "TS": 5}
+    # Nobody finishes: a contact after 5 rows gives no time to success, and RE takes E = 10.
+    unfinished = measure(tidy([*done[:4], [1, 0]], [7, 7, -1, -1, -1], hits=(4,)))
+    values = dict(unfinished.values)
+    assert math.isnan(values.pop("TS"))
+    assert unfinished.notes["TS"] == "the task is not completed"
+    assert values == {"SR": 0, "RE": 80.0, "CR": 1, "RC": 1.0}
 
 
 def test_the_last_holder_gets_the_credit():
@@ -237,19 +240,24 @@ def test_without_a_robot_there_is_no_share_of_its():
     assert math.isnan(result.values["RC"])
     assert result.notes["RC"] == "there is no robot"
     assert result.values["SR"] == 1
+    assert result.values["CR"] == 0
+    del alone.columns["metrics.collision"]
+    assert measure(alone).values["CR"] == 0
+    assert "CR" not in measure(alone).notes
 
 
 def test_success_after_the_limit_is_none():
     late = [[0, 0]] * 10 + [[1, 1]]
     values = measure(tidy(late)).values
-    assert (values["SR"], values["TS"], values["RE"]) == (0, 10, 80.0)
+    assert (values["SR"], values["RE"]) == (0, 80.0)
+    assert math.isnan(values["TS"])
 
 
 def test_what_rearrangement_needs_is_named():
     part = measure(tidy([[0, 1]], solo_steps=None))
     assert math.isnan(part.values["RE"])
     assert "info:solo_steps" in part.notes["RE"]
-    with pytest.raises(MissingColumnsError, match=r"SR needs metrics\.at_goal") as caught:
+    with pytest.raises(MissingColumnsError, match=r"SR needs metrics\.success or metrics\.at_goal") as caught:
         measure(tidy([[0, 1]], drop=("metrics.at_goal", "metrics.collision")))
     assert set(caught.value.needs) == {"SR", "RE", "CR", "RC", "TS"}
     with pytest.raises(InputError, match="has 2 objects, info goal_objects names 1"):

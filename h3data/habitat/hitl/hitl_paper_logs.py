@@ -30,6 +30,7 @@ from h3data.habitat.hitl.hitl_episode import (
     scalar_columns,
     unit_rotations,
 )
+from h3data.habitat.hitl.hitl_outcomes import AT_GOAL_M, at_goal, logged_outcomes
 from h3data.habitat.hitl.hitl_pickled_logs import json_of_pickled_log
 from h3data.habitat.hitl.hitl_scenes import find_place
 from h3data.limits import MAX_TRACK_VALUES, check_size
@@ -79,6 +80,8 @@ def read_hitl_log(
     - Of the objects only the positions of the targets are logged: their rotations are the identity.
     - ``input.user_0.<name>`` holds the input at the keyboard (``hint_walk_dir`` [T, 3], ``cam_yaw``, ...; NaN where
       absent); picking and placing are events.
+    - ``metrics.*`` are the logged numbers, with ``metrics.success``, ``metrics.collision`` and ``metrics.at_goal`` for the
+      metrics of social rearrangement (`h3data.habitat.hitl.hitl_outcomes`).
 
     Raises:
         FormatError: the file is something else, truncated or damaged, or a pickle that asks for code (which is named).
@@ -99,13 +102,18 @@ def read_hitl_log(
         for name, position in zip(names, step.target_object_positions or (), strict=False):
             objects.add(name, k, position, (0.0, 0.0, 0.0, 1.0))
     metrics, more = scalar_columns([s.metrics for s in steps], "metrics.")
+    metrics |= logged_outcomes(metrics)
+    object_tracks = objects.arrays(path)
+    placed, unused = at_goal(log.goal_positions, object_tracks)
+    if placed is not None:
+        metrics["metrics.at_goal"] = placed
     dt_ns = STEP_NS if fps == 30 else round(1e9 / fps)
     episode = HitlEpisode(
         path=path, data=data, form="hitl_log", episode_id=str(log.episode_id or ""), created_by="habitat-lab HITL rearrange",
         dt_ns=dt_ns, time_ns=np.arange(len(steps), dtype=np.int64) * dt_ns, tracks=tracks, object_names=objects.names,
-        object_tracks=objects.arrays(path), object_of_id={i: f"object_{i}" for i in log.target_obj_ids or ()},
+        object_tracks=object_tracks, object_of_id={i: f"object_{i}" for i in log.target_obj_ids or ()},
         robot=robot_named_in(json.dumps(log.dataset)), joint_order=joint_order,
-        columns=metrics | _input_columns(steps), events=_events(steps, tracks), warnings=warnings + more,
+        columns=metrics | _input_columns(steps), events=_events(steps, tracks), warnings=[*warnings, *more, *unused],
         info={
             "generation": 1,
             "nominal_fps": fps,
@@ -114,6 +122,7 @@ def read_hitl_log(
             "scene_id": log.scene_id,
             "target_obj_ids": log.target_obj_ids,
             "goal_positions": log.goal_positions,
+            **({"goal_objects": list(range(len(object_tracks))), "at_goal_m": AT_GOAL_M} if placed is not None else {}),
             "object_rotations": "not recorded: the identity",
         },
     )  # fmt: skip

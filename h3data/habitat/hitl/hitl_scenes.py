@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -64,7 +66,7 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
 
 
 def _scene_file(path: str, library: AssetLibrary | None) -> Path | None:
-    """The recorded path below a root, or the longest end of it that leads to a file."""
+    """The recorded path below a root, the longest end of it that leads to a file, or the only file of its name."""
     if library is None or not path.lower().endswith(HABITAT_ENDINGS):
         return None
     found = library.resolve(path)
@@ -72,4 +74,13 @@ def _scene_file(path: str, library: AssetLibrary | None) -> Path | None:
         return found
     parts = PurePosixPath(path).parts
     tails = [Path(root, *parts[k:]) for root in library.roots for k in range(len(parts)) if parts[k] != "/"]
-    return next((tail for tail in tails if tail.is_file()), None)
+    tail = next((tail for tail in tails if tail.is_file()), None)
+    if tail is not None:
+        return tail
+    named = {file for root in library.roots for file in _files_named(root, parts[-1])}
+    return named.pop() if len(named) == 1 else None
+
+
+@functools.cache  # every episode of a session names the same scene, and a set such as HSSD has 100,000 files
+def _files_named(root: Path, name: str) -> tuple[Path, ...]:
+    return tuple(Path(folder, name).resolve() for folder, _, files in os.walk(root) if name in files)

@@ -18,7 +18,7 @@ from h3data.formats import SourceFile
 from h3data.geometry import normalized, pose_from_matrix, quat_rotate, quat_sign_continuous
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.episodes.partnr import partnr_result
-from h3data.habitat.hitl.hitl_agents import AgentTrack, robot_named_in
+from h3data.habitat.hitl.hitl_agents import AgentTrack, agent_kinds, robot_named_in
 from h3data.habitat.hitl.hitl_episode import (
     HitlEpisode,
     Id,
@@ -30,7 +30,9 @@ from h3data.habitat.hitl.hitl_episode import (
     held,
     unit_rotations,
 )
+from h3data.habitat.hitl.hitl_outcomes import logged_outcomes, max_steps
 from h3data.habitat.hitl.hitl_scenes import find_place
+from h3data.habitat.hitl.hitl_users import participation, without_user_ids
 from h3data.limits import MAX_TRACK_VALUES, check_size
 from h3data.recording.records import STEP_NS, Event, Recording
 
@@ -105,6 +107,8 @@ def read_hitl_episode(
       has the id of each body.
     - Actions of users (pick, place, open, close, state_change, ...) are events; ``detail`` has the rest of each as JSON.
     - ``object_state.<name>`` int8 [T, N]: 1 yes, 0 no, -1 unknown, per object.
+    - ``metrics.success`` follows from the logged progress; contacts and goals are not in the file. User ids become
+      pseudonyms (`h3data.pseudonyms`), of which ``info["participant"]`` is that of whoever drives the person.
 
     Args:
         path: the file.
@@ -129,17 +133,21 @@ def read_hitl_episode(
     objects, object_of_id = _objects(frames, order)
     time_ns, t0_s, warnings = _times(frames)
     episode, config = file.episode, file.session.get("config")
+    session, users = without_user_ids(file.session), without_user_ids(file.users)
     result = partnr_result(path)
+    tracks = [
+        AgentTrack(roots=held(r, known), grasp_id=held(i, known).astype(np.int64))
+        for r, i in zip(roots, ids, strict=True)
+    ]
+    people = [k for k, kind in enumerate(agent_kinds(tracks)) if kind == "human"]
+    columns = _columns(frames, known, objects.names, path)
     log = HitlEpisode(
         path=path, data=data, form="hitl_episode", episode_id=str(episode.get("episode_id", "")),
         created_by="habitat-lab HITL rearrange_v2", dt_ns=_nominal_step_ns(config), time_ns=time_ns,
-        tracks=[
-            AgentTrack(roots=held(r, known), grasp_id=held(i, known).astype(np.int64))
-            for r, i in zip(roots, ids, strict=True)
-        ],
+        tracks=tracks,
         object_names=objects.names, object_tracks=[held(track, known) for track in objects.arrays(path)],
         object_of_id=object_of_id, robot=robot_named_in(json.dumps(episode.get("episode_info")), json.dumps(config)),
-        columns=_columns(frames, known, objects.names, path), events=_events(frames, episode), warnings=warnings,
+        columns=columns | logged_outcomes(columns), events=_events(frames, episode), warnings=warnings,
         info={
             "generation": 2,
             "quaternion_order": order,
@@ -147,9 +155,11 @@ def read_hitl_episode(
             **_wall_clock(episode, t0_s),
             "empty_frames": int(steps - known.sum()),
             "episode": episode,
-            "session": file.session,
-            "users": file.users,
+            "session": session,
+            "users": users,
             "metrics": file.metrics,
+            **max_steps(config),
+            **participation(users, episode.get("user_index_to_agent_index_map"), people),
             **({"partnr": result} if result else {}),
         },
     )  # fmt: skip

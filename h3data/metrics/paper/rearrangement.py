@@ -2,7 +2,8 @@
 
 They read ``metrics.at_goal`` bool [T, K], whether each of K objects is at its goal (which object: ``info["goal_objects"]``,
 K indices as in ``agent_<i>.grasp_body``), ``agent_<i>.grasp_body`` of every agent, ``metrics.collision``,
-``info["max_steps"]`` (E) and ``info["solo_steps"]`` (steps of the person alone in the same episode).
+``info["max_steps"]`` (E) and ``info["solo_steps"]`` (steps of the person alone in the same episode). Where Habitat itself
+judged success, as in imported sessions, ``metrics.success`` bool [T] takes the place of ``metrics.at_goal``.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from h3data.metrics.episode import Notes, first_moments
 from h3data.metrics.metric import INF, NAN, Metric, Series
 from h3data.metrics.paper.protocol import protocol_deviations
 from h3data.metrics.profile import Computed
-from h3data.metrics.requirements import note_missing
+from h3data.metrics.requirements import OR, note_missing
 from h3data.recording.records import Recording
 
-AT_GOAL = "metrics.at_goal"
+AT_GOAL, SUCCESS = "metrics.at_goal", "metrics.success"
+_DONE = f"{SUCCESS}{OR}{AT_GOAL}"
 _NO_ROWS = "The recording has no rows. "
 
 REARRANGEMENT: tuple[Metric, ...] = (
@@ -31,12 +33,15 @@ REARRANGEMENT: tuple[Metric, ...] = (
         range=(0.0, 1.0),
         direction="higher",
         source="Habitat 3.0, section 4.2 'Metrics'",
-        columns=(AT_GOAL,),
+        columns=(_DONE,),
         optional=("info:max_steps",),
         undefined=_NO_ROWS,
         series=("done", "at_goal_count"),
         binary=True,
-        reading="E is info:max_steps (750 in the paper); rows after it do not count.",
+        reading=(
+            "E is info:max_steps (750 in the paper); rows after it do not count. metrics.success, where recorded, decides: "
+            "it is Habitat's pddl_success in imported sessions."
+        ),
         habitat="pddl_success at the last step, which also asks that nothing is held; success ends its episodes.",
     ),
     Metric(
@@ -48,7 +53,7 @@ REARRANGEMENT: tuple[Metric, ...] = (
         range=(0.0, INF),
         direction="higher",
         source="Habitat 3.0, section 4.2 'Metrics'",
-        columns=(AT_GOAL, "info:solo_steps"),
+        columns=(_DONE, "info:solo_steps"),
         optional=("info:max_steps",),
         undefined=_NO_ROWS + "The steps of the person alone are not recorded.",
         series=("done",),
@@ -59,7 +64,7 @@ REARRANGEMENT: tuple[Metric, ...] = (
         habitat="Not computed in either repository.",
     ),
     Metric(
-        id="paper/rearrange/CR@1",
+        id="paper/rearrange/CR@2",
         name="CR",
         title="Collision rate",
         formula="CR = 1 if a robot touches the human in any row, else 0",
@@ -68,9 +73,10 @@ REARRANGEMENT: tuple[Metric, ...] = (
         direction="lower",
         source="Habitat 3.0, section 4.2 'Metrics'",
         columns=("metrics.collision",),
-        undefined=_NO_ROWS + "No column metrics.collision.",
+        undefined=_NO_ROWS + "No column metrics.collision, with a robot there.",
         series=("collision",),
         binary=True,
+        reading="Without a robot it is 0, as the paper's row Solo has it.",
         habitat="did_collide at the last step; equal while a contact ends the episode.",
     ),
     Metric(
@@ -92,30 +98,36 @@ REARRANGEMENT: tuple[Metric, ...] = (
         habitat="Not computed; ratio_agent_0 of PARTNR's analysis is similar.",
     ),
     Metric(
-        id="paper/rearrange/TS@1",
+        id="paper/rearrange/TS@2",
         name="TS",
-        title="Task steps",
-        formula="TS = steps until success, or all steps of the episode",
+        title="Task completion steps",
+        formula="TS = steps until success; undefined without success",
         unit="steps",
         range=(0.0, INF),
         direction="lower",
-        source="Habitat 3.0, section 4.3 and appendix 'HITL Evaluation'",
-        columns=(AT_GOAL,),
+        source="Habitat 3.0, section 4.3 'task completion steps', appendix 'HITL Evaluation'",
+        columns=(_DONE,),
         optional=("info:max_steps",),
-        undefined=_NO_ROWS,
+        undefined=_NO_ROWS + "The task is not completed within E.",
         series=("done",),
-        habitat="num_steps.",
+        reading=(
+            "An episode that ends early, by a contact or otherwise, has not completed the task: its length is no TS. The "
+            "paper shows TS over successful episodes (all of its participants' were). TS@1 took the length of the episode."
+        ),
+        habitat="num_steps at the last step, whether the task is completed or not.",
     ),
 )
 
 
 def rearrangement_series(recording: Recording) -> Series:
-    """Computes ``done`` (all objects at their goals), ``at_goal_count`` and, if recorded, ``collision``, each [T]."""
+    """Computes ``done`` (the task is completed), ``at_goal_count`` and ``collision``, each [T], as far as recorded."""
     series: dict[str, NDArray] = {}
     if AT_GOAL in recording.columns:
         at_goal = _at_goal(recording)
         series["done"] = at_goal.all(axis=1) & (at_goal.shape[1] > 0)
         series["at_goal_count"] = at_goal.sum(axis=1).astype(np.float64)
+    if SUCCESS in recording.columns:
+        series["done"] = recording.columns[SUCCESS] > 0
     if "metrics.collision" in recording.columns:
         series["collision"] = recording.columns["metrics.collision"].astype(np.bool_)
     return series
@@ -127,7 +139,8 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     Raises:
         MissingColumnsError: none of the columns is there.
     """
-    missing = note_missing(REARRANGEMENT, recording, notes)
+    alone = bool(recording.agents) and all(agent.kind != "robot" for agent in recording.agents)
+    missing = note_missing([m for m in REARRANGEMENT if not (alone and m.name == "CR")], recording, notes)
     deviations = protocol_deviations(recording)
     if not len(recording):
         notes.add((m.name for m in REARRANGEMENT), "the recording has no rows")
@@ -136,12 +149,18 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
     series = rearrangement_series(recording)
     if "done" in series:
         steps, solved, limit = _steps(recording, series["done"], notes)
-        values |= {"SR": float(solved), "TS": float(steps)}
+        values |= {"SR": float(solved), "TS": float(steps) if solved else NAN}
+        if not solved:
+            notes.add(("TS",), "the task is not completed")
         if "RE" not in missing:
             values["RE"] = _efficiency(recording, steps if solved else limit, notes)
+        elif recording.episode.info.get("participant"):
+            notes.add(("RE",), "for people it follows from the estimated means of TS, see h3data report")
     if "RC" not in missing:
         values["RC"] = _robot_share(recording, notes)
-    if "collision" in series:
+    if alone:
+        values["CR"] = 0.0
+    elif "collision" in series:
         values["CR"] = float(series["collision"].any())
     moments = first_moments(series, ("done", "collision"))
     return Computed(values=values, moments=moments, protocol_deviations=deviations)

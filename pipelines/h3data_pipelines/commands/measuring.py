@@ -35,7 +35,8 @@ class Metrics:
     """
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, folders of them, and datasets, or their URIs; or `list`; or `explain NAME [RECORDING]`."""
+    """.mcap files, datasets, and folders of these, which are walked, or their URIs; or `list`; or
+    `explain NAME [RECORDING]`."""
     profile: str | None = None
     """Name of a profile, or module:name (default: the profile of the recordings' task)."""
     paired: bool = False
@@ -67,18 +68,28 @@ class Metrics:
         return self._compare() if self.paired else self._measure()
 
     def _measure(self) -> Outcome:
-        from h3data.metrics.batch import find_sources, measure_files, recordings
+        from h3data.metrics.batch import find_sources, measure_tables, recordings
         from h3data.metrics.table_files import write_events, write_series, write_table
 
-        table = measure_files(self.recordings, self.profile, workers=self.workers)
+        tables = measure_tables(self.recordings, self.profile, workers=self.workers)
+        first = tables[0]
+        if len(tables) > 1 and (self.out or self.series or self.events):
+            tasks = ", ".join(f"{t.episodes[0].task} ({len(t)} episodes, profile {t.profile})" for t in tables)
+            raise InputError(
+                f"A file holds the metrics of one task, these recordings are of several: {tasks}. Name those of one task, "
+                "or use --profile task, which measures any."
+            )
         if self.out is not None:
-            write_table(table, self.out)
+            write_table(first, self.out)
         sources = list(find_sources(self.recordings))
         if self.series is not None:
             write_series(recordings(sources, self.profile), self.series, profile=self.profile)
         if self.events is not None:
             write_events(recordings(sources, self.profile), self.events, profile=self.profile)
-        return Outcome(text=table.to_text(), data=table.to_dict())
+        if len(tables) < 2:
+            return Outcome(text=first.to_text(), data=first.to_dict())
+        text = "\n\n".join(f"{t.episodes[0].task}: {len(t)} episodes\n{t.to_text()}" for t in tables)
+        return Outcome(text=text, data={"tables": [{"task": t.episodes[0].task, **t.to_dict()} for t in tables]})
 
     def _compare(self) -> Outcome:
         from h3data.metrics.batch import measure_files

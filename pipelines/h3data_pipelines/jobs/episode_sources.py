@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import H3DataError
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import open_episode
 
@@ -47,7 +47,7 @@ def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
     Raises:
         InputError: there is no such path, or nothing below it.
     """
-    from h3data.recording.opening import logs_in
+    from h3data.metrics.batch import find_sources
     from h3data.recording.parquet.files import is_dataset
 
     sources: list[EpisodeSource] = []
@@ -57,13 +57,8 @@ def find_episodes(paths: Iterable[AnyPath]) -> list[EpisodeSource]:
         elif is_dataset(path):
             sources += _of_dataset(path)
         else:
-            folders = sorted(p.parent.parent for p in path.rglob("meta/info.json"))
-            logs = [p for p in logs_in(path, below=True) if not any(f in p.parents for f in folders)]
-            found = [EpisodeSource(str(log), log) for log in logs]
-            found += [source for folder in folders for source in _of_dataset(folder)]
-            if not found:
-                raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
-            sources += found
+            for source in find_sources([path]):
+                sources += _of_dataset(source) if source.is_dir() else [EpisodeSource(str(source), source)]
     return sources
 
 

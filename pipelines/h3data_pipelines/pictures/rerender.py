@@ -17,8 +17,8 @@ from h3data.errors import H3DataError, InputError
 from h3data.recording.storage import local
 from h3data.replay import CameraTrack, Replay, camera_track
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, open_episode
-from h3data_pipelines.commands.importing import recording_stem
 from h3data_pipelines.jobs.camera_log import CameraLog
+from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.outputs import OUTPUTS, Format, Target
 from h3data_pipelines.pictures.rendering import core_count, frames_per_second, render_files
 

@@ -13,7 +13,7 @@ from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.replay import Replay
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
-from h3data_pipelines.commands.importing import recording_stem
+from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
 if TYPE_CHECKING:

@@ -1,0 +1,88 @@
+"""Pseudonyms of people: the same id for the same person under a secret key, which stays out of the data."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import os
+import secrets
+import unicodedata
+from pathlib import Path
+
+from h3data.errors import InputError
+
+KEY_VARIABLE = "H3DATA_PARTICIPANT_KEY"
+"""Environment variable with the path of the key file, to share one key between machines."""
+SHORTEST_KEY = 16
+"""Bytes of the shortest accepted key."""
+_NEW_KEY = 32
+
+
+def anonymous_id(person: str, *, key: bytes) -> str:
+    """Returns the pseudonym of a name or e-mail address under ``key``: ``P-`` and ten letters or digits.
+
+    HMAC-SHA256, cut to 50 bits; case, outer spaces and Unicode forms do not matter. Without the key nobody can find out
+    whose id it is, not even by trying names: store the key apart from the data, and delete it to make the ids final.
+    """
+    if len(key) < SHORTEST_KEY:
+        raise InputError(
+            f"Expected a key of {SHORTEST_KEY} or more random bytes, got {len(key)}. Hint: secrets.token_bytes(32)."
+        )
+    text = unicodedata.normalize("NFKC", person).strip().casefold()
+    if not text:
+        raise InputError("Expected a person's name or e-mail address, got an empty text.")
+    digest = hmac.new(key, text.encode(), hashlib.sha256).digest()
+    return "P-" + base64.b32encode(digest).decode()[:10]
+
+
+def participant_key_path() -> Path:
+    """Path of this user's key file: that of `KEY_VARIABLE`, else ``h3data/participants.key`` in the configuration folder."""
+    if given := os.environ.get(KEY_VARIABLE):
+        return Path(given).expanduser()
+    return Path(os.environ.get("XDG_CONFIG_HOME") or "~/.config").expanduser() / "h3data" / "participants.key"
+
+
+def participant_key() -> bytes:
+    """Returns the secret key of this user's studies, made at its first use.
+
+    It lies beside the user's settings, not beside the recordings: whoever gets the data does not get the key.
+
+    Raises:
+        InputError: the file is no key, or cannot be read or written.
+    """
+    path = participant_key_path()
+    try:
+        key = path.read_bytes()
+    except FileNotFoundError:
+        key = _new_key(path)
+    except OSError as error:
+        raise InputError(_unusable(path, error)) from None
+    if len(key) < SHORTEST_KEY:
+        raise InputError(f"Expected a participant key of {SHORTEST_KEY} or more bytes, got {len(key)}: {path}")
+    return key
+
+
+def _new_key(path: Path) -> bytes:
+    """A random key in a file that only its owner reads; that of another process if that one was first."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f".{path.name}.{os.getpid()}")
+        part.touch(mode=0o600)
+        part.write_bytes(secrets.token_bytes(_NEW_KEY))
+        try:
+            os.link(part, path)  # unlike a rename it never replaces the key of another process
+        except FileExistsError:
+            pass
+        finally:
+            part.unlink()
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(_unusable(path, error)) from None
+
+
+def _unusable(path: Path, error: OSError) -> str:
+    return (
+        f"The key that turns user ids into pseudonyms can be neither read nor made ({error.strerror}): {path}. "
+        f"Hint: set {KEY_VARIABLE} to a file that can be written."
+    )

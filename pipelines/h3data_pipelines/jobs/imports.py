@@ -1,0 +1,243 @@
+"""Imports recordings of other programs, file by file, and tells what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from h3data.errors import FormatError, H3DataError, InputError
+from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
+from h3data.habitat.asset_library import AssetLibrary
+from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
+from h3data.recording import Recording
+from h3data.replay import Replay
+from h3data_pipelines.command import claim_file
+
+Progress = Callable[[Sequence["ImportJob"]], Iterable["ImportJob"]]
+
+
+@dataclass(frozen=True)
+class ImportJob:
+    """One file and the recording that it becomes."""
+
+    source: Path
+    target: Path
+    below: PurePosixPath
+    """Path of the file below the folder that was named; of a single file, its name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedFile:
+    """What became of one file."""
+
+    source: Path
+    status: Literal["imported", "skipped", "failed"]
+    kind: str = "unknown"
+    """Name of its format."""
+    recording: Path | None = None
+    reason: str = ""
+    """Why it was not imported."""
+    summary: dict[str, Any] = field(default_factory=dict)
+    """Counts, agents, missing assets, participant and condition, warnings; see `summarize`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The file as JSON types."""
+        facts = {"source": str(self.source), "status": self.status, "kind": self.kind}
+        facts |= {"recording": str(self.recording)} if self.recording else {}
+        return facts | ({"reason": self.reason} if self.reason else {}) | self.summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportResult:
+    """What became of every file."""
+
+    files: tuple[ImportedFile, ...]
+    manifest_notes: tuple[str, ...] = ()
+    """Rows of the manifest that fit nothing, recordings that no row fits, columns without a meaning."""
+
+    def count(self, status: str) -> int:
+        """Number of files with a status."""
+        return sum(file.status == status for file in self.files)
+
+
+def import_files(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    assets: Sequence[Path] = (),
+    manifest: Path | None = None,
+    fps: float = 30.0,
+    strict: bool = False,
+    force: bool = False,
+    progress: Progress = iter,
+) -> ImportResult:
+    """Imports files and folders of files as MCAP recordings in the folder ``out``.
+
+    A single file that cannot be imported raises; of several, the others are imported and it is listed.
+
+    Args:
+        paths: Files, and folders that are walked.
+        out: Folder of the recordings; files of a folder keep their place below it.
+        assets: Folders below which recorded asset files are searched (default: H3DATA_ASSETS).
+        manifest: CSV table of participants and conditions (`h3data.habitat.hitl.session_manifest`).
+        fps: Steps per second of files without times.
+        strict: Whether recordings with warnings or missing assets are refused.
+        force: Whether existing recordings are replaced.
+        progress: Wraps the jobs, such as a progress bar.
+
+    Raises:
+        InputError: there is nothing to import.
+        FormatError: the manifest, or the only file, is of another form or damaged.
+    """
+    if not 0.001 <= fps <= 1000:
+        raise InputError(f"--fps must be at least 0.001 and at most 1000, got {fps}.")
+    importer = _Importer(
+        AssetLibrary(assets), None if manifest is None else read_manifest(manifest), fps=fps, strict=strict, force=force
+    )
+    jobs = _jobs(paths, out)
+    alone = len(jobs) == 1 and jobs[0].source in paths
+    files = [importer.run(job) if alone else importer.attempt(job) for job in progress(jobs)]
+    return ImportResult(files=tuple(files), manifest_notes=tuple(importer.manifest_notes()))
+
+
+def recording_stem(path: Path) -> str:
+    """``my_session`` of ``my_session.gfx_replay.json.gz``."""
+    name = path.name
+    for suffix in (".gz", ".json", ".pkl", ".gfx_replay", ".mcap"):
+        name = name.removesuffix(suffix)
+    return name or path.stem
+
+
+def summarize(recording: Recording, library: AssetLibrary) -> dict[str, Any]:
+    """Counts of a recording, and which of its asset files are missing below the library's roots."""
+    missing = Replay(recording, assets=library).missing
+    info = recording.episode.info
+    return {
+        "steps": len(recording),
+        "seconds": round(recording.duration_s, 3),
+        "bodies": len(recording.bodies),
+        "moving": len(recording.moving_bodies),
+        "agents": [{"name": a.name, "kind": a.kind} for a in recording.agents],
+        "assets": len(recording.assets),
+        "missing_assets": len(missing),
+        "missing": sorted(missing),
+        "participant": str(info.get("participant", "")),
+        "condition": str(info.get("condition", "")),
+        "synthesised": dict(info.get("synthesised", {})),
+        "warnings": list(info.get("warnings", ())),
+    }
+
+
+class _Importer:
+    """Imports one file after the other."""
+
+    def __init__(
+        self, library: AssetLibrary, manifest: SessionManifest | None, *, fps: float, strict: bool, force: bool
+    ) -> None:
+        self._library, self._manifest = library, manifest
+        self._fps, self._strict, self._force = fps, strict, force
+        self._written: dict[Path, Path] = {}
+        self._strangers: list[str] = []
+
+    def attempt(self, job: ImportJob) -> ImportedFile:
+        """As `run`, but what cannot be imported is told in the result."""
+        kind, status = "unknown", "failed"
+        try:
+            file = SourceFile(job.source)
+            form = detect(file)
+            kind = form.name
+            twin = self._written.get(job.target)
+            if kind == "hitl_log" and twin is not None and twin.name == job.source.name.replace(".json", ".pkl"):
+                reason = f"the same log as {twin.name}, which is not rounded"
+                return ImportedFile(source=job.source, status="skipped", kind=kind, reason=reason)
+            if form.read is None and kind != "unknown":
+                status = "skipped"
+            return self._import(file, form, job)
+        except H3DataError as error:
+            return ImportedFile(source=job.source, status=status, kind=kind, reason=str(error))
+
+    def run(self, job: ImportJob) -> ImportedFile:
+        """Imports one file.
+
+        Raises:
+            H3DataError: it cannot be imported.
+        """
+        file = SourceFile(job.source)
+        return self._import(file, detect(file), job)
+
+    def manifest_notes(self) -> list[str]:
+        """What of the manifest and the recordings did not come together."""
+        if self._manifest is None:
+            return []
+        notes, name = [], self._manifest.path.name
+        if lines := self._manifest.unused:
+            shown = ", ".join(map(str, lines[:8])) + (", ..." if len(lines) > 8 else "")
+            notes.append(f"{name}: no recording fits line {shown}")
+        if self._strangers:
+            shown = ", ".join(self._strangers[:4]) + (", ..." if len(self._strangers) > 4 else "")
+            notes.append(f"{name}: no line fits {len(self._strangers)} of the recordings: {shown}")
+        if self._manifest.ignored:
+            notes.append(f"{name}: columns without a meaning here are not used: {', '.join(self._manifest.ignored)}")
+        return notes
+
+    def _import(self, file: SourceFile, form: Format, job: ImportJob) -> ImportedFile:
+        from h3data.recording import write_mcap
+
+        recording = self._read(file, form)
+        if job.target in self._written:
+            raise InputError(
+                f"Another input of this run became {job.target}. Import this one with another -o: {file.path}"
+            )
+        if self._manifest is not None:
+            recording, fitted = self._manifest.applied(recording, job.below)
+            if not fitted:
+                self._strangers.append(str(job.below))
+        claim_file(job.target, force=self._force)
+        summary = summarize(recording, self._library)
+        faults = [*summary["warnings"], *(f"missing asset {name}" for name in summary["missing"])]
+        if self._strict and faults:
+            raise InputError(f"--strict: {len(faults)} faults, the first: {'; '.join(faults[:3])}: {file.path}")
+        write_mcap(recording, job.target, overwrite=self._force)
+        self._written[job.target] = file.path
+        kind = recording.episode.info.get("source", {}).get("format", form.name)  # a pickle is a HITL log
+        return ImportedFile(source=job.source, status="imported", kind=kind, recording=job.target, summary=summary)
+
+    def _read(self, file: SourceFile, form: Format) -> Recording:
+        if form.name in ("json", "unknown"):
+            form = FORMATS.get("gfx_replay")  # whose reader says where it stops being one
+        if form.read is None:
+            hint = f" Hint: {form.hint}." if form.hint else ""
+            raise FormatError(f"Expected a recording, this is {form.title}.{hint} {file.path}")
+        options = {"fps": self._fps, "assets": self._library}
+        return load(form, "read")(file, **{name: options[name] for name in form.read_options})
+
+
+def _jobs(paths: Sequence[Path], out: Path) -> list[ImportJob]:
+    """Every file with the recording that it becomes; files of a folder keep their place below it."""
+    if not paths:
+        raise InputError("Expected at least one file or folder to import.")
+    jobs: list[ImportJob] = []
+
+    def add(file: Path, below: Path) -> None:
+        jobs.append(
+            ImportJob(file, out / below.parent / f"{recording_stem(file)}.mcap", PurePosixPath(below.as_posix()))
+        )
+
+    for path in paths:
+        if path.is_dir():
+            suffixes = import_suffixes()
+            files = sorted(p for p in path.rglob("*") if p.is_file() and p.name.endswith(suffixes))
+            files.sort(key=lambda p: not p.name.endswith(".pkl.gz"))  # stable: logs that are not rounded come first
+            if not files:
+                raise InputError(f"No {', '.join(suffixes[:-1])} or {suffixes[-1]} file in this folder: {path}")
+            for file in files:
+                add(file, file.relative_to(path))
+        elif path.is_file():
+            add(path, Path(path.name))
+        elif path.exists():
+            raise InputError(f"Expected a file or folder, this is a pipe or device, which cannot be read twice: {path}")
+        else:
+            raise InputError(f"There is no such file or folder. Expected a gfx-replay or a HITL log: {path}")
+    return jobs
