@@ -6,12 +6,14 @@ Faults raise `ValueError` with the key (``accessors[3].count``); callers add the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
+
+from h3data.mesh import meshopt
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -26,6 +28,7 @@ class GltfArrays:
     document: dict[str, Any]
     buffer: Callable[[int], bytes | memoryview]
     """Returns all bytes of a buffer by index; may raise `ValueError`."""
+    _unpacked: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def accessor(self, index: object) -> NDArray[Any]:
         """The elements as stored, [count] or [count, width]; a view of the file's bytes where possible."""
@@ -54,6 +57,29 @@ class GltfArrays:
     def view(self, index: object) -> memoryview:
         """The bytes of a buffer view."""
         record, where = entry(self.document, "bufferViews", index), f"bufferViews[{index}]"
+        packed = record.get("extensions")
+        if isinstance(packed, dict) and meshopt.NAME in packed:
+            assert isinstance(index, int)  # `entry` has checked it
+            if index not in self._unpacked:
+                self._unpacked[index] = self._unpack(packed[meshopt.NAME], f"{where}.extensions.{meshopt.NAME}")
+            return self._unpacked[index]
+        return self._bytes(record, where)
+
+    def _unpack(self, packed: Any, where: str) -> memoryview:
+        """The bytes of a buffer view that is compressed as ``packed`` says."""
+        if not isinstance(packed, dict):
+            raise ValueError(f"{where} is not an object")
+        count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)
+        data, mode = self._bytes(packed, where), str(packed.get("mode"))
+        try:
+            unpacked = meshopt.decode_view(
+                data, mode=mode, filter=str(packed.get("filter", "NONE")), count=count, stride=stride
+            )
+        except ValueError as fault:
+            raise ValueError(f"{where}: {fault}") from None
+        return memoryview(unpacked.tobytes())
+
+    def _bytes(self, record: dict[str, Any], where: str) -> memoryview:
         data = memoryview(self.buffer(natural(record, "buffer", where)))
         start, size = natural(record, "byteOffset", where, 0), natural(record, "byteLength", where)
         if start + size > len(data):

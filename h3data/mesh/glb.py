@@ -23,6 +23,9 @@ _INDEX_TYPES = {UINT16: "<u2", UINT32: "<u4"}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\x00"
 
 
+GLTF_1_HINT = "which is not read. Hint: npx gltf-pipeline -i IN.gltf -o OUT.glb converts it to glTF 2.0."
+
+
 class GlbChunk:
     """A binary chunk under construction, with its buffer views and accessors."""
 
@@ -132,7 +135,8 @@ def unpack_glb(data: bytes, where: str, *, what: str = "a GLB") -> tuple[dict[st
         raise FormatError(f"Truncated GLB: a header needs 20 bytes, there are {len(data)}. File: {where}")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise FormatError(f"Expected glTF version 2, got {version}. File: {where}")
+        hint = f", {GLTF_1_HINT}" if version == 1 else "."
+        raise FormatError(f"Expected glTF version 2, got {version}{hint} File: {where}")
     if length > len(data):
         raise FormatError(f"Truncated GLB: its header says {length} bytes, there are {len(data)}. File: {where}")
     chunks: dict[bytes, memoryview] = {}

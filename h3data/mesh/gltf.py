@@ -22,12 +22,13 @@ from h3data.errors import SceneError
 from h3data.files import path_inside
 from h3data.geometry import normalized, quat_to_matrix
 from h3data.mesh.accessors import GltfArrays, entry
-from h3data.mesh.glb import unpack_glb
+from h3data.mesh.glb import GLTF_1_HINT, unpack_glb
 from h3data.mesh.gltf_materials import GltfMaterials
-from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, read_primitive, triangle_count
+from h3data.mesh.gltf_primitives import MAX_TRIANGLES, PlainMesh, has_positions, read_primitive, triangle_count
 
 _log = logging.getLogger(__name__)
 _KNOWN_EXTENSIONS = {
+    "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
     "KHR_materials_pbrSpecularGlossiness",
@@ -54,9 +55,13 @@ class GltfFile:
             self.document, self._binary = json.loads(data), memoryview(b"")
         if not isinstance(self.document, dict):
             raise ValueError("its JSON is not an object")
+        version = str(_part(self.document, "asset").get("version", ""))
+        if version.startswith("1"):
+            raise SceneError(f"this is glTF {version}, {GLTF_1_HINT}")
         _check_extensions(self.document.get("extensionsRequired", []), path)
         self._buffers: dict[int, memoryview] = {}
         self._meshes: dict[int, list[PlainMesh]] = {}
+        self._warned: set[tuple[int, int]] = set()
         self.arrays = GltfArrays(self.document, self._buffer)
         self.materials = GltfMaterials(self.arrays, self._resource, str(path))
 
@@ -134,8 +139,14 @@ class GltfFile:
 
     def _primitives(self, mesh: int) -> Iterator[tuple[dict[str, Any], str]]:
         for k, primitive in enumerate(entry(self.document, "meshes", mesh).get("primitives", [])):
-            if primitive.get("mode", 4) in (4, 5, 6):
-                yield primitive, f"meshes[{mesh}].primitives[{k}]"
+            where = f"meshes[{mesh}].primitives[{k}]"
+            if primitive.get("mode", 4) not in (4, 5, 6):
+                continue
+            if has_positions(primitive):
+                yield primitive, where
+            elif (mesh, k) not in self._warned:  # valid glTF: an extension may give the positions
+                self._warned.add((mesh, k))
+                _log.warning("%s has no POSITION, it is left out: %s", where, self.path)
 
     def parts(self) -> Iterator[tuple[PlainMesh, NDArray[np.float64]]]:
         """Every primitive in the scene, once per node, with its 4x4 matrix to the file's frame."""
@@ -152,6 +163,11 @@ class GltfFile:
             yield from ((part, matrix, skin) for part in self.mesh(mesh))
 
 
+def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
+    value = document.get(key)
+    return value if isinstance(value, dict) else {}
+
+
 def _check_extensions(required: Any, path: Path) -> None:
     """Refuses required extensions that change the geometry; warns about others that are not supported."""
     if not isinstance(required, list):
@@ -159,7 +175,9 @@ def _check_extensions(required: Any, path: Path) -> None:
     unknown = sorted({str(name) for name in required} - _KNOWN_EXTENSIONS)
     packed = [name for name in unknown if "compression" in name]
     if packed:
-        raise SceneError(f"its triangles are compressed ({packed[0]}), which is not supported")
+        raise SceneError(
+            f"its triangles are compressed ({packed[0]}), which is not read. Hint: gltfpack -noq -i IN -o OUT.glb"
+        )
     if unknown:
         _log.warning("It needs glTF extensions that are not supported, and may look different: %s: %s", unknown, path)
 

@@ -40,6 +40,12 @@ class PlainMesh:
     """Joints of its skin and their weights, both [V, 4]."""
 
 
+def has_positions(primitive: dict[str, Any]) -> bool:
+    """False for a primitive whose attributes lack POSITION, which glTF 2.0 allows and says to skip (3.7.2.1)."""
+    attributes = primitive.get("attributes")
+    return not isinstance(attributes, dict) or "POSITION" in attributes
+
+
 def triangle_count(arrays: GltfArrays, primitive: dict[str, Any], where: str) -> int:
     """Upper bound of the triangles of a primitive, from the accessors' counts alone."""
     attributes = _object(primitive, "attributes", where)

@@ -22,7 +22,7 @@ __all__ = ["DEFAULT_COLOR", "MESH_SUFFIXES", "frame_rotation", "is_file", "load_
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _READABLE = (*MESH_SUFFIXES, ".dae")
-"""Collada, which some robots have, needs the package pycollada."""
+"""Collada, which many robots have, needs the package pycollada: the extra `collada`."""
 _GLTF_SUFFIXES = (".glb", ".gltf")
 
 Vector3 = tuple[float, float, float]
@@ -52,7 +52,7 @@ def load_mesh(
     Raises:
         MissingAssetError: there is no such file.
         SceneError: the file is damaged, of another kind, compressed in an unsupported way, has no triangles or has
-            vertices that are not finite, or names files outside its folder.
+            vertices that are not finite, or has its buffers or images outside its folder.
     """
     path = Path(path)
     if not is_file(path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +18,30 @@ from h3data.mesh.mesh import Mesh, Texture
 
 _log = logging.getLogger(__name__)
 
+COLLADA_HINT = "Hint: pip install 'h3data[collada]'"
+
 
 def read_with_trimesh(path: Path) -> list[Mesh]:
     """Reads the meshes of a file in its own frame and units. Raises whatever trimesh's readers raise.
 
-    Material files and images that the file names are read from its folder or below: `SceneError` if they lie outside,
-    one warning if they are missing.
+    Material files and images that the file names are read from its folder or below, nowhere else: one warning if they are
+    missing or lie outside. They only paint: the triangles are all in the file itself.
     """
     import trimesh
+
+    if path.suffix.lower() == ".dae" and find_spec("collada") is None:
+        raise SceneError(f"Collada needs the package pycollada. {COLLADA_HINT}")
 
     beside = _Beside(path.parent)
     resolver: Any = beside
     with path.open("rb") as file, np.errstate(all="ignore"):  # such values are refused afterwards
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=resolver, process=False)
     if beside.outside:
-        raise SceneError(f"the name {beside.outside[0]!r} leads out of the file's folder, which is not followed")
-    if beside.missing:
+        _log.warning(
+            "the name %r leads out of the file's folder, which is not followed: its surfaces show other colours: %s",
+            *(beside.outside[0], path),
+        )
+    elif beside.missing:
         _log.warning("there is no file %r beside it, its surfaces show other colours: %s", beside.missing[0], path)
     geometries = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
     return [_mesh(g, path) for g in geometries if isinstance(g, trimesh.Trimesh) and len(g.faces)]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import copy
+import json
 import os
+import struct
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -48,15 +50,25 @@ def test_files_outside_the_folder_are_refused(tmp_path: Path, uri: str, what: st
         load_mesh(path)
 
 
-def test_an_obj_does_not_reach_outside_either(tmp_path: Path) -> None:
+def test_an_obj_does_not_reach_outside_either(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "out.mtl").write_text("newmtl m\nKd 1 0 0\n")
     (tmp_path / "folder").mkdir()
     obj = "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
     for k, name in enumerate(("../out.mtl", str(tmp_path / "out.mtl"), "..\\out.mtl")):
         path = tmp_path / "folder" / f"{k}.obj"
         path.write_text(obj.format(name))
-        with pytest.raises(SceneError, match="leads out of"):
-            load_mesh(path)
+        caplog.clear()
+        assert np.all(load_mesh(path).colors == 204)  # the material's red is not read
+        assert "leads out of" in caplog.text
+
+
+def test_an_obj_of_colors_only(tmp_path: Path) -> None:
+    (tmp_path / "x.mtl").write_text("newmtl m\nNs 96\nKa 0 0 0\nKd 1 0.5 0\nd 1\nnewmtl n\nKd 0 0 1\n")
+    (tmp_path / "x.obj").write_text(
+        "mtllib x.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl m\nf 1 2 3\nusemtl n\nf 1 2 4\n"
+    )
+    mesh = load_mesh(tmp_path / "x.obj")
+    assert {tuple(c) for c in mesh.colors[mesh.faces[:, 0]].tolist()} == {(255, 128, 0), (0, 0, 255)}
 
 
 def test_an_obj_without_its_material_is_told_and_grey(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -119,7 +131,6 @@ HOSTILE: dict[str, tuple[tuple[Any, ...], Any]] = {
     "no such accessor": (("meshes", 0, "primitives", 0, "attributes", "POSITION"), 99),
     "an accessor before the first": (("meshes", 0, "primitives", 0, "attributes", "POSITION"), -1),
     "attributes that are a list": (("meshes", 0, "primitives", 0, "attributes"), []),
-    "no positions": (("meshes", 0, "primitives", 0, "attributes"), {}),
     "fewer texture coordinates": (("accessors", 1, "count"), 3),
     "no such mesh": (("nodes", 0, "mesh"), 5),
     "no such node": (("scenes", 0, "nodes"), [7]),
@@ -138,7 +149,8 @@ HOSTILE: dict[str, tuple[tuple[Any, ...], Any]] = {
     "no such buffer": (("bufferViews", 0, "buffer"), 4),
     "a buffer of nowhere": (("buffers",), [{"byteLength": 5, "uri": "gone.bin"}]),
     "buffers that are none": (("buffers",), None),
-    "compressed in a way that is not read": (("extensionsRequired",), ["EXT_meshopt_compression"]),
+    "compressed in a way that is not read": (("extensionsRequired",), ["MAKER_mesh_compression"]),
+    "glTF 1.0": (("asset", "version"), "1.0"),
     "meshes that are numbers": (("meshes",), [1]),
     "required extensions that are a text": (("extensionsRequired",), "KHR_materials_unlit"),
 }
@@ -163,6 +175,25 @@ def test_hostile_documents_are_refused(tmp_path: Path, case: str) -> None:
     if "materials" not in keys and "extensionsRequired" not in keys:
         with suppress(SceneError):
             node_box(path)
+
+
+def test_a_primitive_without_positions_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    build = Builder()
+    build.document["meshes"][0]["primitives"].append({"attributes": {"NORMAL": 0}})
+    assert len(build.mesh(tmp_path).faces) == 2
+    assert "meshes[0].primitives[1] has no POSITION" in caplog.text
+    del build.document["meshes"][0]["primitives"][0]
+    with pytest.raises(SceneError, match="without triangles"):
+        build.mesh(tmp_path)
+
+
+def test_gltf_1_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.gltf").write_text(json.dumps({"asset": {"version": "1.0"}, "scene": "s", "scenes": {"s": {}}}))
+    with pytest.raises(SceneError, match=r"this is glTF 1\.0.*gltf-pipeline"):
+        load_mesh(tmp_path / "a.gltf")
+    (tmp_path / "a.glb").write_bytes(b"glTF" + struct.pack("<4I", 1, 24, 4, 0) + b"{}  ")
+    with pytest.raises(SceneError, match=r"got 1, which is not read.*gltf-pipeline"):
+        load_mesh(tmp_path / "a.glb")
 
 
 def test_unknown_required_extensions_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -1,13 +1,16 @@
 """URDF files as typed records: links, joints, visual and collision geometry. Frames stay URDF's own (x forward, z up).
 
-A minimal reader on the standard library. Read: box, cylinder, sphere, capsule, mesh; revolute, continuous, prismatic and
-fixed joints, mimic, and the spherical joints that Bullet and Habitat add to URDF; origins, axes, limits, material colours,
-inertial origins. Refused: xacro (expand it first), DOCTYPE and entities (they can read other files or blow up), other
-joint types, joints that do not make one tree, meshes that lie far outside the folder of the URDF.
+A minimal reader on the standard library. Read: box, cylinder, sphere, capsule, plane, mesh; revolute, continuous, prismatic
+and fixed joints, mimic, and the spherical joints that Bullet and Habitat add to URDF; origins, axes, limits, material
+colours, inertial origins. Read with a warning, as by Bullet and ROS: a lower limit above the upper one (no limit), vectors of
+too many numbers, floating and planar joints (held in place), mimics of joints that cannot lead (they move on their own).
+Refused: xacro (expand it first), DOCTYPE and entities (they can read other files or blow up), other joint types, joints that
+do not make one tree, meshes that lie far outside the folder of the URDF.
 """
 
 from __future__ import annotations
 
+import logging
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -20,6 +23,7 @@ import numpy as np
 
 from h3data.bodies.robots.urdf_parts import (
     UrdfGeometry,
+    UrdfIssues,
     UrdfPart,
     read_color,
     read_inertia,
@@ -32,7 +36,10 @@ from h3data.geometry import Array
 
 __all__ = ["Urdf", "UrdfGeometry", "UrdfJoint", "UrdfLink", "UrdfMimic", "UrdfPart", "read_urdf"]
 
+_log = logging.getLogger(__name__)
+
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "spherical"]
+_XACRO = {"arg", "attribute", "call", "element", "if", "include", "insert_block", "macro", "property", "unless"}
 MAX_BYTES = 16 << 20
 """Larger files are refused: no robot description is."""
 MAX_LINKS = 10_000
@@ -100,12 +107,13 @@ class Urdf:
         return tuple(j for j in self.joints if j.kind != "fixed" and j.mimic is None)
 
 
-def read_urdf(path: str | Path, *, allow_missing: bool = False) -> Urdf:
+def read_urdf(path: str | Path, *, allow_missing: bool = False, warn: bool = True) -> Urdf:
     """Reads the robot described by a URDF file; all faults are reported at once.
 
     Args:
         path: The file.
         allow_missing: Whether mesh files may be missing (`missing_meshes`).
+        warn: Whether to log one line that names what the file says oddly and how it was read.
 
     Raises:
         InputError: There is no such file.
@@ -114,21 +122,24 @@ def read_urdf(path: str | Path, *, allow_missing: bool = False) -> Urdf:
     """
     path = Path(path)
     robot = _parse(path)
-    faults: list[str] = []
+    issues = UrdfIssues()
     materials = {
         m.get("name", ""): color
         for m in robot.findall("material")
-        if (color := read_color(m.find("color"), faults)) is not None
+        if (color := read_color(m.find("color"), issues)) is not None
     }
     count = len(robot.findall("link"))
     if count > MAX_LINKS:
         raise FormatError(f"Expected a URDF of at most {MAX_LINKS} links, got {count}. File: {path}")
-    links = tuple(_link(e, path.parent, materials, faults) for e in robot.findall("link"))
-    joints = tuple(j for e in robot.findall("joint") if (j := _joint(e, faults)) is not None)
-    joints = _followers(joints, faults)
-    root = _tree_root(links, joints, faults)
-    if faults:
-        raise FormatError(f"Not a usable URDF: {'; '.join(faults[:8])}. File: {path}")
+    links = tuple(_link(e, path.parent, materials, issues) for e in robot.findall("link"))
+    joints = tuple(j for e in robot.findall("joint") if (j := _joint(e, issues)) is not None)
+    joints = _followers(joints, issues)
+    root = _tree_root(links, joints, issues)
+    if issues.faults:
+        raise FormatError(f"Not a usable URDF: {'; '.join(issues.faults[:8])}. File: {path}")
+    if issues.warnings and warn:
+        rest = f" and {len(issues.warnings) - 6} more" if len(issues.warnings) > 6 else ""
+        _log.warning("%s: %s%s. File: %s", path.stem, "; ".join(issues.warnings[:6]), rest, path)
     missing = missing_meshes(links)
     if missing and not allow_missing:
         raise MissingAssetError(
@@ -145,7 +156,7 @@ def _parse(path: Path) -> ElementTree.Element:
         raise FormatError(
             f"Expected a URDF of at most {MAX_BYTES >> 20} MiB, got {path.stat().st_size >> 20}. File: {path}"
         )
-    text = path.read_bytes()
+    text = path.read_bytes().strip(b"\0 \t\r\n")  # Bullet's own robots have blank lines before and a NUL at the end
     if re.search(rb"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) or b"\0" in text:
         raise FormatError(
             f"A URDF with a DOCTYPE, entities or UTF-16 is refused. Hint: save it as plain UTF-8. File: {path}"
@@ -154,82 +165,100 @@ def _parse(path: Path) -> ElementTree.Element:
         robot = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise FormatError(f"Expected URDF, this is not well-formed XML ({error}). File: {path}") from error
+    if any("xacro" in e.tag.lower() and _local(e.tag) in _XACRO for e in robot.iter()):
+        raise FormatError(f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}")
+    for element in robot.iter():
+        element.tag = _local(element.tag)
     if robot.tag != "robot":
         raise FormatError(f"Expected URDF with the root element <robot>, got <{robot.tag}>. File: {path}")
-    if any("xacro" in e.tag for e in robot.iter()):
-        raise FormatError(f"This is xacro, not URDF. Hint: expand it first (xacro in.xacro > out.urdf). File: {path}")
     return robot
+
+
+def _local(tag: str) -> str:
+    """The name of an element without its namespace, which some exporters give to all of them."""
+    return tag.rpartition("}")[2]
+
+
+def mesh_files(links: Iterable[UrdfLink]) -> list[Path]:
+    """Returns the mesh files that links name, sorted."""
+    named = {part.geometry.file for link in links for part in (*link.visuals, *link.collisions)}
+    return sorted(file for file in named if file is not None)
 
 
 def missing_meshes(links: Iterable[UrdfLink]) -> list[Path]:
     """Returns the mesh files of links that do not exist, sorted."""
-    named = {part.geometry.file for link in links for part in (*link.visuals, *link.collisions)}
-    return sorted(file for file in named if file is not None and not file.is_file())
+    return [file for file in mesh_files(links) if not file.is_file()]
 
 
 def _link(
-    element: ElementTree.Element, folder: Path, materials: dict[str, tuple[int, int, int]], faults: list[str]
+    element: ElementTree.Element, folder: Path, materials: dict[str, tuple[int, int, int]], issues: UrdfIssues
 ) -> UrdfLink:
     name = element.get("name", "")
     if not name:
-        faults.append("a link has no name")
+        issues.faults.append("a link has no name")
     return UrdfLink(
         name=name,
-        visuals=tuple(read_parts(element, "visual", folder, materials, faults)),
-        collisions=tuple(read_parts(element, "collision", folder, materials, faults)),
-        inertial=read_origin(element.find("inertial"), f"link {name}, inertial", faults),
+        visuals=tuple(read_parts(element, "visual", folder, materials, issues)),
+        collisions=tuple(read_parts(element, "collision", folder, materials, issues)),
+        inertial=read_origin(element.find("inertial"), f"link {name}, inertial", issues),
         inertia_box=read_inertia(element.find("inertial")),
     )
 
 
-def _joint(element: ElementTree.Element, faults: list[str]) -> UrdfJoint | None:
+def _joint(element: ElementTree.Element, issues: UrdfIssues) -> UrdfJoint | None:
     name, kind = element.get("name", ""), element.get("type", "")
     where = f"joint {name}"
     parent, child = element.find("parent"), element.find("child")
     known = get_args(JointKind)
+    if kind in ("floating", "planar"):
+        issues.warnings.append(f"{where}: a {kind} joint is held where the file puts it")
+        kind = "fixed"
     if kind not in known:
-        faults.append(f"{where}: expected type {', '.join(known)}, got {kind!r}")
+        issues.faults.append(f"{where}: expected type {', '.join(known)}, got {kind!r}")
         return None
     if parent is None or child is None:
-        faults.append(f"{where}: it needs <parent> and <child>")
+        issues.faults.append(f"{where}: it needs <parent> and <child>")
         return None
     axis_element, limit = element.find("axis"), element.find("limit")
     default = (1.0, 0.0, 0.0)
-    axis = np.array(
-        default if axis_element is None else read_numbers(axis_element.get("xyz"), 3, default, where, faults)
-    )
+    moves = kind in ("revolute", "continuous", "prismatic")
+    axis = np.array(default)
+    if (
+        moves and axis_element is not None
+    ):  # fixed joints may have any: Habitat's Fetch has 0 0 0, others less than a vector
+        axis = np.array(read_numbers(axis_element.get("xyz"), 3, default, where, issues))
     length = float(np.linalg.norm(axis))
     if length == 0:
-        axis, length = np.array(default), 1.0  # Habitat's Fetch has fixed joints with the axis 0 0 0
-        if kind in ("revolute", "continuous", "prismatic"):
-            faults.append(f"{where}: its axis is zero")
+        axis, length = np.array(default), 1.0
+        issues.faults.append(f"{where}: its axis is zero")
     lower, upper = -np.inf, np.inf
-    if limit is not None and kind != "continuous":
-        lower, upper = (read_numbers(limit.get(side), 1, (0.0,), where, faults)[0] for side in ("lower", "upper"))
+    if limit is not None and kind not in ("continuous", "fixed"):
+        lower, upper = (read_numbers(limit.get(side), 1, (0.0,), where, issues)[0] for side in ("lower", "upper"))
         if lower > upper:
-            faults.append(f"{where}: its lower limit {lower} is above the upper one {upper}")
+            issues.warnings.append(f"{where}: its lower limit {lower} is above the upper one {upper}, read as no limit")
+            lower, upper = -np.inf, np.inf
     return UrdfJoint(
         name=name,
         kind=kind,  # pyright: ignore[reportArgumentType]  # one of the known ones, see above
         parent=parent.get("link", ""),
         child=child.get("link", ""),
-        origin=read_origin(element, where, faults),
+        origin=read_origin(element, where, issues),
         axis=axis / length,
         lower=lower,
         upper=upper,
-        mimic=_mimic(element.find("mimic"), where, faults),
+        mimic=_mimic(element.find("mimic"), where, issues),
     )
 
 
-def _mimic(element: ElementTree.Element | None, where: str, faults: list[str]) -> UrdfMimic | None:
+def _mimic(element: ElementTree.Element | None, where: str, issues: UrdfIssues) -> UrdfMimic | None:
     if element is None:
         return None
-    (multiplier,) = read_numbers(element.get("multiplier"), 1, (1.0,), f"{where}, mimic", faults)
-    (offset,) = read_numbers(element.get("offset"), 1, (0.0,), f"{where}, mimic", faults)
+    (multiplier,) = read_numbers(element.get("multiplier"), 1, (1.0,), f"{where}, mimic", issues)
+    (offset,) = read_numbers(element.get("offset"), 1, (0.0,), f"{where}, mimic", issues)
     return UrdfMimic(joint=element.get("joint", ""), multiplier=multiplier, offset=offset)
 
 
-def _followers(joints: tuple[UrdfJoint, ...], faults: list[str]) -> tuple[UrdfJoint, ...]:
+def _followers(joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> tuple[UrdfJoint, ...]:
     """The joints, with every mimic traced to the joint that leads it."""
     by_name = {j.name: j for j in joints}
     one_number = ("revolute", "continuous", "prismatic")
@@ -239,10 +268,15 @@ def _followers(joints: tuple[UrdfJoint, ...], faults: list[str]) -> tuple[UrdfJo
         while mimic is not None:
             leader = by_name.get(mimic.joint)
             if leader is None or joint.kind not in one_number or leader.kind not in one_number:
-                faults.append(f"joint {joint.name}: it cannot mimic {mimic.joint!r}")
+                if joint.kind != "fixed":
+                    reason = "is not there" if leader is None else f"is {leader.kind}"
+                    issues.warnings.append(
+                        f"joint {joint.name}: {mimic.joint!r}, which it mimics, {reason}; it moves on its own"
+                    )
+                mimic = None
                 break
             if leader.name in seen:
-                faults.append(f"joint {joint.name}: it mimics itself in a circle")
+                issues.faults.append(f"joint {joint.name}: it mimics itself in a circle")
                 break
             seen.add(leader.name)
             if leader.mimic is None:
@@ -256,22 +290,22 @@ def _followers(joints: tuple[UrdfJoint, ...], faults: list[str]) -> tuple[UrdfJo
     return tuple(out)
 
 
-def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], faults: list[str]) -> str:
+def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], issues: UrdfIssues) -> str:
     """Name of the one link without a parent; faults if the joints do not make one tree of all links."""
     names = [link.name for link in links]
     known, children = set(names), Counter(j.child for j in joints)
-    faults += [f"link {n} is there twice" for n, count in Counter(names).items() if count > 1]
-    faults += [f"joint {n} is there twice" for n, count in Counter(j.name for j in joints).items() if count > 1]
-    faults += [
+    issues.faults += [f"link {n} is there twice" for n, count in Counter(names).items() if count > 1]
+    issues.faults += [f"joint {n} is there twice" for n, count in Counter(j.name for j in joints).items() if count > 1]
+    issues.faults += [
         f"joint {j.name}: there is no link {end!r}" for j in joints for end in (j.parent, j.child) if end not in known
     ]
-    faults += [f"link {c} has two parents" for c, count in children.items() if count > 1]
+    issues.faults += [f"link {c} has two parents" for c, count in children.items() if count > 1]
     roots = [n for n in names if n not in children]
-    if faults:
+    if issues.faults:
         return ""
     if len(roots) != 1:
-        found = ", ".join(roots[:4]) or "none (the joints form a cycle)"
-        faults.append(f"expected one link without a parent, got {found}")
+        found = ", ".join(roots[:4]) or ("none (the joints form a cycle)" if names else "a file without links")
+        issues.faults.append(f"expected one link without a parent, got {found}")
         return ""
     below: dict[str, list[str]] = defaultdict(list)
     for joint in joints:
@@ -282,5 +316,5 @@ def _tree_root(links: tuple[UrdfLink, ...], joints: tuple[UrdfJoint, ...], fault
         reached.update(below[here])
         waiting += below[here]
     if len(reached) != len(names):
-        faults.append(f"links {', '.join(sorted(known - reached)[:4])} hang in a cycle, not on {roots[0]}")
+        issues.faults.append(f"links {', '.join(sorted(known - reached)[:4])} hang in a cycle, not on {roots[0]}")
     return roots[0]

@@ -160,7 +160,22 @@ def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell
     or below it. ``sdf`` is the signed distance to the border of the polygon *plus the radius*: a navmesh knows where the
     centre may be, not where the obstacles are. So ``sdf >= radius`` holds exactly on the navmesh, and elsewhere the
     distance is never overstated: true along walls, up to 0.41 radius too small at the corners of obstacles.
+
+    Raises:
+        SceneError: nothing can be walked on, the island lies above itself (stairs), or polygons are damaged.
+        InputError: the grid would be too large.
     """
+    try:
+        return _one_floor(navmesh, island, cell_m)
+    except shapely.errors.GEOSException as error:
+        outlines = [Polygon(navmesh.corners(int(p))[:, [0, 2]]) for p in np.flatnonzero(navmesh.enabled)]
+        crossed = sum(not outline.is_valid for outline in outlines)
+        raise SceneError(
+            f"Expected polygons that do not cross themselves, {crossed} of {len(outlines)} do: the navmesh is damaged ({error})."
+        ) from None
+
+
+def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace:
     areas = navmesh.island_areas
     if not len(areas):
         raise SceneError("The navmesh has no polygon that can be walked on.")

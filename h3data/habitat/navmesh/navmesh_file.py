@@ -105,7 +105,7 @@ def _read_set_header(cursor: _Cursor) -> NavMeshSettings | None:
     at = cursor.offset
     numbers = [float(v) for v in cursor.array("<f4", 13, "settings")]
     switches = [bool(v) for v in cursor.array("u1", 4, "settings")]
-    if not np.isfinite(numbers).all() or numbers[3] < 0 or numbers[2] <= 0:
+    if not (np.abs(numbers) <= COORDINATE_MAX).all() or numbers[3] < 0 or numbers[2] <= 0:
         raise cursor.error(f"Expected finite settings and a positive agent, got {numbers}", at)
     names = NavMeshSettings.__dataclass_fields__
     values: dict[str, Any] = dict(zip(names, [*numbers, *switches], strict=True))
@@ -129,8 +129,10 @@ def _read_tile_header(cursor: _Cursor) -> tuple[np.void, int]:
     if header["details"] > header["polygons"]:
         raise cursor.error(f"{header['details']} detail meshes for {header['polygons']} polygons", at)
     numbers = [header["height"], header["radius"], header["climb"], *header["bounds"].flat]
-    if not np.isfinite(numbers).all():
+    if not (np.abs(numbers) <= COORDINATE_MAX).all():
         raise cursor.error(f"Expected finite sizes and bounds in the tile header, got {np.array(numbers)}", at)
+    if (header["bounds"][0] > header["bounds"][1]).any():
+        raise cursor.error(f"Expected bounds from the lower to the upper corner, got {header['bounds'].tolist()}", at)
     return header, at + size
 
 

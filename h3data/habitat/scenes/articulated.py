@@ -48,7 +48,7 @@ def read_links(urdf: Path) -> tuple[Robot, tuple[Link, ...]]:
     from h3data.bodies.robots.urdf import read_urdf
 
     robot = load_robot(urdf, up="y", fill_in=False)
-    described = {link.name: link for link in read_urdf(urdf).links}
+    described = {link.name: link for link in read_urdf(urdf, warn=False).links}  # `load_robot` has warned
     frames = link_frames(robot, default_positions(robot))
     links = []
     for index, link in enumerate(robot.links):

@@ -251,6 +251,7 @@ def test_every_truncation_is_refused(good, tmp_path):
         (TILE + 48, "i", 1_000_000_000, "tree nodes"),
         (TILE + 52, "i", 1_000_000_000, "jump links"),
         (TILE + 72, "f", float("inf"), "bounds"),
+        (TILE + 72, "f", 1e5, "lower to the upper corner"),
         (TILE + 100 + 16, "f", float("nan"), "of vertices 1 .at byte 216"),
         (TILE + 100, "f", 1e30, "coordinates below"),
         (POLYGONS + 4, "H", 6, "Polygon 0 names a vertex beyond the 6.*at byte 276"),
@@ -295,6 +296,13 @@ def test_random_damage_gives_a_navmesh_or_a_format_error(changes):
             return
         assert len(navmesh.islands) == 2
         assert np.isfinite(navmesh.area_m2)
+
+
+def test_polygons_that_cross_themselves_are_damage():
+    """What reading cannot tell at once, but no union of polygons survives."""
+    navmesh = mesh_of([[(0, 0), (4, 0), (0, 4), (4, 4)], [(1, 1), (3, 1), (3, 3), (1, 3)]])
+    with pytest.raises(SceneError, match=r"1 of 2 do: the navmesh is damaged"):
+        free_space_from_navmesh(navmesh)
 
 
 def test_version_1_takes_the_agent_from_the_tile(good, tmp_path):
