@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 
 from h3data_pipelines.benchmark.protocol import BenchmarkWorlds, Cell
-from h3data_pipelines.commands.bench import measure, process_pool
+from h3data_pipelines.machine.bench import measure, process_pool
 
 Emit = Callable[[str, float, str], None]
 RUNS, STEPS, PROCESSES = 3, 210, 2

@@ -9,8 +9,12 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from typing import Any
+
+from h3data.terminal import printable
 
 ABOUT = """Simulate people and robots sharing a home, record everything, and render, measure and inspect it again."""
 
@@ -32,8 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.path.append(os.getcwd())  # so that module:name finds the user's files, after everything that is installed
     try:
         return _run(list(sys.argv[1:] if arguments is None else arguments))
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted; finished files are kept\n")
+    except KeyboardInterrupt as stop:
+        _complain("; ".join(filter(None, ("interrupted", str(stop)))))
         return 130
     except BrokenPipeError:
         _close_stdout()
@@ -49,22 +53,44 @@ def _run(args: list[str]) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
     logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # says that the first command compiles
     try:
-        command = parse(args, COMMANDS, about=ABOUT)
-        outcome = command.run()
+        invocation = parse(args, COMMANDS, about=ABOUT)
+        command = invocation.command
+        with _silence() if invocation.quiet else nullcontext():
+            outcome = command.run()
     except BrokenPipeError:
         raise
     except (H3DataError, OSError, MemoryError) as error:
         message = masked(_message(error))
-        sys.stderr.write(f"error: {message}\n")
+        _complain(f"error: {message}")
         if "--json" in args:
             _print(json.dumps({"error": message}))
         return 2
     try:
         _print(json.dumps(jsonable(outcome.data), indent=2) if command.json else outcome.text.rstrip())
     except OSError as error:
-        sys.stderr.write(f"error: {_message(error)}\n")
+        _complain(f"error: {_message(error)}")
         return 2
     return outcome.exit_code
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Turns off progress, notices and warnings, in worker processes too."""
+    from h3data.progress import QUIET
+
+    before = os.environ.get(QUIET)
+    os.environ[QUIET] = "1"
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(logging.NOTSET)
+        if before is None:
+            del os.environ[QUIET]
+        else:
+            os.environ[QUIET] = before
 
 
 def _message(error: BaseException) -> str:
@@ -77,9 +103,13 @@ def _message(error: BaseException) -> str:
     return str(error)
 
 
+def _complain(text: str) -> None:
+    sys.stderr.write(printable(text) + "\n")
+
+
 def _print(text: str) -> None:
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(printable(text) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         _close_stdout()
@@ -92,7 +122,9 @@ def _close_stdout() -> None:
 
 def entry() -> None:
     """Console entry point."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C: finished files are kept
+    for number in (signal.SIGTERM, signal.SIGHUP):  # ended from outside, or the terminal closed: as after Ctrl-C
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks to go on
+            signal.signal(number, signal.default_int_handler)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not fit the terminal's encoding
     sys.exit(main())

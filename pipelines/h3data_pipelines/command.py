@@ -25,6 +25,7 @@ AssetsOption = Annotated[
     tuple[Path, ...],
     tyro.conf.arg(help="More folders to search for a Habitat scene's files (default: H3DATA_ASSETS)."),
 ]
+DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and do nothing.")]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
@@ -143,13 +144,24 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
+def keeping(kept: Callable[[], str]) -> Iterator[None]:
+    """Says on Ctrl-C what is kept of the work in the block, and how to go on; an empty text says nothing."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
+
+
+@contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delays Ctrl-C and SIGTERM to the end of the block, so that a write in progress is finished first."""
+    """Delays Ctrl-C, SIGTERM and SIGHUP to the end of the block, so that a write in progress is finished first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
-    before = {s: signal.signal(s, lambda number, _: received.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    heeded = [s for s in numbers if signal.getsignal(s) is not signal.SIG_IGN]  # nohup ignores SIGHUP
+    before = {s: signal.signal(s, lambda number, _: received.append(number)) for s in heeded}
     try:
         yield
     finally:

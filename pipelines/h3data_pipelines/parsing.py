@@ -2,38 +2,50 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import importlib.metadata
 import inspect
-import math
 import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NoReturn, Union, cast, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, NoReturn, get_args, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from h3data.errors import InputError, did_you_mean
 from h3data_pipelines.command import Command, Group, NameOf
+from h3data_pipelines.job_files import read_job_file
+from h3data_pipelines.options import KINDS, Option, Repeatable, options_of, read_value
 
 _CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
-_POSITIONAL = get_args(tyro.conf.Positional[str])[1]
 _SILENT = ("None", "False", "", "''")
 """Defaults that help leaves out: they only mean that the option is not given."""
+_COMMON_HELP = (
+    "Every command also takes --config JOB.toml (options by name, those given here win) and --quiet (no progress)."
+)
 _ABSENT = "\0"
 """Default of options while words are assigned to them; no word on a command line can hold it."""
 
 _registry = ConstructorRegistry()
 
 
-def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Command:
+@dataclass(frozen=True)
+class Invocation:
+    """A command with its options, and the options that all commands share."""
+
+    command: Command
+    quiet: bool = False
+    """No progress, notices or warnings; results and errors are still printed."""
+
+
+def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *, about: str) -> Invocation:
     """The command that ``args`` name, with its options. Help and the version are printed and end in `SystemExit`.
 
     Raises:
@@ -54,88 +66,71 @@ def parse(args: Sequence[str], commands: Mapping[str, type[Command] | Group], *,
         about, commands = chosen.about, chosen.commands
 
 
-# --- options ----------------------------------------------------------------------------------------------------------
-@dataclasses.dataclass(frozen=True)
-class _Option:
-    """One field of a command."""
-
-    field: str
-    flags: tuple[str, ...]
-    """``-o``, ``--out``; empty for a positional argument."""
-    required: bool
-    kind: Any
-    """Type of one value, without None."""
-    count: int | None
-    """Number of values, None for any number."""
-    metadata: tuple[Any, ...]
-    """Markers of tyro."""
-
-    @property
-    def name(self) -> str:
-        return "/".join(self.flags) or self.field.upper()
-
-    @property
-    def word_type(self) -> Any:
-        """Type for assigning words to the option without reading them: flags are read, values stay text."""
-        plain = bool if self.kind is bool else str if self.count == 1 else tuple[str, ...]
-        return Annotated[(plain, *self.metadata)] if self.metadata else plain
-
-
-def _parse_options(command: type[Command], prog: str, words: list[str]) -> Command:
-    """The command with its options.
+def _parse_options(command: type[Command], prog: str, words: list[str]) -> Invocation:
+    """The command with its options, from its words and a ``--config`` file.
 
     tyro assigns the words to the fields and prints help. Its errors are boxes of text for a terminal, and the hook that
     would give them as objects (``tyro._errors``) is private and unstable. So it never sees an error: fields are optional
     texts while words are assigned, then values are read and missing ones reported here, in one line.
     """
-    cli = functools.partial(tyro.cli, prog=prog, config=_CONFIG)
     if {"-h", "--help"} & set(words):
-        cli(_documented(command), args=["--help"], description=inspect.getdoc(command), registry=_registry)
-    options, see = _options(command), f"See: {prog} --help"
+        _help(command, prog)
+    options, see = options_of(command), f"See: {prog} --help"
+    words, quiet, config = _common(words, see)
+    configured = {} if config is None else read_job_file(config, options)
     try:
-        texts, unknown = cli(_unread(command), args=words, return_unknown_args=True, console_outputs=False)
+        texts, unknown = tyro.cli(
+            _unread(command), prog=prog, config=_CONFIG, args=words, return_unknown_args=True, console_outputs=False
+        )
     except SystemExit:  # all fields are optional: only the value of an option can be missing
         raise InputError(f"{_valueless(options, words)} {see}") from None
     if unknown:
         _refuse_option(unknown, options, see)
-    given = {o.field: text for o in options if (text := getattr(texts, o.field)) not in (_ABSENT, ())}
+    given = configured | {
+        o.field: text for o in options if (text := getattr(texts, o.field)) not in (_ABSENT, (), False)
+    }
     if missing := [o.name for o in options if o.required and o.field not in given and o.count is not None]:
         raise InputError(f"Missing from {prog}: {' and '.join(missing)}. {see}")
     values = {o.field: () for o in options if o.required}  # any number of values may be none
     for option in options:
         if option.field in given:
             try:
-                values[option.field] = _read(option, given[option.field])
+                values[option.field] = read_value(option, given[option.field])
             except ValueError as error:
                 raise InputError(f"{option.name}: {error}. {see}") from None
-    return command(**values)
+    return Invocation(command(**values), quiet)
 
 
-@functools.cache
-def _options(command: type[Command]) -> tuple[_Option, ...]:
-    hints = get_type_hints(command, include_extras=True)
-    return tuple(_option(field, hints[field.name]) for field in dataclasses.fields(cast(Any, command)))
+def _common(words: list[str], see: str) -> tuple[list[str], bool, Path | None]:
+    """The words without the options that all commands share, and these: ``--quiet`` and the path after ``--config``."""
+    rest, config, quiet = [], None, False
+    waiting = iter(words)
+    for word in waiting:
+        name, sign, value = word.partition("=")
+        if word == "--":
+            rest += [word, *waiting]
+        elif word == "--quiet":
+            quiet = True
+        elif name == "--config":
+            path = value if sign else next(waiting, "")
+            if not path or path.startswith("-"):
+                raise InputError(f"Missing value for --config. {see}")
+            config = Path(path)
+        else:
+            rest.append(word)
+    return rest, quiet, config
 
 
-def _option(field: dataclasses.Field[Any], annotation: Any) -> _Option:
-    metadata = getattr(annotation, "__metadata__", ())
-    kind = get_args(annotation)[0] if metadata else annotation
-    count: int | None = 1
-    if get_origin(kind) in (Union, UnionType):
-        (kind,) = (k for k in get_args(kind) if k is not NoneType)
-    if get_origin(kind) is tuple:
-        count = None if get_args(kind)[-1] is ... else len(get_args(kind))
-        kind = get_args(kind)[0]
-    if kind is not bool and get_origin(kind) is not Literal and kind not in _KINDS:
-        raise TypeError(
-            f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {field.name} is {kind}."
+def _help(command: type[Command], prog: str) -> NoReturn:
+    """Prints the help of a command: summary, options, and the examples last, where a terminal still shows them."""
+    about, _, examples = (inspect.getdoc(command) or "").partition("Examples:\n")
+    try:
+        tyro.cli(
+            _documented(command), prog=prog, config=_CONFIG, args=["--help"], description=about, registry=_registry
         )
-    flags: tuple[str, ...] = ()
-    if _POSITIONAL not in metadata:
-        aliases = [alias for m in metadata for alias in getattr(m, "aliases", None) or ()]
-        flags = (*aliases, f"--{field.name.replace('_', '-')}")
-    required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    return _Option(field.name, flags, required, kind, count, metadata)
+    except SystemExit:
+        _leave(f"{_COMMON_HELP}\n\nExamples:\n{examples.rstrip()}")
+    raise AssertionError("tyro printed no help")
 
 
 @functools.cache
@@ -144,7 +139,7 @@ def _unread(command: type[Command]) -> Any:
     defaults = {bool: False}
     fields = [
         (o.field, o.word_type, dataclasses.field(default=defaults.get(o.kind, _ABSENT if o.count == 1 else ())))
-        for o in _options(command)
+        for o in options_of(command)
     ]
     return dataclasses.make_dataclass(command.__name__, fields)
 
@@ -152,17 +147,21 @@ def _unread(command: type[Command]) -> Any:
 def _documented(command: type[Command]) -> Any:
     """A subclass of the command whose help shows only defaults that mean something."""
     annotations = {}
+    by_field = {option.field: option for option in options_of(command)}
     for name, kind in get_type_hints(command, include_extras=True).items():
+        if name not in by_field:  # a class variable
+            continue
+        repeatable = by_field[name].count is None and by_field[name].flags
         names = next((extra for extra in getattr(kind, "__metadata__", ()) if isinstance(extra, NameOf)), None)
         if names is not None:
             kind = Annotated[kind, _shown(f"{{{','.join(names.names())}}}")]
         hint = tyro.conf.arg(help_behavior_hint=lambda label: "" if label in _SILENT else f"(default: {label})")
-        annotations[name] = Annotated[kind, hint]
+        annotations[name] = Annotated[Repeatable[kind] if repeatable else kind, hint]
     members = {"__doc__": command.__doc__, "__module__": command.__module__, "__annotations__": annotations}
     return type(command.__name__, (command,), members)
 
 
-def _refuse_option(unknown: list[str], options: tuple[_Option, ...], see: str) -> NoReturn:
+def _refuse_option(unknown: list[str], options: tuple[Option, ...], see: str) -> NoReturn:
     word = next((w for w in unknown if w.startswith("-")), unknown[0])
     if not word.startswith("-"):
         raise InputError(f"Unknown argument {word!r}. {see}")
@@ -170,7 +169,7 @@ def _refuse_option(unknown: list[str], options: tuple[_Option, ...], see: str) -
     raise InputError(f"Unknown option {word!r}.{did_you_mean(word.partition('=')[0], flags)} {see}")
 
 
-def _valueless(options: tuple[_Option, ...], words: list[str]) -> str:
+def _valueless(options: tuple[Option, ...], words: list[str]) -> str:
     """The option after which a value is missing."""
     by_flag = {flag: option for option in options if option.kind is not bool for flag in option.flags}
     for word, following in zip(words, [*words[1:], "--"], strict=True):
@@ -218,69 +217,18 @@ def _first_example(command: type[Command]) -> str:
     return (inspect.getdoc(command) or "").partition("Examples:\n")[2].strip().partition("\n")[0]
 
 
-# --- values -----------------------------------------------------------------------------------------------------------
-def _read(option: _Option, given: Any) -> Any:
-    """The value of an option from its words."""
-    if option.kind is bool:
-        return given
-    if get_origin(option.kind) is Literal:
-        read: Callable[[str], Any] = functools.partial(_choice, get_args(option.kind))
-    else:
-        read = _KINDS[option.kind][1]
-    if option.count == 1:
-        return read(given)
-    if option.count is not None and len(given) != option.count:
-        raise ValueError(f"expected {option.count} values, got {len(given)}")
-    return tuple(map(read, given))
-
-
-def _choice(choices: tuple[Any, ...], text: str) -> Any:
-    for choice in choices:
-        if text == str(choice):
-            return choice
-    raise ValueError(f"expected one of {', '.join(map(str, choices))}, got {text!r}")
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ValueError(f"expected a whole number, got {text!r}") from None
-
-
-def _number(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if math.isfinite(value := float(text)):
-            return value
-    raise ValueError(f"expected a number, got {text!r}")
-
-
-def _path(text: str) -> Path:
-    if not text:
-        raise ValueError("expected a path, got an empty text")
-    return Path(text)
-
-
-_KINDS: dict[Any, tuple[str, Callable[[str], Any]]] = {
-    int: ("INT", _whole),
-    float: ("NUMBER", _number),
-    str: ("TEXT", str),
-    Path: ("PATH", _path),
-}
-
-
 @_registry.primitive_rule
 def _typed(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """Numbers, texts and paths in help; None is not among them, as it only means that the option is not given."""
     kinds = [kind for kind in get_args(info.type) or (info.type,) if kind is not NoneType]
-    if len(set(kinds)) != 1 or kinds[0] not in _KINDS:
+    if len(set(kinds)) != 1 or kinds[0] not in KINDS:
         return None
-    metavar, _ = _KINDS[kinds[0]]
+    metavar, _ = KINDS[kinds[0]]
     return _shown(" ".join([metavar] * len(kinds)), count=len(kinds) if info.type_origin is tuple else 1)
 
 
 def _shown(metavar: str, *, count: int = 1) -> PrimitiveConstructorSpec[Any]:
-    """How help shows a value, where tyro reads none: `_read` does."""
+    """How help shows a value, where tyro reads none: `read_value` does."""
     return PrimitiveConstructorSpec(
         nargs=count,
         metavar=metavar,

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import Array
+from h3data.progress import progress
 from sim_kinematic.sensing.observation_set import Arrays, gymnasium
 from sim_kinematic.sensing.sensor import NoiseModel
-from sim_kinematic.tasks.describe import bar
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -117,7 +117,7 @@ class ManySteppers:
 
     def begin(self, seeds: Sequence[int], indices: Sequence[int], where: NDArray[np.bool_]) -> None:
         one = np.ones(1, np.bool_)
-        with bar("episodes", int(where.sum()), "episode") as begun:
+        with progress(desc="episodes", total=int(where.sum()), unit="episode", delay=1.0, leave=False) as begun:
             for w in np.flatnonzero(where).tolist():
                 self.each[w].begin([seeds[w]], [indices[w]], one)
                 begun.update()

@@ -1,17 +1,11 @@
-"""What training environments say of themselves: in a few words (``repr``), and by a bar while homes and episodes are made."""
+"""One-line descriptions of training environments, for their ``repr``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from h3data.scene import Scene
 
-if TYPE_CHECKING:
-    from tqdm import tqdm
-
-SILENT_S = 1.0
-"""A bar is shown of what takes longer, and where stderr is a terminal."""
 LISTED = 3
 """So many scenes of a list are named."""
 
@@ -43,10 +37,3 @@ def _scenes(scenes: str | Scene | Sequence[str | Scene], count: int) -> str:
     names = [scene.name if isinstance(scene, Scene) else scene for scene in listed]
     named = ", ".join(names[:LISTED]) + (", ..." if len(names) > LISTED else "")
     return f"scene {named}" if count == 1 else f"{count} scenes of {named}"
-
-
-def bar(what: str, total: int, unit: str) -> tqdm:
-    """A bar on stderr that goes away in the end; `SILENT_S` says when it is shown."""
-    from tqdm import tqdm
-
-    return tqdm(total=total, desc=what, unit=unit, delay=SILENT_S, disable=None, leave=False)

@@ -8,11 +8,11 @@ from typing import Any
 
 from h3data.errors import InputError, SceneError
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
+from h3data.progress import progress
 from h3data.scene import FreeSpace, Scene
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
 from sim_kinematic.motion.randomness import episode_seed, generator
-from sim_kinematic.tasks.describe import bar
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.task import Task
 
@@ -104,7 +104,7 @@ class EpisodeSource:
         missing = [self.homes[k] for k in numbers if not self.homes[k].is_ready]
         if not missing:
             return
-        with bar("homes", len(missing), "home") as made:
+        with progress(desc="homes", total=len(missing), unit="home", delay=1.0, leave=False) as made:
             for home in missing:
                 _ = home.scene, home.free
                 made.update()

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from h3data.errors import InputError
 from h3data_pipelines.cli import main
 from h3data_pipelines.command import Group
 from h3data_pipelines.commands.exporting import Export
+from h3data_pipelines.commands.generate import Generate
+from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.table import COMMANDS
+from h3data_pipelines.options import options_of
+from h3data_pipelines.parsing import parse
+from h3data_pipelines.pictures.viewing import View
 
-HELP = [
-    *((name,) for name in COMMANDS),
-    *((name, sub) for name, group in COMMANDS.items() if isinstance(group, Group) for sub in group.commands),
+LEAVES = [
+    (words, command)
+    for name, top in COMMANDS.items()
+    for words, command in (
+        [((name, sub), each) for sub, each in top.commands.items()] if isinstance(top, Group) else [((name,), top)]
+    )
 ]
+HELP = [*((name,) for name, top in COMMANDS.items() if isinstance(top, Group)), *(words for words, _ in LEAVES)]
 REFUSED = {
     "generat": "Unknown command 'generat'. Did you mean 'generate'? Expected one of: demo,",
     "fly": "Unknown command 'fly'. Expected one of: demo, generate,",
@@ -78,6 +90,104 @@ def test_the_first_help_is_one_page(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert all(f"\n  {name} " in out for name in COMMANDS)
     assert len(out.splitlines()) < 60
+
+
+def test_list_options_take_one_value_each_time() -> None:
+    """In every command: several values after one flag would swallow the positional argument behind them."""
+    tried = 0
+    for words, command in LEAVES:
+        for option in options_of(command):
+            if not option.flags or option.count is not None:
+                continue
+            value = "1" if option.kind in (int, float) else "a"
+            required = [word for o in options_of(command) if o.required and o.flags for word in (o.flags[0], "csv")]
+            positional = [o for o in options_of(command) if not o.flags]
+            line = [*words, option.flags[-1], value, *required, option.flags[-1], value, *["p"] * len(positional)]
+            parsed = parse(line, COMMANDS, about="").command
+            assert len(getattr(parsed, option.field)) == 2, line
+            for each in positional:
+                assert "p" in str(getattr(parsed, each.field)), line
+            tried += 1
+    assert tried > 8
+
+
+def test_a_list_option_before_the_positional_argument() -> None:
+    view = parse(["view", "--camera", "robot_arm", "--camera", "top_down", "ep.mcap"], COMMANDS, about="").command
+    assert isinstance(view, View)
+    assert (view.camera, view.recording) == (("robot_arm", "top_down"), Path("ep.mcap"))
+    imported = parse(["import", "--assets", "a", "file.json", "-o", "rec"], COMMANDS, about="").command
+    assert isinstance(imported, Import)
+    assert (imported.assets, imported.paths) == ((Path("a"),), (Path("file.json"),))
+
+
+# --- job files ---------------------------------------------------------------------------------------------------------
+def test_a_job_file_gives_options_and_the_command_line_wins(tmp_path: Path) -> None:
+    job = tmp_path / "job.toml"
+    job.write_text(
+        'task = "wander"\nepisodes = 20\nhuman-speed = 1.5\nmcap = true\nrule = ["a=1", "b=2"]\nout = "ds"\n'
+    )
+    parsed = parse(["generate", "--config", str(job), "--episodes", "3", "--quiet"], COMMANDS, about="")
+    assert parsed.quiet
+    command = parsed.command
+    assert isinstance(command, Generate)
+    assert (command.task, command.episodes, command.human_speed, command.mcap) == ("wander", 3, 1.5, True)
+    assert (command.rule, command.out) == (("a=1", "b=2"), Path("ds"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("epsodes = 3", "Unknown option 'epsodes' in .*Did you mean 'episodes'"),
+        ("episodes = [1, 2]", "Expected one value for 'episodes', got 2"),
+        ('mcap = "yes"', "Expected true or false for 'mcap', got 'yes'"),
+        ("episodes = true", "Expected text or numbers for 'episodes', got True"),
+        ("episodes = 1.5", "--episodes: expected a whole number, got '1.5'"),
+        ("episodes = ", "Expected a TOML file of options"),
+        (None, "There is no such file"),
+    ],
+)
+def test_a_bad_job_file_is_refused(text: str | None, says: str, tmp_path: Path) -> None:
+    job = tmp_path / "job.toml"
+    if text is not None:
+        job.write_text(text)
+    with pytest.raises(InputError, match=says):
+        parse(["generate", "wander", "-o", "x", f"--config={job}"], COMMANDS, about="")
+
+
+def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "ds"
+    assert main(["generate", "wander", "--episodes", "5", "--homes", "2", "--dry-run", "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("Would play 5 episodes of wander")
+    assert "in 2 scenes: small:0, small:1" in told
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_scripts_know_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "rerender" in script
+    assert "spawn-distance" in script or "spawn_distance" in script
+
+
+def test_the_bash_script_completes(capsys: pytest.CaptureFixture[str]) -> None:
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("needs bash")
+    main(["completion", "bash"])
+    ask = "COMP_WORDS=(h3data rere); COMP_CWORD=1; _shtab_h3data; echo ${COMPREPLY[@]}"
+    script = f"{capsys.readouterr().out}\n{ask}"
+    answer = subprocess.run([bash, "-c", script], capture_output=True, text=True, check=False)
+    assert answer.stdout.split() == ["rerender"], answer.stderr
+
+
+def test_control_characters_never_reach_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(tmp_path / "a\x1b[2Jb\u202e.mcap")]) == 2
+    error = capsys.readouterr().err
+    assert "\x1b" not in error
+    assert "\u202e" not in error
+    assert "a\\x1b[2Jb\\u202e.mcap" in error
 
 
 def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:

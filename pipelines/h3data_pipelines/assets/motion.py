@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.motion.motion_clip import Motion
@@ -17,6 +16,7 @@ from h3data.bodies.motion.motion_cycle import trim_to_cycle
 from h3data.bodies.motion.motion_files import SUFFIXES, MotionKind, ReadOptions, motion_kind, read_motion, save_motion
 from h3data.bodies.motion.motion_retarget import foot_report, retarget
 from h3data.errors import FormatError, H3DataError, InputError
+from h3data.progress import progress
 from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file
 
 KindChoice = Annotated[
@@ -73,7 +73,7 @@ class MotionImport:
             return _report([self._convert(*sources[0], body, options, set())])
         rows: list[dict[str, Any]] = []
         written: set[Path] = set()
-        for path, target in tqdm(sources, desc="motion import", unit="file", disable=None):
+        for path, target in progress(sources, desc="motion import", unit="file"):
             try:
                 if self.kind == "auto":
                     motion_kind(path)
@@ -290,6 +290,6 @@ def write_video(motion: Motion, body: Humanoid, name: str, target: Path) -> int:
     track = follow_camera(replay)
     with VideoWriter(target, track.camera.width, track.camera.height) as video:
         frames = replay.frames([track], range(len(replay)), outputs=("rgb",), samples=4)
-        for _, (picture,) in tqdm(frames, total=len(replay), desc="video", unit="frame", disable=None):
+        for _, (picture,) in progress(frames, total=len(replay), desc="video", unit="frame"):
             video.write(picture["rgb"])
     return len(replay)

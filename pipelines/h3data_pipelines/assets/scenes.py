@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import InputError, SceneError
 from h3data.habitat.episodes.rearrange_episode import EpisodeSet
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
+from h3data.progress import progress
 from h3data.scene import HOME_PRESETS, FreeSpace, Scene
 from h3data.scene.scene_sets import SceneFile, SceneSet, find_scene_set
 from h3data_pipelines.assets.scene_reports import (
@@ -272,9 +272,7 @@ class ScenesValidate:
         targets = self._targets(list(scenes))
         reports = [
             validate_scene(named, radius_m=self.radius, picture=targets.get(name))
-            for name, named in tqdm(
-                scenes.items(), desc="validate", unit="scene", disable=True if len(scenes) < 5 else None
-            )
+            for name, named in progress(scenes.items(), desc="validate", unit="scene", at_least=5)
         ]
         problems = sum(len(r["problems"]) for r in reports)
         cells = [
@@ -367,7 +365,7 @@ def _episodes(scenes: SceneSet, max_count: int | None, config: str) -> EpisodeSe
 
     count = scenes.episodes if max_count is None else min(max_count, scenes.episodes)
     episodes = []
-    for i in tqdm(range(count), desc=f"episodes of {scenes.label}", disable=True if count < 50 else None):
+    for i in progress(range(count), desc=f"episodes of {scenes.label}", unit="episode", at_least=50):
         entry, index = scenes.place(i)
         episodes.append(
             social_nav_episode(

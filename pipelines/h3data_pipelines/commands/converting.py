@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
     ForceFlag,
@@ -99,10 +99,7 @@ class Convert:
     def _logs(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
         if not self.resume:
             claim_folder(self._out, force=self.force)
-        return [
-            self._log(source, self._target(source))
-            for source in tqdm(sources, desc="convert", unit="episode", disable=None)
-        ]
+        return [self._log(source, self._target(source)) for source in progress(sources, desc="convert", unit="episode")]
 
     def _target(self, source: EpisodeSource) -> AnyPath:
         """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
@@ -143,7 +140,7 @@ class Convert:
         rows = []
         with DatasetWriter(self._out, resume=self.resume, fps=rate, nominal_fps=nominal, like=like) as writer:
             done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).rows)} if len(writer) else {}
-            for source in tqdm(sources, desc="convert", unit="episode", disable=None):
+            for source in progress(sources, desc="convert", unit="episode"):
                 row = self._add(source, writer, done)
                 rows.append({"source": source.name, **row})
         if self.check:
@@ -155,7 +152,7 @@ class Convert:
         from h3data.recording import Dataset
 
         dataset = Dataset(self._out)
-        for source, row in zip(sources, tqdm(rows, desc="compare", unit="episode", disable=None), strict=True):
+        for source, row in zip(sources, progress(rows, desc="compare", unit="episode"), strict=True):
             if row["status"] == "failed":
                 continue
             index = int(row["recording"].rpartition("#")[2])
@@ -206,7 +203,7 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
 
 def _readable(sources: list[EpisodeSource]) -> Iterator[Recording]:
     """Every readable episode, to fix the columns of a dataset; `Convert._add` reports the others."""
-    for source in tqdm(sources, desc="read", unit="episode", disable=None):
+    for source in progress(sources, desc="read", unit="episode"):
         with suppress(H3DataError):
             yield source.read()
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import InputError
+from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.replay import Replay, camera_track
 from h3data_pipelines.command import (
@@ -41,7 +41,7 @@ FILES = (
 
 @dataclass(frozen=True)
 class Demo:
-    """Simulate a person and a robot in a home, record, make a dataset, render from three cameras, measure, inspect.
+    """Simulate a person and a robot in a home; record, render and measure the episode.
 
     Examples:
         h3data demo
@@ -111,7 +111,7 @@ class Demo:
         )
         task = SocialNav()
         episode = task.episode(scene, seed=self.seed, spec=spec)
-        with tqdm(total=self.steps, desc="simulate", unit="step", disable=None) as bar:
+        with progress(total=self.steps, desc="simulate", unit="step") as bar:
             simulate(
                 task,
                 episode,

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import FormatError, InputError
+from h3data.progress import progress
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_folder, write_text
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
 from h3data_pipelines.jobs.episodes import Choices, make_jobs
@@ -24,9 +24,10 @@ from h3data_pipelines.jobs.running import run_jobs
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Play every robot in the same episodes and print its metrics with 95% intervals, beside the paper's: S, SPS, F, CR,
-    BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange. Each episode is a small file in the
-    output folder: an interrupted evaluation goes on where it was.
+    """Play policies in the same episodes and print their metrics beside the paper's.
+
+    S, SPS, F, CR, BYR, TD and FD of social_nav; SR, RE, CR and RC with every partner of rearrange, with 95% intervals. Each
+    episode is a small file in the output folder: an interrupted evaluation goes on where it was.
 
     Examples:
         h3data evaluate rearrange --scenes h3-homes/test -o out/zsc
@@ -78,7 +79,7 @@ class Evaluate:
         files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
         wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
         made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
-        bar = tqdm(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode", disable=None)
+        bar = progress(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
         with bar, closing(run_jobs(play_evaluation, wanted, workers=self.workers)) as results:
             for result in results:
                 index = result["job"]["episode"]["index"]

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import InputError
 from h3data.formats import ExportRequest, Format, export_format, export_options, load
+from h3data.progress import progress
 from h3data.recording import Recording
 from h3data_pipelines.command import (
     ForceFlag,
@@ -56,7 +56,7 @@ class Export:
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     light: bool = False
     """Take the light meshes of people (3,000 vertices instead of 19,000), for gfx-replay and gltf."""
-    camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    camera: tuple[str, ...] = ()
     """Render this camera at every step, for foxglove: a name as in rerender, or a .toml or .json file; may be given
     several times."""
     force: ForceFlag = False
@@ -100,7 +100,7 @@ def _formats_with(option: Any) -> str:
 
 
 def _progress(items: Iterable[Any], total: int, unit: str) -> Iterable[Any]:
-    return tqdm(items, total=total, desc="render", unit=unit, disable=None)
+    return progress(items, total=total, desc="render", unit=unit)
 
 
 class _Episodes:
@@ -110,5 +110,5 @@ class _Episodes:
         self._sources: list[EpisodeSource] = find_episodes([path])
 
     def __iter__(self) -> Iterator[Recording]:
-        for source in tqdm(self._sources, desc="export", unit="episode", disable=None):
+        for source in progress(self._sources, desc="export", unit="episode"):
             yield source.read()

@@ -12,20 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
 from h3data.recording import Recording
-from h3data.recording.storage import place
+from h3data.recording.storage import AnyPath, place
 from h3data.scene.scene_sets import find_scene_set
 from h3data_pipelines.command import (
     AssetsOption,
+    DryRunFlag,
     ForceFlag,
     JsonFlag,
     MissingFlag,
     Outcome,
     claim_folder,
     counted,
+    keeping,
     remove_dataset,
     uninterrupted,
 )
@@ -105,7 +107,7 @@ class Generate:
     spawn_distance: float | None = None
     """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files
     decide it."""
-    rule: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    rule: tuple[str, ...] = ()
     """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
     workers: int = 1
     """Processes."""
@@ -113,6 +115,7 @@ class Generate:
     """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
     resume: bool = False
     """Go on with an interrupted dataset that was started with the same options."""
+    dry_run: DryRunFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -123,13 +126,15 @@ class Generate:
         if self.force and self.resume:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
         jobs, out = self.jobs(), place(self.out)
+        if self.dry_run:
+            return self._plan(jobs)
         if self.force:
             remove_dataset(out)
         if self.resume:
             require_same_options(out, jobs)
         else:
             claim_folder(out, force=False)
-        with DatasetWriter(out, resume=self.resume) as writer:
+        with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
         written = ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
@@ -143,12 +148,33 @@ class Generate:
         }  # fmt: skip
         return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
 
+    def _plan(self, jobs: Sequence[Job]) -> Outcome:
+        """Describes the episodes that would be played, without playing any."""
+        scenes = list(dict.fromkeys(job.scene for job in jobs))
+        named = ", ".join(scenes[:6]) + (f" and {len(scenes) - 6} more" if len(scenes) > 6 else "")
+        plan: dict[str, Any] = {
+            "task": self.task,
+            "episodes": len(jobs),
+            "scenes": scenes,
+            "policy": jobs[0].policy or "the task's default",
+            "partner": jobs[0].partner or "the task's default",
+            "most_steps": sum(job.spec.max_steps for job in jobs),
+            "workers": self.workers,
+            "out": str(self.out),
+        }
+        text = (
+            f"Would play {counted(len(jobs), 'episode')} of {self.task}{whose(jobs[0])} into {self.out}: "
+            f"{plan['most_steps']:,} steps at most, in {self.workers} process{'es' if self.workers != 1 else ''}, "
+            f"in {counted(len(scenes), 'scene')}: {named}"
+        )
+        return Outcome(text=text, data={"plan": plan})
+
     def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
         waiting: list[Recording] = []
         committed, failures = time.monotonic(), 0
-        bar = tqdm(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode", disable=None)
+        bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
         with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
             for recording in recordings:
                 waiting.append(recording)
@@ -227,6 +253,17 @@ class Generate:
         for name, is_given in given.items():
             if is_given:
                 raise InputError(f"{option} says where the episodes start: leave out --{name}.")
+
+
+def _kept(out: AnyPath) -> str:
+    """What an interrupted run leaves behind."""
+    from h3data.recording import Dataset
+
+    try:
+        count = len(Dataset(out))
+    except H3DataError:  # interrupted before the first commit
+        return ""
+    return f"{counted(count, 'finished episode')} in {out}: the same command with --resume goes on" if count else ""
 
 
 def _rule(text: str) -> tuple[str, Any]:

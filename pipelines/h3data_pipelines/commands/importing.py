@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.pseudonyms import participant_key_path
 from h3data_pipelines.assets.scene_reports import text_table
@@ -44,9 +43,14 @@ class Import:
 
     def run(self) -> Outcome:
         result = import_files(
-            self.paths, self.out, assets=self.assets, manifest=self.manifest, fps=self.fps, strict=self.strict,
-            force=self.force, progress=lambda jobs: tqdm(jobs, desc="import", unit="file", disable=None),
-        )  # fmt: skip
+            self.paths,
+            self.out,
+            assets=self.assets,
+            manifest=self.manifest,
+            fps=self.fps,
+            strict=self.strict,
+            force=self.force,
+        )
         return _report(result)
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
 from h3data_pipelines.jobs.episode_sources import find_episodes
 
@@ -66,7 +66,7 @@ class ReplayCommand:
         from sim_kinematic.tasks.resume import verify
 
         rows: list[dict[str, Any]] = []
-        for source in tqdm(find_episodes([self.recording]), desc="verify", unit="episode", disable=None):
+        for source in progress(find_episodes([self.recording]), desc="verify", unit="episode"):
             row: dict[str, Any] = {"recording": source.name}
             try:
                 recording = source.read()

@@ -7,10 +7,8 @@ from h3data_pipelines.assets.motion import MOTION
 from h3data_pipelines.assets.robots import ROBOTS
 from h3data_pipelines.assets.scenes import SCENES
 from h3data_pipelines.command import Command, Group
-from h3data_pipelines.commands.bench import Bench
 from h3data_pipelines.commands.converting import Convert
 from h3data_pipelines.commands.demo import Demo
-from h3data_pipelines.commands.doctor import Doctor
 from h3data_pipelines.commands.evaluating import Evaluate
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
@@ -21,6 +19,9 @@ from h3data_pipelines.commands.recovering import Recover
 from h3data_pipelines.commands.replaying import ReplayCommand
 from h3data_pipelines.commands.sql import Sql
 from h3data_pipelines.commands.validating import Validate
+from h3data_pipelines.machine.bench import Bench
+from h3data_pipelines.machine.completion import Completion
+from h3data_pipelines.machine.doctor import Doctor
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
@@ -47,4 +48,6 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "recover": Recover,
     "doctor": Doctor,
     "bench": Bench,
+    "completion": Completion,
 }
+Completion.commands = COMMANDS

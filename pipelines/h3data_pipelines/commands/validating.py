@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import FormatError, H3DataError, InputError
+from h3data.progress import progress
 from h3data_pipelines.command import JsonFlag, Outcome
 from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
 
@@ -48,7 +48,7 @@ class Validate:
         library = AssetLibrary(self.assets)
         rows = [
             self._row(source, library, alone=len(sources) == 1)
-            for source in tqdm(sources, desc="validate", unit="episode", disable=None)
+            for source in progress(sources, desc="validate", unit="episode")
         ]
         failed = sum(row["verdict"] == "failed" for row in rows)
         counts = {

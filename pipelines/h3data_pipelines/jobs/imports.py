@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -11,11 +11,10 @@ from h3data.errors import FormatError, H3DataError, InputError
 from h3data.formats import FORMATS, Format, SourceFile, detect, import_suffixes, load
 from h3data.habitat.asset_library import AssetLibrary
 from h3data.habitat.hitl.session_manifest import SessionManifest, read_manifest
+from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.replay import Replay
-from h3data_pipelines.command import claim_file
-
-Progress = Callable[[Sequence["ImportJob"]], Iterable["ImportJob"]]
+from h3data_pipelines.command import claim_file, counted, keeping
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,6 @@ def import_files(
     fps: float = 30.0,
     strict: bool = False,
     force: bool = False,
-    progress: Progress = iter,
 ) -> ImportResult:
     """Imports files and folders of files as MCAP recordings in the folder ``out``.
 
@@ -85,7 +83,6 @@ def import_files(
         fps: Steps per second of files without times.
         strict: Whether recordings with warnings or missing assets are refused.
         force: Whether existing recordings are replaced.
-        progress: Wraps the jobs, such as a progress bar.
 
     Raises:
         InputError: there is nothing to import.
@@ -98,8 +95,16 @@ def import_files(
     )
     jobs = _jobs(paths, out)
     alone = len(jobs) == 1 and jobs[0].source in paths
-    files = [importer.run(job) if alone else importer.attempt(job) for job in progress(jobs)]
+    files: list[ImportedFile] = []
+    with keeping(lambda: _kept(files, out)):
+        for job in progress(jobs, desc="import", unit="file", at_least=2):
+            files.append(importer.run(job) if alone else importer.attempt(job))
     return ImportResult(files=tuple(files), manifest_notes=tuple(importer.manifest_notes()))
+
+
+def _kept(files: Sequence[ImportedFile], out: Path) -> str:
+    imported = sum(file.status == "imported" for file in files)
+    return f"{counted(imported, 'recording')} in {out}" if imported else ""
 
 
 def recording_stem(path: Path) -> str:

@@ -10,7 +10,10 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from h3data.errors import H3DataError
@@ -47,22 +50,32 @@ def run_jobs(work: Callable[[J], R], jobs: Sequence[J], *, workers: int) -> Gene
         yield from map(work, jobs)
         return
     # spawn: forked children would share the thread pools of numba and torch
-    size = min(workers, len(jobs), os.cpu_count() or 1)
-    with ProcessPoolExecutor(size, mp_context=get_context("spawn"), initializer=_start_worker) as pool:
-        try:
-            with _ctrl_c_held():  # workers inherit that, for as long as they live
-                results = pool.map(work, jobs)
-            yield from results
-        except BrokenProcessPool:
-            raise H3DataError(
-                "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "
-                "fewer --workers."
-            ) from None
+    context = get_context("spawn")
+    gate, opener = context.Pipe(duplex=False)  # workers leave when the other end closes
+    pool = ProcessPoolExecutor(
+        min(workers, len(jobs), os.cpu_count() or 1),
+        mp_context=context,
+        initializer=_start_worker,
+        initargs=(gate,),
+    )
+    try:
+        with _ctrl_c_held():  # workers inherit that, for as long as they live
+            results = pool.map(partial(_at_work, work), jobs)
+        yield from results
+    except BrokenProcessPool:
+        raise H3DataError(
+            "A worker process died, perhaps for lack of memory. Finished episodes are kept: go on with --resume and "
+            "fewer --workers."
+        ) from None
+    finally:
+        opener.close()  # waiting for episodes under way would hold up Ctrl-C for seconds
+        pool.shutdown(cancel_futures=True)
+        gate.close()
 
 
 @contextmanager
 def _ctrl_c_held() -> Iterator[None]:
-    """It takes effect at the end of the block; processes that are started in it never see any."""
+    """Delays Ctrl-C to the end of the block. Processes started in it never see one: their parent stops them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -70,8 +83,46 @@ def _ctrl_c_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start_worker() -> None:
-    """Do not outlive the parent."""
+class _Worker:
+    """This process as a worker that leaves at once when its parent closes the pool or dies, in the middle of a job or between
+    two, but not while it sends a result: the parent would wait for the rest of it forever."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.is_working = False
+        self.is_stopped = False
+
+    def watch(self, gate: Connection, parent: BaseProcess) -> None:
+        """Waits for the parent to close the gate or to die."""
+        wait((gate, parent.sentinel))
+        with self.lock:
+            self.is_stopped = True
+            if self.is_working or not parent.is_alive():
+                os._exit(1)
+        parent.join()  # between two jobs: the pool ends this process, unless the parent dies first
+        os._exit(1)
+
+    def work(self, function: Callable[[J], R], job: J) -> R:
+        """The result of a job."""
+        with self.lock:
+            if self.is_stopped:
+                os._exit(1)
+            self.is_working = True
+        try:
+            return function(job)
+        finally:
+            with self.lock:
+                self.is_working = False
+
+
+_worker = _Worker()
+
+
+def _start_worker(gate: Connection) -> None:
     parent = parent_process()
     assert parent is not None
-    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    threading.Thread(target=_worker.watch, args=(gate, parent), daemon=True).start()
+
+
+def _at_work(function: Callable[[J], R], job: J) -> R:
+    return _worker.work(function, job)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from h3data.progress import progress
 from h3data.replay import CameraTrack, Replay
 from h3data_pipelines.outputs import Target, ToPicture
 
@@ -56,7 +56,7 @@ def render_files(
         frames = replay.stage.frames(
             [track for track, _ in views], steps, outputs=outputs, threads=threads, then=prepare
         )
-        for _, prepared in tqdm(frames, total=len(steps), desc=description, unit="frame", disable=None):
+        for _, prepared in progress(frames, total=len(steps), desc=description, unit="frame"):
             for encoder, frame in zip(encoders, prepared, strict=True):
                 encoder.submit(frame)
         for encoder in encoders:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportCommand:
-    """Write a self-contained HTML report on runs: the paper's tables next to your numbers, distributions, trajectories,
-    paired differences, and the best and worst episodes with key frames.
+    """Write a self-contained HTML report: tables beside the paper's, charts, key frames.
 
+    It shows distributions, trajectories, paired differences, and the best and worst episodes.
     Each input is a dataset, a folder of .mcap files or a single .mcap file. Episodes are grouped by policy; runs over the
     same episodes are compared episode by episode. A file learning.csv in a dataset adds learning curves.
 

@@ -16,7 +16,7 @@ import tyro
 from h3data.errors import H3DataError, InputError
 from h3data.recording.storage import local
 from h3data.replay import CameraTrack, Replay, camera_track
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, open_episode
+from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, counted, keeping, open_episode
 from h3data_pipelines.jobs.camera_log import CameraLog
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.outputs import OUTPUTS, Format, Target
@@ -43,7 +43,7 @@ class Rerender:
     """.mcap files, or episodes of a dataset such as ds#0."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results: <recording>.<camera>.<output>, a video file or a folder of images."""
-    camera: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    camera: tuple[str, ...] = ()
     """Camera name or .toml file; repeatable (default: top_down). An unknown name prints the list of cameras."""
     outputs: str = "rgb"
     """Comma-separated list of rgb, depth, instance, semantic."""
@@ -56,6 +56,7 @@ class Rerender:
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
     workers: int | None = None
     """Number of render threads (default: one per core)."""
+    dry_run: DryRunFlag = False
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -77,7 +78,8 @@ class Rerender:
         for number, (path, stem) in enumerate(zip(self.recordings, stems, strict=True)):
             counter = f"[{number + 1}/{len(stems)}] " if len(stems) > 1 else ""
             try:
-                text, row = self._render(path, stem, outputs, counter)
+                with keeping(lambda: self._kept(rows)):
+                    text, row = self._render(path, stem, outputs, counter)
             except H3DataError as error:
                 if len(stems) == 1 or isinstance(error, DiskFullError):
                     raise
@@ -99,6 +101,14 @@ class Rerender:
         if len(set(names)) < len(names):
             raise InputError("Two cameras have the same name, so their files would overwrite each other.")
         steps = parse_steps(self.steps, len(replay))
+        if self.dry_run:
+            files = [
+                Target.named(self.out, stem, name, output, self.format).path for name in names for output in outputs
+            ]
+            row = {"recording": str(path), "frames": len(steps), "files": [str(file) for file in files]}
+            return [f"would write {file}, {counted(len(steps), 'frame')}" for file in files] + missing_lines(
+                replay
+            ), row
         log = CameraLog(self.out, stem, replay, steps)
         views = [
             (track, [Target.named(self.out, stem, track.camera.name, output, self.format) for output in outputs])
@@ -131,6 +141,11 @@ class Rerender:
             "missing": dict(sorted(replay.missing.items())),
         }
         return lines, row
+
+    def _kept(self, rows: Sequence[dict[str, Any]]) -> str:
+        """What an interrupted run leaves behind: videos of this camera and of those before it that are complete."""
+        files = sum(len(row.get("files", ())) for row in rows)
+        return f"{counted(files, 'file')} in {self.out} are complete: the same command goes on" if files else ""
 
     def _mark(self, stem: str, track: CameraTrack) -> Path:
         return self.out / f"{stem}.{track.camera.name}.part"

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Write a recording as a Rerun file: 3-D scene, moving bodies, goals, distance plots, action lanes, event log.
+    """Write a recording as a Rerun file: 3-D scene, moving bodies, charts, events.
 
     Examples:
         h3data view out/demo/episode.mcap -o episode.rrd
         h3data view rec/session.mcap --assets ~/habitat
-        h3data view ds#3 --camera robot_arm third_person
+        h3data view ds#3 --camera robot_arm --camera third_person
         h3data view ds#3 --compare other#3
     """
 

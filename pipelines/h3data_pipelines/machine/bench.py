@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from h3data.errors import InputError
+from h3data.progress import progress
 from h3data_pipelines.command import JsonFlag, Outcome
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Bench:
         if self.backend == "gpu":
             _check_gpu()
         rows = []
-        with process_pool(cores) as pool, tqdm(total=len(cells), desc="bench", unit="cell", disable=None) as bar:
+        with process_pool(cores) as pool, progress(total=len(cells), desc="bench", unit="cell") as bar:
             for cell in cells:
                 bar.set_postfix_str(f"{cell.home} {cell.agents} x{cell.worlds}")
                 rows.append(measure(cell, pool, runs=self.runs, steps=self.steps, backend=self.backend, seed=self.seed))

@@ -1,0 +1,89 @@
+"""Progress of long work on stderr: a bar on a terminal, a line every half minute where there is none (logs, CI, ``2> log``)."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from h3data.terminal import printable
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+LINE_EVERY_S = 30.0
+"""Seconds between two lines off a terminal; shorter work prints none."""
+QUIET = "H3DATA_QUIET"
+"""Environment variable that silences progress and notices, set by ``h3data ... --quiet``. Worker processes inherit it."""
+_LINE = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} so far, about {remaining} left{postfix}"
+_LINE_WITHOUT_TOTAL = "{desc}: {n_fmt} {unit}s, {elapsed} so far{postfix}"
+
+
+def is_quiet() -> bool:
+    """Whether progress and notices are off."""
+    return os.environ.get(QUIET, "") not in ("", "0")
+
+
+def progress(
+    items: Iterable[Any] | None = None,
+    *,
+    desc: str,
+    unit: str,
+    total: int | None = None,
+    initial: int = 0,
+    delay: float = 0.0,
+    leave: bool = True,
+    at_least: int = 0,
+) -> tqdm[Any]:
+    """A `tqdm` bar over ``items``, or one to be updated by hand, silent under `is_quiet`.
+
+    Args:
+        items: Iterated over, each counting as one; None to call ``update``.
+        desc: What is done, in a word.
+        unit: What is counted, in the singular.
+        total: Number of units, by default the length of ``items``.
+        initial: Number of units that were done before.
+        delay: Seconds before a bar appears.
+        leave: Whether a finished bar stays on the terminal.
+        at_least: Fewer units than this show no progress.
+    """
+    from tqdm import tqdm
+
+    if total is None and hasattr(items, "__len__"):
+        total = len(items)  # type: ignore[arg-type]
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    silent = is_quiet() or sys.stderr is None or (total is not None and total < at_least)
+    shared: dict[str, Any] = {
+        "desc": printable(desc),
+        "unit": unit,
+        "total": total,
+        "initial": initial,
+        "disable": silent,
+        "file": sys.stderr,
+    }
+    if silent or terminal:
+        return tqdm(items, delay=delay, leave=leave, **shared)
+    form = _LINE_WITHOUT_TOTAL if total is None else _LINE
+    return _lines_bar()(items, mininterval=LINE_EVERY_S, delay=LINE_EVERY_S, leave=False, bar_format=form, **shared)
+
+
+def _lines_bar() -> type[tqdm[Any]]:
+    """A bar that writes lines instead of overwriting one: control characters would fill a log file."""
+    from tqdm import tqdm
+
+    class Lines(tqdm):
+        def display(self, msg: str | None = None, pos: int | None = None) -> None:
+            text = str(self) if msg is None else msg
+            if text:
+                self.fp.write(text + "\n")
+                self.fp.flush()
+
+        def clear(self, nolock: bool = False) -> None:
+            """Nothing to wipe off a log."""
+
+        def close(self) -> None:
+            self.disable = True  # without a last line: the result that the caller prints says that the work is done
+            self._decr_instances(self)  # type: ignore[attr-defined]
+
+    return Lines

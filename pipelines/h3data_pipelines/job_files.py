@@ -1,0 +1,54 @@
+"""Options of a command in a TOML file, for ``--config``: a job that can be kept beside its results and run again."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from h3data.errors import InputError, did_you_mean
+from h3data_pipelines.options import Option
+
+
+def read_job_file(path: Path, options: Sequence[Option]) -> dict[str, Any]:
+    """The words of each option that a job file sets, by field, as if they had been given on the command line.
+
+    Keys are the names of options and positional arguments, with dashes or underscores: ``episodes = 20``,
+    ``camera = ["robot_arm", "third_person"]``, ``task = "social_nav"``.
+
+    Raises:
+        InputError: the file cannot be read, or one of its keys is no option of the command.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"There is no such file. Expected a TOML file of options after --config: {path}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"Expected a TOML file of options after --config ({error}): {path}") from None
+    by_field = {option.field: option for option in options}
+    words: dict[str, Any] = {}
+    for key, value in table.items():
+        option = by_field.get(key.replace("-", "_"))
+        if option is None:
+            known = [field.replace("_", "-") for field in by_field]
+            raise InputError(
+                f"Unknown option {key!r} in {path}.{did_you_mean(key, known)} Expected some of: {', '.join(known)}."
+            )
+        words[option.field] = _words(option, value, key, path)
+    return words
+
+
+def _words(option: Option, value: Any, key: str, path: Path) -> Any:
+    if option.kind is bool:
+        if not isinstance(value, bool):
+            raise InputError(f"Expected true or false for {key!r}, got {value!r}: {path}")
+        return value
+    values = value if isinstance(value, list) else [value]
+    if not all(isinstance(each, str | int | float) and not isinstance(each, bool) for each in values):
+        raise InputError(f"Expected text or numbers for {key!r}, got {value!r}: {path}")
+    if option.count != 1:
+        return tuple(map(str, values))
+    if len(values) != 1:
+        raise InputError(f"Expected one value for {key!r}, got {len(values)}: {path}")
+    return str(values[0])

@@ -1,0 +1,136 @@
+"""Options of a command, read off the fields of its dataclass, and their values from text."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+
+import tyro
+
+from h3data_pipelines.command import Command
+
+_POSITIONAL = get_args(tyro.conf.Positional[str])[1]
+Repeatable = tyro.conf.UseAppendAction
+"""An option of any number of values takes one each time it is given: ``--camera A --camera B``. With all of them after one
+flag, it would swallow the positional argument behind it."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of a command."""
+
+    field: str
+    flags: tuple[str, ...]
+    """``-o``, ``--out``; empty for a positional argument."""
+    required: bool
+    kind: Any
+    """Type of one value, without None."""
+    count: int | None
+    """Number of values, None for any number."""
+    metadata: tuple[Any, ...]
+    """Markers of tyro."""
+
+    @property
+    def name(self) -> str:
+        return "/".join(self.flags) or self.field.upper()
+
+    @property
+    def word_type(self) -> Any:
+        """Type for assigning words to the option without reading them: flags are read, values stay text."""
+        if self.kind is bool:
+            return _annotated(bool, self.metadata)
+        if self.count is None and self.flags:
+            return _annotated(Repeatable[tuple[str, ...]], self.metadata)
+        return _annotated(str if self.count == 1 else tuple[str, ...], self.metadata)
+
+
+def _annotated(kind: Any, metadata: tuple[Any, ...]) -> Any:
+    return Annotated[(kind, *metadata)] if metadata else kind
+
+
+@functools.cache
+def options_of(command: type[Command]) -> tuple[Option, ...]:
+    hints = get_type_hints(command, include_extras=True)
+    return tuple(_option(field, hints[field.name]) for field in dataclasses.fields(cast(Any, command)))
+
+
+def _option(field: dataclasses.Field[Any], annotation: Any) -> Option:
+    metadata = getattr(annotation, "__metadata__", ())
+    kind = get_args(annotation)[0] if metadata else annotation
+    count: int | None = 1
+    if get_origin(kind) in (Union, UnionType):
+        (kind,) = (k for k in get_args(kind) if k is not NoneType)
+    if get_origin(kind) is tuple:
+        count = None if get_args(kind)[-1] is ... else len(get_args(kind))
+        kind = get_args(kind)[0]
+    if kind is not bool and get_origin(kind) is not Literal and kind not in KINDS:
+        raise TypeError(
+            f"Options must be bool, int, float, str, Path, Literal, or tuples of these; {field.name} is {kind}."
+        )
+    flags: tuple[str, ...] = ()
+    if _POSITIONAL not in metadata:
+        aliases = [alias for m in metadata for alias in getattr(m, "aliases", None) or ()]
+        flags = (*aliases, f"--{field.name.replace('_', '-')}")
+    required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    return Option(field.name, flags, required, kind, count, metadata)
+
+
+def read_value(option: Option, given: Any) -> Any:
+    """The value of an option from its words.
+
+    Raises:
+        ValueError: they are not of its type; the message says what was expected and what came.
+    """
+    if option.kind is bool:
+        return given
+    if get_origin(option.kind) is Literal:
+        read: Callable[[str], Any] = functools.partial(_choice, get_args(option.kind))
+    else:
+        read = KINDS[option.kind][1]
+    if option.count == 1:
+        return read(given)
+    if option.count is not None and len(given) != option.count:
+        raise ValueError(f"expected {option.count} values, got {len(given)}")
+    return tuple(map(read, given))
+
+
+def _choice(choices: tuple[Any, ...], text: str) -> Any:
+    for choice in choices:
+        if text == str(choice):
+            return choice
+    raise ValueError(f"expected one of {', '.join(map(str, choices))}, got {text!r}")
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"expected a whole number, got {text!r}") from None
+
+
+def _number(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise ValueError(f"expected a number, got {text!r}")
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise ValueError("expected a path, got an empty text")
+    return Path(text)
+
+
+KINDS: dict[Any, tuple[str, Callable[[str], Any]]] = {
+    int: ("INT", _whole),
+    float: ("NUMBER", _number),
+    str: ("TEXT", str),
+    Path: ("PATH", _path),
+}
