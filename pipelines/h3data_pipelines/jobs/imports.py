@@ -98,7 +98,7 @@ def import_files(
     files: list[ImportedFile] = []
     with keeping(lambda: _kept(files, out)):
         for job in progress(jobs, desc="import", unit="file", at_least=2):
-            files.append(importer.run(job) if alone else importer.attempt(job))
+            files.append(importer.run(job) if alone else importer.attempt(job))  # noqa: PERF401 - kept on Ctrl-C
     return ImportResult(files=tuple(files), manifest_notes=tuple(importer.manifest_notes()))
 
 
