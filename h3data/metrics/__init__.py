@@ -5,7 +5,6 @@ from h3data.metrics.differences import Differences, compare_runs, compare_tables
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.explain import explain, explain_episode, list_metrics
 from h3data.metrics.metric import Metric
-from h3data.metrics.power import Power, simulate_power, simulate_study
 from h3data.metrics.profile import Computed, Profile
 from h3data.metrics.registry import (
     PROFILES,
@@ -20,7 +19,8 @@ from h3data.metrics.registry import (
 )
 from h3data.metrics.report_layout import Milestone, PublishedRow, PublishedTable, ReportLayout
 from h3data.metrics.requirements import MissingColumnsError, UnmeasurableError, find_agents
-from h3data.metrics.study import (
+from h3data.metrics.studies.analysis import Estimate, FittedMeans, StudyAnalysis, StudyModel, analyse_study
+from h3data.metrics.studies.planning import (
     Block,
     Session,
     latin_square,
@@ -29,6 +29,7 @@ from h3data.metrics.study import (
     study_rows,
     write_sessions,
 )
+from h3data.metrics.studies.power import Power, simulate_power, simulate_study
 from h3data.metrics.table import MetricsTable, Summary, measure_many, tabulate
 from h3data.metrics.table_files import events_of, write_events, write_series, write_table
 from h3data.pseudonyms import anonymous_id
@@ -39,6 +40,8 @@ __all__ = [
     "Computed",
     "Differences",
     "EpisodeMetrics",
+    "Estimate",
+    "FittedMeans",
     "Metric",
     "MetricsTable",
     "Milestone",
@@ -49,10 +52,13 @@ __all__ = [
     "PublishedTable",
     "ReportLayout",
     "Session",
+    "StudyAnalysis",
+    "StudyModel",
     "Summary",
     "UnmeasurableError",
     "all_metrics",
     "all_profiles",
+    "analyse_study",
     "anonymous_id",
     "compare_runs",
     "compare_tables",

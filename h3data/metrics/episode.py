@@ -45,6 +45,12 @@ class EpisodeMetrics:
     """``info:units`` of the recording."""
     protocol_deviations: str = ""
     """Rules of the episode that differ from the paper's; empty for other profiles."""
+    participant: str = ""
+    """``info:participant``: who was studied."""
+    condition: str = ""
+    """``info:condition``: with what."""
+    max_steps: int = 0
+    """``info:max_steps``, the longest duration; the number of rows if it is not recorded."""
 
     @property
     def encounter_row(self) -> int:
@@ -63,6 +69,8 @@ class EpisodeMetrics:
             "uid": self.uid,
             "profile": self.profile,
             "scene": self.scene,
+            **({"participant": self.participant} if self.participant else {}),
+            **({"condition": self.condition} if self.condition else {}),
             "steps": self.rows,
             "robot": self.robot,
             "human": self.human,

@@ -98,6 +98,7 @@ class Profile:
         computed = self._each(recording, notes) if self.compute is None else self.compute(recording, notes)
         names = [m.name for m in self.metrics]
         episode = recording.episode
+        limit = episode.info.get("max_steps")
         return EpisodeMetrics(
             episode_id=episode.episode_id,
             uid=episode.uid,
@@ -114,6 +115,9 @@ class Profile:
             dt_ns=episode.dt_ns,
             units=str(episode.info.get("units", "SI")),
             protocol_deviations=computed.protocol_deviations,
+            participant=str(episode.info.get("participant") or ""),
+            condition=str(episode.info.get("condition") or ""),
+            max_steps=limit if type(limit) is int and limit > 0 else len(recording),
         )
 
     def _each(self, recording: Recording, notes: Notes) -> Computed:

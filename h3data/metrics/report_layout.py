@@ -83,9 +83,9 @@ class StudyLayout:
 
     columns: tuple[str, ...]
     """Metrics of the table: 0/1 metrics by a binomial mixed model, others by their bootstrapped mean."""
-    steps: str
-    """Count metric, by a Poisson mixed model; its estimated means are contrasted."""
-    efficiency: str
+    steps: str = ""
+    """Count metric, by a Poisson mixed model; its estimated means are contrasted. Empty: the first 0/1 metric is."""
+    efficiency: str = ""
     """Metric whose value follows from the means of ``steps``: steps alone over steps with the robot, in percent."""
     published: Callable[[], PublishedTable] | None = None
     published_contrasts: Callable[[], PublishedContrasts] | None = None

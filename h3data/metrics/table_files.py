@@ -21,7 +21,9 @@ from h3data.metrics.requirements import UnmeasurableError
 from h3data.metrics.table import MetricsTable
 from h3data.recording.records import Recording
 
-_FACTS = ("episode_id", "uid", "scene", "steps", "robot", "human", "encounter_row", "contact_row")
+_TEXTS = ("episode_id", "uid", "scene")
+_STUDY = ("participant", "condition")
+_NUMBERS = ("steps", "robot", "human", "encounter_row", "contact_row")
 
 
 def write_table(table: MetricsTable, path: str | os.PathLike[str]) -> Path:
@@ -76,23 +78,30 @@ def _table_json(table: MetricsTable, path: Path) -> None:
 def _table_csv(table: MetricsTable, path: Path) -> None:
     with open(path, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow([*_FACTS, *table.columns, "notes"])
+        names = (*_TEXTS, *_study_columns(table), *_NUMBERS)
+        writer.writerow([*names, *table.columns, "notes"])
         for row in table.episodes:
             facts = row.to_dict()
             values = ["" if v is None else repr(v) for v in facts["values"].values()]
             notes = "; ".join(f"{name}: {text}" for name, text in row.notes.items())
-            writer.writerow([*(facts[name] for name in _FACTS), *values, notes])
+            writer.writerow([*(facts.get(name, "") for name in names), *values, notes])
 
 
 def _table_parquet(table: MetricsTable, path: Path) -> None:
     rows = [row.to_dict() for row in table.episodes]
-    kinds = [pa.string()] * 3 + [pa.int64()] * 5
-    columns = [pa.array([row[fact] for row in rows], kind) for fact, kind in zip(_FACTS, kinds, strict=True)]
+    texts = (*_TEXTS, *_study_columns(table))
+    columns = [pa.array([row.get(fact, "") for row in rows], pa.string()) for fact in texts]
+    columns += [pa.array([row[fact] for row in rows], pa.int64()) for fact in _NUMBERS]
     columns += [pa.array([row["values"][name] for row in rows], pa.float64()) for name in table.columns]
     columns.append(pa.array([json.dumps(row["notes"], ensure_ascii=False) for row in rows], pa.string()))
     metadata = {"h3data.profile": table.profile, "h3data.metrics": json.dumps({m.name: m.id for m in table.metrics})}
-    stored = pa.table(columns, [*_FACTS, *table.columns, "notes"]).replace_schema_metadata(metadata)
+    stored = pa.table(columns, [*texts, *_NUMBERS, *table.columns, "notes"]).replace_schema_metadata(metadata)
     pq.write_table(stored, path, compression="zstd")
+
+
+def _study_columns(table: MetricsTable) -> tuple[str, ...]:
+    """Participant and condition, in the tables of studies."""
+    return tuple(name for name in _STUDY if any(getattr(row, name) for row in table.episodes))
 
 
 def _series_tables(recordings: Iterable[Recording], profile: str | None) -> Iterator[pa.Table]:

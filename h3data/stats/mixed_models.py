@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _SINGULAR = 1e-4
 """Deviations below this count as 0, as in lme4's isSingular."""
+_OVERDISPERSED = 1.5
+"""Pearson's statistic per degree of freedom above which a model without an observation effect is called unsound."""
 _DECREMENT = 1e-7
 """A fit has converged if another Newton step would lower the deviance by less than this."""
 _ROUNDING = 1e-4
@@ -54,6 +56,13 @@ class GlmmFit:
     converged: bool
     notes: tuple[str, ...]
     """Reservations about the estimates: singular, over-dispersed, not converged."""
+    overdispersed: bool = False
+    """The response varies so much more than the family allows that standard errors and p values are too small."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether standard errors and p values can be relied on."""
+        return self.converged and not self.overdispersed
 
     @property
     def standard_errors(self) -> NDArray[np.float64]:
@@ -140,7 +149,9 @@ def fit_glmm(
     mode = model.mode(theta, coefficients)
     notes = _notes(design, theta, converged)
     dispersion = model.pearson(mode) / max(len(design.response) - len(optimum), 1)
-    if dispersion > 1.5 and not observation_effect and not bool((design.trials == 1).all() and family == "binomial"):
+    binary = family == "binomial" and bool((design.trials == 1).all())
+    overdispersed = bool(dispersion > _OVERDISPERSED) and not observation_effect and not binary
+    if overdispersed:
         notes.append(
             f"over-dispersed: the response varies {dispersion:.1f} times as much as the {family} family allows, so the "
             "standard errors are too small. Hint: observation_effect=True."
@@ -161,6 +172,7 @@ def fit_glmm(
         dispersion=float(dispersion),
         converged=converged,
         notes=tuple(notes),
+        overdispersed=overdispersed,
     )
 
 

@@ -269,6 +269,59 @@ def test_a_study_gives_estimated_means_and_contrasts(tmp_path: Path) -> None:
     assert "rearrange" not in {t.key for t in report.tables}, "people are no population"
 
 
+def dispersed_study(*, task: str = "rearrange") -> list[Recording]:
+    """Steps that vary much more than Poisson allows, with every third robot episode ended by a contact at step 5."""
+    random = np.random.default_rng(5)
+    episodes = []
+    for condition, mean in {"solo": 120, "plan_pop3": 95}.items():
+        for p in range(8):
+            for k in range(6):
+                steps = 5 if condition != "solo" and k % 3 == 2 else int(mean * random.lognormal(0, 0.5)) + 10
+                recording = tidy(
+                    steps,
+                    solved=steps > 5,
+                    hit=steps == 5,
+                    condition=condition,
+                    participant=f"P{p}",
+                    home=f"home {p % 3}",
+                )
+                episodes.append(replace(recording, episode=replace(recording.episode, task=task)))
+    return episodes
+
+
+def test_no_p_value_of_an_unsound_model_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ds = write(tmp_path / "ds", dispersed_study())
+    report = make_report([ds], pictures=0)
+    contrast = next(t for t in report.tables if t.key == "contrasts")
+    assert [c.group for c in contrast.columns[::2]] == ["Poisson with an observation effect", "Poisson"]
+    assert contrast.columns[3].head == "p (too small)"
+    assert any("over-dispersed" in note for note in contrast.notes)
+    study = next(t for t in report.tables if t.key == "hitl")
+    steps = {row.name: row.cells[1].value for row in study.sections[0].rows}
+    assert steps["plan_pop3"] > 60, "a contact at step 5 is no time to success"
+    assert any("16 episodes without success are left out (0 under solo, 16 under plan_pop3)" in n for n in study.notes)
+    assert main(["study", "fit", str(ds), "--json"]) == 0
+    fitted = json.loads(capsys.readouterr().out)
+    assert [m["sound"] for m in fitted["models"]] == [True, False]
+    widths = [m["contrasts"][0]["high"] - m["contrasts"][0]["low"] for m in fitted["models"]]
+    assert widths[0] > 3 * widths[1]
+    assert fitted["estimates"]["TS"]["plan_pop3"]["mean"] == pytest.approx(steps["plan_pop3"])
+    assert fitted["estimates"]["CR"]["solo"]["mean"] == 0
+    assert main(["study", "fit", str(ds), "--failed", "limit", "--model", "poisson", "--json"]) == 0
+    limited = json.loads(capsys.readouterr().out)
+    assert [m["sound"] for m in limited["models"]] == [False, True]
+    assert limited["estimates"]["TS"]["plan_pop3"]["mean"] > 500
+    assert main(["study", "fit", str(ds), "-o", str(tmp_path / "s.json")]) == 0
+    assert "Poisson with an observation effect" in capsys.readouterr().out
+
+
+def test_any_task_can_be_studied(tmp_path: Path) -> None:
+    ds = write(tmp_path / "ds", dispersed_study(task="juggling"))
+    report = make_report([ds], pictures=0)
+    assert {"juggling", "hitl_juggling", "contrasts_juggling"} <= {t.key for t in report.tables}
+    assert "Human-in-the-loop study" in report.html
+
+
 def test_learning_curves_of_a_log(runs: dict[str, Path], tmp_path: Path) -> None:
     ds = write(tmp_path / "ds", [open_recording(runs["stand_still"])[0]])  # type: ignore[list-item,index]
     (ds / "learning.csv").write_text("step,reward\n0,-1.5\n1000,2\n2000,nan\n3000,4\n")

@@ -25,6 +25,7 @@ from h3data_pipelines.machine.doctor import Doctor
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
+from h3data_pipelines.studies.fitting import STUDY
 
 COMMANDS: dict[str, type[Command] | Group] = {
     "demo": Demo,
@@ -38,6 +39,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "sql": Sql,
     "view": View,
     "report": ReportCommand,
+    "study": STUDY,
     "scenes": SCENES,
     "bodies": BODIES,
     "motion": MOTION,

@@ -10,6 +10,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
+from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
     from h3data_viewers.html_report.report import Report
@@ -27,10 +28,11 @@ class ReportCommand:
         h3data report ds/ -o report.html
         h3data report expert/ random/ still/ -o report.html --latex tables.tex
         h3data report ds/ --markdown tables.md --pictures 0
+        h3data report study/ --study-model observation --failed limit
     """
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, folders of .mcap files, .mcap files."""
+    """Datasets, .mcap files, and folders of these, which are walked."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html")
     """HTML file to write."""
     title: str = ""
@@ -43,10 +45,13 @@ class ReportCommand:
     """Number of episodes per task shown with key frames."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    study_model: StepsModelOption = "auto"
+    failed: FailedOption = "leave-out"
     force: ForceFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
+        from h3data.metrics import StudyModel
         from h3data_viewers.html_report.report import write_report
 
         if not self.datasets:
@@ -58,7 +63,10 @@ class ReportCommand:
             raise InputError("-o, --markdown and --latex must be different files.")
         for path in targets:
             claim_file(path, force=self.force)
-        report = write_report(self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets)
+        report = write_report(
+            self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets,
+            study=StudyModel(steps=self.study_model, failed=self.failed),
+        )  # fmt: skip
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:

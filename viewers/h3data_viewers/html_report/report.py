@@ -18,6 +18,7 @@ from pathlib import Path
 from string import Template
 
 from h3data.files import part_file
+from h3data.metrics import StudyModel
 from h3data_viewers.html_report.report_charts import (
     distribution_charts,
     estimate_charts,
@@ -41,7 +42,7 @@ from h3data_viewers.html_report.report_pictures import (
     ranked_by,
     trajectory_figures,
 )
-from h3data_viewers.html_report.report_study import study_runs, study_tables
+from h3data_viewers.html_report.report_study import key_of, studied, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
 from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
 
@@ -76,10 +77,12 @@ def make_report(
     title: str = "",
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
+    study: StudyModel | None = None,
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
-    ``assets`` are folders of the files that foreign recordings name, for the key frames.
+    ``assets`` are folders of the files that foreign recordings name, for the key frames; ``study`` chooses the models of
+    episodes that participants did under conditions.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
@@ -88,7 +91,7 @@ def make_report(
     data = gather(paths)
     title = title or _title(data)
     missing: list[str] = []
-    tables = _paper_tables(data, missing)
+    tables = _paper_tables(data, missing, study or StudyModel())
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
         missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
@@ -125,9 +128,10 @@ def write_report(
     title: str = "",
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
+    study: StudyModel | None = None,
 ) -> Report:
     """`make_report`, written to ``out``."""
-    report = make_report(paths, title=title, pictures=pictures, assets=assets)
+    report = make_report(paths, title=title, pictures=pictures, assets=assets, study=study)
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
     return report
@@ -142,28 +146,36 @@ def _section(key: str, title: str, html: str) -> Part:
     return key, title, f'<section id="{escape(key)}"><h2>{escape(title)}</h2>{html}</section>'
 
 
-def _paper_tables(data: ReportData, missing: list[str]) -> list[Table]:
+def _paper_tables(data: ReportData, missing: list[str], study: StudyModel) -> list[Table]:
     others = [task_table(task_name(t), data.of_task(t)) for t in data.tasks if t not in TASKS]
+    studies = _study_tables(data, missing, study)
     if len(others) == len(data.tasks):
-        return others  # of a study of another task nobody expects the paper's tables
+        return [*others, *studies]  # of a study of another task nobody expects the paper's tables
     tables = []
     if runs := data.of_task("social_nav"):
         tables.append(social_nav_table(runs))
     else:
         missing.append("Social navigation: there are no episodes of it.")
-    people = study_runs(data)
-    if runs := [run for run in data.of_task("rearrange") if run not in people]:
+    if runs := [run for run in data.of_task("rearrange") if not all(map(studied, run.episodes))]:
         tables.append(rearrangement_table(runs))
     else:
         missing.append("Social rearrangement (train-pop and ZSC-pop): there are no episodes of it.")
-    if people:
-        study, why = study_tables([e for run in people for e in run.episodes])
-        tables += study
-        if why:
-            missing.append(f"Human-in-the-loop study: {why}.")
-    else:
+    if not any(map(studied, data.episodes)):
         missing.append("Human-in-the-loop study and its contrasts: no episodes of participants under conditions.")
-    return [*tables, *others]
+    return [*tables, *studies, *others]
+
+
+def _study_tables(data: ReportData, missing: list[str], study: StudyModel) -> list[Table]:
+    """Tables of the episodes that participants did under conditions, of each task."""
+    tables = []
+    for task in data.tasks:
+        runs = [run for run in data.of_task(task) if any(map(studied, run.episodes))]
+        if runs:
+            found, why = study_tables(runs, study)
+            tables += found
+            if why:
+                missing.append(f"Human-in-the-loop study in {task_name(task)}: {why}.")
+    return tables
 
 
 def _task_sections(
@@ -175,8 +187,8 @@ def _task_sections(
     if table := next((t for t in tables if t.key == task), None):
         beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
         parts.append(_section(task, table.title, to_html(table) + beside))
-    if task == "rearrange":
-        parts += [_section(t.key, t.title, to_html(t)) for t in tables if t.key in ("hitl", "contrasts")]
+    keys = [key_of(name, task) for name in ("hitl", "contrasts")]
+    parts += [_section(t.key, t.title + tail, to_html(t)) for t in tables if t.key in keys]
     partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)

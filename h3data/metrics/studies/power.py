@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.metrics.study import Session, study_rows
+from h3data.metrics.studies.planning import Session, study_rows
 from h3data.stats import Adjustment, Family, SeparationError, contrasts, fit_glmm, marginal_means, wilson_interval
 
 _GROUPS = ("participant", "scene", "observation")

@@ -1,0 +1,1 @@
+"""Studies with people: plan, power, analysis."""

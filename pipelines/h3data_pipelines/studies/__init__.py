@@ -1,0 +1,1 @@
+"""Commands about studies with people."""
