@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import posixpath
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,10 +59,8 @@ def part_file(
     if not final.parent.is_dir():
         raise InputError(f"Cannot write here: the folder does not exist. Hint: create it first. Folder: {final.parent}")
     part = final.with_name(final.name + ".part")
-    if shared:
-        handle, name = tempfile.mkstemp(prefix=final.name, suffix=".part", dir=final.parent)
-        os.close(handle)
-        part = Path(name)
+    if shared:  # not `tempfile.mkstemp`, whose files only their owner can read
+        part = final.with_name(f"{final.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         yield part
         os.replace(part, final)

@@ -89,6 +89,30 @@ def test_there_and_back_gives_equal_recordings_and_equal_files(
         assert (tmp_path / "ds" / path).read_bytes() == (tmp_path / "ds2" / path).read_bytes(), path
 
 
+def test_a_damaged_scene_of_a_dataset_is_reported_by_every_command(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line that names the file, its hash and what to do; nothing gets fresh checksums."""
+    recording = replace(read_mcap(logs / "a.mcap"), attachments={"scene.glb": b"a scene"})
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(recording)
+    (file,) = (tmp_path / "ds/h3/files").iterdir()
+    file.write_bytes(b"a scen3")
+    wanted = (str(file), file.stem, "copy the file of this name")
+    (checked,) = run_json(capsys, "validate", tmp_path / "ds", code=1)["episodes"]
+    reasons = [finding["text"] for finding in checked["findings"]]
+    reasons.append(run_json(capsys, "convert", tmp_path / "ds", tmp_path / "out", code=2)["error"])
+    reasons.append(run_json(capsys, "convert", f"{tmp_path / 'ds'}#0", tmp_path / "one.mcap", code=2)["error"])
+    reasons.append(run_json(capsys, "rerender", f"{tmp_path / 'ds'}#0", "-o", tmp_path / "video", code=2)["error"])
+    reasons.append(run_json(capsys, "replay", f"{tmp_path / 'ds'}#0", "--verify", code=2)["error"])
+    assert len(reasons) == 5
+    for reason in reasons:
+        assert all(text in reason for text in wanted), reason
+        assert "\n" not in reason
+    assert not list(tmp_path.rglob("one.mcap"))
+    assert not list((tmp_path / "out").rglob("*.mcap"))
+
+
 @settings(max_examples=10)
 @given(steps=st.integers(0, 40), joints=st.integers(0, 6), extra=st.sampled_from(["", "sim.x", "agent_0.odd"]))
 def test_any_shape_survives(

@@ -261,6 +261,31 @@ def test_attachments_are_stored_once(tmp_path):
     assert not list(tmp_path.glob("**/evil*"))
 
 
+def test_an_attachment_that_is_not_what_its_name_says_is_refused(tmp_path):
+    root, rec = tmp_path / "ds", simple_recording()
+    written(root, rec)
+    (file,) = (root / "h3/files").glob("*.glb")
+    damaged = bytearray(file.read_bytes())
+    damaged[-1] ^= 1
+    file.write_bytes(damaged)
+    with pytest.raises(FormatError, match=f"scene.glb of episode 0 is damaged: expected the SHA-256 {file.stem}.*Hint"):
+        Dataset(root).recording(0)
+    assert len(Dataset(root).recording(0, records=["agents"])) == len(rec), "metrics do not need it"
+    file.unlink()
+    with pytest.raises(FormatError, match=r"scene.glb of episode 0 is missing .*Hint.*\.glb"):
+        Dataset(root).recording(0)
+
+
+def test_a_damaged_attachment_is_replaced_when_the_same_one_is_added(tmp_path):
+    root, rec = tmp_path / "ds", simple_recording()
+    written(root, rec)
+    (file,) = (root / "h3/files").glob("*.glb")
+    file.write_bytes(b"damaged")
+    with DatasetWriter(root, resume=True) as writer:
+        writer.add(rec)
+    assert Dataset(root).recording(0).attachments == Dataset(root).recording(1).attachments == rec.attachments
+
+
 # --- crashes, resuming, overwriting ------------------------------------------------------------------------------------
 KILLED = """
 import os, signal, sys

@@ -38,12 +38,15 @@ def is_dataset(root: AnyPath) -> bool:
 
 
 def write_atomic(path: AnyPath, data: bytes) -> None:
-    """Writes a small file that appears under its name with all of its contents, synced to the disk."""
+    """Writes a small file that appears under its name with all of its contents, synced to the disk.
+
+    Several processes may write the same file at once.
+    """
     if isinstance(path, RemotePath):
         path.put(data)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    with part_file(path) as part, part.open("wb") as stream:
+    with part_file(path, shared=True) as part, part.open("wb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())

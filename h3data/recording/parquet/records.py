@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from h3data.errors import FormatError
+from h3data.recording.file_store import FileStore
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import shard_path
 from h3data.recording.parquet.schema import SIDECAR_SINCE, SIDECARS, record_schema
@@ -32,6 +32,9 @@ DAMAGE = (
     RecursionError,
 )
 """Exceptions that reading a damaged file can raise."""
+_RESTORE = (
+    "copy the file of this name from a backup or from another dataset with the same scene; or convert the original logs again"
+)
 
 
 class DatasetRecords:
@@ -41,6 +44,7 @@ class DatasetRecords:
         """Records of the dataset in ``root``, whose schema version is ``version``."""
         self._root, self._version = root, version
         self._tables: dict[tuple[str, int], tuple[pa.Table, NDArray[np.int64]]] = {}
+        self._files = FileStore(root / "h3" / "files")
 
     def table(self, kind: str, shard: int) -> pa.Table:
         """The records of a kind in one shard; none if the dataset is older than that kind of record."""
@@ -77,14 +81,16 @@ class DatasetRecords:
         """The attached files of an episode, from its row of the episode table.
 
         Raises:
-            FormatError: one of them is missing.
+            FormatError: one of them is missing or damaged.
         """
-        folder = self._root / "h3" / "files"
+        episode = row["episode_index"]
         try:
-            return {
-                n: (folder / Path(stored).name).read_bytes() for n, stored in json.loads(row["attachments"]).items()
-            }
-        except (OSError, ValueError, AttributeError, TypeError, RecursionError) as error:
+            stored = {str(name): str(file) for name, file in json.loads(row["attachments"]).items()}
+        except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"An attachment of episode {row['episode_index']} is missing ({error}): {folder}"
+                f"The list of attachments of episode {episode} is damaged ({error}): {self._root}"
             ) from error
+        return {
+            name: self._files.get(file, what=f"The attachment {name} of episode {episode}", hint=_RESTORE)
+            for name, file in stored.items()
+        }

@@ -8,7 +8,6 @@ presence is the commit, and readers ignore episodes that no table lists.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import shutil
@@ -22,6 +21,7 @@ from typing import Any, Self
 import pyarrow as pa
 
 from h3data.errors import InputError
+from h3data.recording.file_store import FileStore
 from h3data.recording.parquet.files import is_dataset, shard_files, shard_number, write_atomic
 from h3data.recording.parquet.lerobot import FILE_MB, Totals, write_meta
 from h3data.recording.parquet.moments import merge_into
@@ -74,6 +74,7 @@ class DatasetWriter:
         self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
         self._episodes_per_file, self._file_bytes = episodes_per_file, file_bytes
         self._totals, self._shard_index = Totals(), 0
+        self._files = FileStore(self.root / "h3" / "files")
         self._schema: DatasetSchema | None = None
         self._shard: Shard | None = None
         if overwrite and resume:
@@ -97,7 +98,7 @@ class DatasetWriter:
             assert self._schema is not None
             layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
             row = _episode_row(recording, layout)
-            attachments = {name: self._store_file(name, data) for name, data in recording.attachments.items()}
+            attachments = {name: self._files.put(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
             sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
             index, start = len(self), self._totals.frames + (self._shard.frames if self._shard else 0)
@@ -215,15 +216,6 @@ class DatasetWriter:
         schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
         self._schema = schema
-
-    def _store_file(self, name: str, data: bytes) -> str:
-        """Stores an attachment under the hash of its contents; returns its file name below ``h3/files``."""
-        suffix = "".join(c for c in Path(name).suffix[1:9].lower() if c.isascii() and c.isalnum())
-        stored = hashlib.sha256(data).hexdigest() + (f".{suffix}" if suffix else "")
-        path = self.root / "h3" / "files" / stored
-        if not path.exists():
-            write_atomic(path, bytes(data))
-        return stored
 
 
 def _episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:

@@ -1,0 +1,58 @@
+"""Files under the SHA-256 of their contents: stored once, compared with their name when they are read."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from h3data.errors import FormatError
+from h3data.recording.parquet.files import write_atomic
+from h3data.recording.storage import AnyPath
+
+
+class FileStore:
+    """A folder of files named ``<sha256>.<ext>``; each is checked once, when this object first reads or keeps it."""
+
+    def __init__(self, folder: AnyPath) -> None:
+        self.folder = folder
+        self._sound: set[str] = set()
+
+    def put(self, name: str, data: bytes) -> str:
+        """Stores contents unless they are there already, and returns the file's name; ``name`` gives its suffix.
+
+        A damaged file of that name is replaced.
+        """
+        suffix = "".join(c for c in Path(name).suffix[1:9].lower() if c.isascii() and c.isalnum())
+        digest = hashlib.sha256(data).hexdigest()
+        stored = f"{digest}.{suffix}" if suffix else digest
+        if stored not in self._sound:
+            path = self.folder / stored
+            if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+                write_atomic(path, bytes(data))
+            self._sound.add(stored)
+        return stored
+
+    def get(self, stored: str, *, what: str, hint: str) -> bytes:
+        """Contents of a file.
+
+        Args:
+            stored: Its name, as `put` returned it.
+            what: Role of the file, which begins an error message.
+            hint: How to get the file back, for the error message.
+
+        Raises:
+            FormatError: it is missing, or its contents do not have the hash that names it.
+        """
+        path = self.folder / Path(stored).name
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise FormatError(f"{what} is missing ({error.strerror or error}). Hint: {hint}. File: {path}") from error
+        if stored not in self._sound:
+            expected, actual = stored.partition(".")[0], hashlib.sha256(data).hexdigest()
+            if actual != expected:
+                raise FormatError(
+                    f"{what} is damaged: expected the SHA-256 {expected}, got {actual}. Hint: {hint}. File: {path}"
+                )
+            self._sound.add(stored)
+        return data
