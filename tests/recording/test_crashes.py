@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import random
 import signal
@@ -16,13 +17,18 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset as pads
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.recording import (
     Dataset,
     DatasetWriter,
+    Event,
     Recording,
     RecordingWriter,
+    SkillSpan,
     open_recording,
     read_mcap,
     recordings_equal,
@@ -289,6 +295,55 @@ def test_a_log_cut_at_every_byte(tmp_path, stride):
     path.write_bytes(data[:-1])
     assert check_log(path) == 6
     assert saved == sorted(saved)
+
+
+def closed_log(path: Path, *, loops: bool) -> tuple[Recording, bytes, int]:
+    """A minute of a person behind a scene of random bytes, its file, and where the scene ends in it."""
+    rng, steps, scene = np.random.default_rng(4), 1800, np.random.default_rng(5).bytes(5000)
+    rec = small_recording(steps)
+    joints = rng.normal(size=(60 if loops else steps, 54, 4)).astype(np.float32)
+    columns = {**rec.columns, "agent_1.joint_quat": joints[np.arange(steps) % len(joints)]}
+    columns["time_ns"] = np.arange(steps, dtype=np.int64) * 33_333_333
+    columns.pop("state_hash", None)
+    events = tuple(Event(step=k, agent=0, kind="beat") for k in range(0, steps, 100))
+    skills = tuple(SkillSpan(agent=0, name="walk", start_step=k, end_step=k + 450) for k in range(0, 1300, 400))
+    rec = replace(rec, columns=columns, events=events, skills=skills, inputs=(), attachments={"scene.glb": scene})
+    data = write_mcap(rec, path, overwrite=True).read_bytes()
+    return rec, data, data.index(scene) + len(scene)
+
+
+@pytest.mark.parametrize("loops", [False, True])
+@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1))
+def test_a_closed_log_that_is_cut_loses_only_what_was_cut_off(tmp_path, loops, share):
+    """However it was cut behind the scene, all chunks before the cut are saved: 10 s of the episode at most are lost."""
+    rec, data, begin = closed_log(tmp_path / "whole.mcap", loops=loops)
+    summary = make_reader(io.BytesIO(data)).get_summary()
+    assert summary is not None
+    chunks = [c for c in summary.chunk_indexes if c.message_end_time > 0]
+    if not loops:
+        assert len(chunks) == 6
+        assert max(c.message_end_time - c.message_start_time for c in chunks) <= 10_000_000_000
+    cut = begin + 1200 + int(share * (len(data) - begin - 1200))  # behind the description of the columns
+    (tmp_path / "cut.mcap").write_bytes(data[:cut])
+    saved = recover_mcap(tmp_path / "cut.mcap", tmp_path / "saved.mcap", overwrite=True)
+    back, steps = read_mcap(saved.path), saved.steps
+    complete = sum(c.chunk_start_offset + c.chunk_length <= cut for c in chunks)
+    assert steps >= (1800 if complete == len(chunks) else 300 * complete)
+    first, last = chunks[0].chunk_start_offset, chunks[-1].chunk_start_offset + chunks[-1].chunk_length
+    assert steps >= 1800 * min((cut - first) / (last - first), 1) - 300, "10 s more than what is missing"
+    assert all(np.array_equal(back.columns[name], column[:steps]) for name, column in rec.columns.items())
+    assert back.attachments == rec.attachments
+    assert validate_skills(back) == []
+    known = steps - 300
+    if known > 0:
+        assert {e.step for e in back.events} >= {e.step for e in rec.events if e.step < known}
+        assert {s.start_step for s in back.skills} >= {s.start_step for s in rec.skills if s.start_step < known}
+
+
+def validate_skills(rec: Recording) -> list[SkillSpan]:
+    """Skills that are not within the steps of their recording."""
+    return [span for span in rec.skills if not 0 <= span.start_step <= span.end_step < len(rec)]
 
 
 @pytest.mark.parametrize("stride", [53, pytest.param(1, marks=pytest.mark.slow)])

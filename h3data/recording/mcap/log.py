@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from h3data.recording.mcap.chunks import CutRecording, repeats, slices
 from h3data.recording.mcap.header import (
     PROFILE,
     TOPIC_MESSAGES,
@@ -52,11 +53,10 @@ from h3data.recording.schema import (
 from h3data.recording.storage import RemotePath, local
 
 CHUNK_BYTES = 4 << 20
-"""Uncompressed size of a chunk: a free-form episode of 1,500 steps takes 532 B/step; with 1 MiB 557, with 256 KiB 648."""
+"""Largest uncompressed size of a chunk."""
 FLUSH_ROWS = 30
 """Rows between flushes: one second at 30 steps/s."""
 FLUSH_S = 1.0
-_SLICE_ROWS = 8192
 
 
 class LogWriter:
@@ -136,28 +136,34 @@ class LogWriter:
 
     def append(self, rows: Mapping[str, ArrayLike]) -> None:
         """Writes one or more steps: every column, time first, shape [n, ...] with the same n for all."""
-        self._require_open()
-        arrays = native_rows(rows)
-        if self._rows is None:
-            self._rows = self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
-        before = self._rows.steps
-        self._rows.add(arrays)
+        added = self._add(rows)
+        assert self._rows is not None
         due = self._rows.steps - self._rows.taken >= self._flush_rows
         late = time.monotonic() - self._flushed_at >= self._flush_s
-        if self._rows.steps > before and (due or late):
+        if added and (due or late):
             self.flush()
 
     def append_recording(self, recording: Recording) -> None:
-        """Writes all steps of a recording, flushed together, then its skills, events and inputs."""
-        for start in range(0, max(len(recording), 1), _SLICE_ROWS):  # slices: `append` copies what it is given
-            self.append({name: column[start : start + _SLICE_ROWS] for name, column in recording.columns.items()})
+        """Writes all steps, skills, events and inputs of a recording in chunks of at most `chunks.CHUNK_S` (`chunks.repeats`
+        names the exception).
+
+        Events, inputs and skills follow the steps at which they are known, a skill as ``running`` until it has ended. A file
+        that is cut off thus loses only the chunks behind the cut.
+        """
+        parts, long_chunks = CutRecording(recording), repeats(recording.columns)
+        for start, stop in slices(recording.columns["time_ns"]):
+            self._add({name: column[start:stop] for name, column in recording.columns.items()})
+            with self._file.writing():
+                self._write_pending()
+            for event in parts.events(stop):
+                self.event(event)
+            for message in parts.inputs(stop):
+                self.input(message)
+            for number, span in parts.skills(stop):
+                self._write_skill(span, number)
+            if not long_chunks:
+                self.flush()
         self.flush()
-        for span in recording.skills:
-            self.skill(span)
-        for event in recording.events:
-            self.event(event)
-        for event in recording.inputs:
-            self.input(event)
 
     def event(self, event: Event) -> None:
         """Writes something that happened."""
@@ -187,11 +193,7 @@ class LogWriter:
         if replaces is not None and not 0 <= replaces < self._spans:
             raise InputError(f"replaces={replaces}: {self._spans} skill spans were written, numbered from 0.")
         number = self._spans if replaces is None else replaces
-        data = encode_record("h3.Skill", {**struct_to_dict(span), "span": number})
-        t = self._log_time(self._time_of(span.start_step if span.outcome == "running" else span.end_step))
-        with self._file.writing():
-            self._mcap.add_message(self._skill_channel, t, data, t)
-        self._spans = max(self._spans, number + 1)
+        self._write_skill(span, number)
         return number
 
     def flush(self) -> None:
@@ -258,6 +260,16 @@ class LogWriter:
         return f"{type(self).__name__}({str(self.path)!r}, {self.steps} steps, {state})"
 
     # --- private ---
+    def _add(self, rows: Mapping[str, ArrayLike]) -> int:
+        """Holds rows until they are written; returns their number."""
+        self._require_open()
+        arrays = native_rows(rows)
+        if self._rows is None:
+            self._rows = self._fix_layout({name: a[:0] if a.ndim else a for name, a in arrays.items()})
+        before = self._rows.steps
+        self._rows.add(arrays)
+        return self._rows.steps - before
+
     def _shut(self) -> None:
         self.closed = True
         self._file.shut()
@@ -273,6 +285,13 @@ class LogWriter:
     def _struct_channel(self, name: str) -> int:
         schema = self._mcap.register_schema(f"h3.{name}", "protobuf", struct_descriptor())
         return self._mcap.register_channel(f"/h3/{name.lower()}", "protobuf", schema)
+
+    def _write_skill(self, span: SkillSpan, number: int) -> None:
+        data = encode_record("h3.Skill", {**struct_to_dict(span), "span": number})
+        t = self._log_time(self._time_of(span.end_step))
+        with self._file.writing():
+            self._mcap.add_message(self._skill_channel, t, data, t)
+        self._spans = max(self._spans, number + 1)
 
     def _fix_layout(self, empty: Mapping[str, NDArray[Any]]) -> PendingRows:
         """Takes the columns from arrays without rows, checks them against the header and announces them in the file."""

@@ -1,0 +1,91 @@
+"""The chunks of a finished recording, each with everything that was known at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.recording.records import Event, InputEvent, Recording, SkillSpan
+
+CHUNK_S = 10.0
+"""Longest chunk [s of the episode]: what is lost of a file that is cut off or damaged, beside the missing part."""
+_WORTH_BYTES = 20
+"""Saving per row [bytes] that is worth a longer chunk: 62 for the looping clip above, 0 to 18 in our simulations."""
+_COMPARED = ("object_pose", "joint_pos", "joint_quat")
+
+
+def slices(times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First row of each stretch of `CHUNK_S`, and the row after its last, of rows at ``times_ns`` [T], increasing [ns].
+
+    Without rows there is one stretch, which is empty.
+    """
+    if not len(times_ns):
+        return [(0, 0)]
+    since = times_ns.astype(np.float64) - float(times_ns[0])  # differences of int64 may overflow
+    starts = np.flatnonzero(np.diff(since // (CHUNK_S * 1e9), prepend=-1.0))
+    return list(pairwise([*starts.tolist(), len(times_ns)]))
+
+
+def repeats(columns: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether poses repeat bit for bit over more than `CHUNK_S`, such as a looping clip in local rotations.
+
+    Chunks cannot refer to each other, so each would store the clip again: 258 instead of 157 B per step for a clip of 60
+    frames. Such a recording gets chunks as large as they may be. If its file is cut inside of one, the complete compressed
+    blocks before the cut can still be read (`scan.take_beginning`).
+    """
+    import zstandard
+
+    bounds = slices(columns["time_ns"])
+    poses = [column for name, column in columns.items() if name.rpartition(".")[2] in _COMPARED and column.size]
+    if len(bounds) < 2 or not poses:
+        return False
+    (start, middle), (_, stop) = bounds[:2]
+    rows = np.concatenate([np.ascontiguousarray(c[:stop]).reshape(stop, -1).view(np.uint8) for c in poses], axis=1)
+    first, second, both = (
+        len(zstandard.compress(rows[a:b].tobytes(), 1)) for a, b in ((start, middle), (middle, stop), (start, stop))
+    )
+    return first + second - both > _WORTH_BYTES * (stop - start)
+
+
+class CutRecording:
+    """Events, inputs and skills of a recording, handed out as its steps are written.
+
+    Everything is handed out in its recorded order, which need not be that of time; the last chunk takes what is left.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._times: NDArray[Any] = recording.columns["time_ns"]
+        self._events = self._inputs = 0
+        self._open = dict(enumerate(recording.skills))
+
+    def events(self, stop: int) -> Iterator[Event]:
+        """Events before step ``stop`` that were not handed out yet."""
+        events = self._recording.events
+        while self._events < len(events) and (stop == len(self._times) or events[self._events].step < stop):
+            self._events += 1
+            yield events[self._events - 1]
+
+    def inputs(self, stop: int) -> Iterator[InputEvent]:
+        """Inputs up to the time of step ``stop - 1`` that were not handed out yet."""
+        inputs = self._recording.inputs
+        last = stop == len(self._times)
+        while self._inputs < len(inputs) and (last or inputs[self._inputs].time_ns <= self._times[stop - 1]):
+            self._inputs += 1
+            yield inputs[self._inputs - 1]
+
+    def skills(self, stop: int) -> Iterator[tuple[int, SkillSpan]]:
+        """Number and span of the skills begun before step ``stop``, unless they were handed out complete before.
+
+        A skill that has not ended is ``running`` up to step ``stop - 1``.
+        """
+        for number, span in list(self._open.items()):
+            if span.end_step < stop or stop == len(self._times):
+                yield number, self._open.pop(number)
+            elif span.start_step < stop:
+                yield number, replace(span, end_step=stop - 1, outcome="running", reason="")
