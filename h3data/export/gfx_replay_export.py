@@ -10,7 +10,7 @@ import gzip
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.export.gltf_skin import skinned_glb_bytes
+from h3data.export.habitat_lights import replay_lights
 from h3data.export.posed_parts import PosedCamera, PosedPart, spans
 from h3data.export.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
 from h3data.habitat.asset_library import EMPTY_URI
+from h3data.habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX
 from h3data.habitat.scenes.object_handles import HANDLE
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh
@@ -87,8 +89,8 @@ def write_gfx_replay(
       attached scene, of robots and of people become GLB files. Paths are relative to the replay's folder: start
       habitat-sim there.
     - A body that is absent at times is deleted and created again, each time as a new instance.
-    - People drawn by a model are skinned: a rig of 55 bones whose root stands as habitat-lab's humanoids do. The simulator's
-      own player aborts on recordings with rigs; the replay renderers of habitat-sim and its HITL tools play them.
+    - People drawn by a model are skinned: a rig of 55 bones; the instance has the pose of its root bone, as habitat-sim needs
+      it. The user transform `PERSON_ROOT_PREFIX` and the rig's number says where the person stands, for our importer.
     - Cameras become user transforms, ``sensor_<name>``; ``user.<name>`` columns keep their names.
 
     Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data.export.posing`.
@@ -117,6 +119,9 @@ def write_gfx_replay(
         rig = _rig_of(part, rigs, recording, len(keyframes.rigs))
         if rig is not None:
             keyframes.rigs.append({"id": rig.number, "boneNames": list(rig.names)})
+            if part.body is None:  # the pose of the person, which the instance of a rig has no place for
+                _add_user_transform(keyframes, f"{PERSON_ROOT_PREFIX}{rig.number}", np.asarray(part.poses))
+                part = replace(part, poses=_root_bone(part, rig))
         static = ref is not None and bool(recording.episode.scene) and Path(filepath).stem == recording.episode.scene
         key = _add_part(keyframes, part, filepath, key, rig=rig, static=static)
     for name, poses in _user_transforms(recording, cameras):
@@ -194,6 +199,17 @@ def _rig_of(part: PosedPart, rigs: Mapping[str, Any], recording: Recording, numb
     return _Rig(number, names, column)
 
 
+def _root_bone(part: PosedPart, rig: _Rig) -> Array:
+    """pose7 [T, 7] of the bone that habitat-sim takes out of all others before it places the instance.
+
+    It multiplies every bone by the inverse of the first one that it finds in the nodes of the file, depth first
+    (`Drawable::buildSkinJointTransforms`, `ResourceManager::mapSkinnedModelToRig`), so the instance has to stand where that
+    bone is: at the pelvis, tilt included. `skinned_glb_bytes` writes the joint without a parent first.
+    """
+    assert part.skeleton is not None
+    return np.asarray(rig.poses)[:, part.skeleton.parents.index(-1)]
+
+
 def _add_part(
     keyframes: _Keyframes, part: PosedPart, filepath: str, key: int, *, rig: _Rig | None, static: bool
 ) -> int:
@@ -261,6 +277,10 @@ def _lights(recording: Recording) -> Iterator[tuple[int, list[Any]]]:
         yield from ((int(change["step"]), change["lights"]) for change in info["light_changes"])
     elif info.get("lights"):
         yield 0, info["lights"]
+    elif (
+        recording.episode.task != "gfx_replay"
+    ):  # one of ours: without lights, habitat-sim's four leave rooms half dark
+        yield 0, replay_lights()
 
 
 # --- assets -----------------------------------------------------------------------------------------------------------

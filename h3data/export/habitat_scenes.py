@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, SceneError
+from h3data.export.habitat_lights import SHADER, light_setup
 from h3data.geometry import normalized
 from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
@@ -50,8 +51,6 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
-_SHADER = "phong"
-"""Needs no image-based light, and shows the colours as they are."""
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
@@ -130,8 +129,8 @@ class _Files:
 def _dataset_config() -> dict[str, Any]:
     """Lists the folders, as HSSD's own config does."""
     return {
-        "stages": {"default_attributes": {"shader_type": _SHADER, **_AXES}, "paths": {".json": ["stages"]}},
-        "objects": {"default_attributes": {"shader_type": _SHADER, **_AXES}, "paths": {".json": ["objects"]}},
+        "stages": {"default_attributes": {"shader_type": SHADER, **_AXES}, "paths": {".json": ["stages"]}},
+        "objects": {"default_attributes": {"shader_type": SHADER, **_AXES}, "paths": {".json": ["objects"]}},
         "light_setups": {"paths": {".json": ["lighting"]}},
         "semantic_scene_descriptor_instances": {
             "default_attributes": {"semantic_descriptor_filename": f"../{Path(_LEXICON).name}"},
@@ -181,7 +180,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
     }
     files.json(f"scenes/{handle}.scene_instance.json", instance_file)
     files.json(filter_file, _receptacle_filter(receptacles))
-    files.json(f"lighting/{handle}.lighting_config.json", _lights())
+    files.json(f"lighting/{handle}.lighting_config.json", light_setup())
     files.json(f"navmeshes/{handle}.navmesh_settings.json", NAVMESH_SETTINGS)
     if regions:
         files.json(f"semantics/scenes/{handle}.semantic_config.json", {"region_annotations": regions})
@@ -226,7 +225,7 @@ def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instanc
         "gravity": [0, -9.8, 0],
         "units_to_meters": 1.0,
         "is_collidable": True,
-        "shader_type": _SHADER,
+        "shader_type": SHADER,
         "user_defined": dict(_stage_receptacles(scene, stage)),
     }
     files.json(f"stages/{handle}.stage_config.json", config)
@@ -251,16 +250,6 @@ def _receptacle_filter(names: list[str]) -> dict[str, list[str]]:
     """All receptacles are to be used; habitat-lab expects the other lists as well (spec/habitat.md 6.4)."""
     empty = ("manually_filtered", "access_filtered", "stability_filtered", "height_filtered", "within_set")
     return {"active": names, **{key: [] for key in empty}}
-
-
-def _lights() -> dict[str, Any]:
-    """Light from above and weaker from four sides, the same in every room: directions only, so that no wall is dark."""
-    sides = ((-0.8, -0.5, -0.3), (0.8, -0.5, 0.3), (0.3, -0.5, -0.8), (-0.3, -0.5, 0.8))
-    lights: list[dict[str, Any]] = [
-        {"type": "directional", "direction": [0, -1, 0], "intensity": 0.4, "color": [1, 0.98, 0.95]}
-    ]
-    lights += [{"type": "directional", "direction": list(d), "intensity": 0.35, "color": [1, 1, 1]} for d in sides]
-    return {"lights": {str(k): light for k, light in enumerate(lights)}}
 
 
 def _region_annotations(rooms: Sequence[Room]) -> list[dict[str, Any]]:
@@ -304,7 +293,7 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
         "COM": [0, 0, 0],
         "compute_COM_from_shape": False,
         "semantic_id": semantic_id,
-        "shader_type": _SHADER,
+        "shader_type": SHADER,
         "is_collidable": bool(asset.shapes),
         "use_bounding_box_for_collision": False,
         "join_collision_meshes": False,

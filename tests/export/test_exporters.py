@@ -146,6 +146,7 @@ def test_our_own_people_and_robots_come_back_where_they_were(
     links = [d for d in replay.drawables if d.agent == 0]
     assert sum(body.agent == 0 for body in back.bodies) == len(links) > 5
     assert back.episode.info["rigs"][0]["bones"] == list(JOINT_NAMES)
+    assert not [name for name in back.columns if "person_root" in name]
     joints = pose_to_matrix(back.columns["rig.0"].astype(np.float64))
     np.testing.assert_allclose(joints, replay.joint_matrices(1, np.arange(len(recording))), atol=2e-6)
     people = 0
@@ -160,6 +161,96 @@ def test_our_own_people_and_robots_come_back_where_they_were(
             np.testing.assert_allclose(replay.matrices(index, STEPS), again.matrices(index, STEPS), atol=2e-6)
     assert people == 1
     np.testing.assert_allclose(back.columns["user.sensor_human_head"], posed_cameras(replay)[-1].poses, atol=1e-6)
+
+
+def test_people_stand_where_habitat_sim_skins_them(recording: Recording, replay: Replay, tmp_path: Path) -> None:
+    """What habitat-sim 57ee494 makes of a rig, from the written files alone.
+
+    `ResourceManager::mapSkinnedModelToRig` walks the nodes depth first; the first with a bone is the root R.
+    `Drawable::buildSkinJointTransforms` gives joint i the matrix R^-1 bone_i inverse_bind_i, and the instance moves all that.
+    """
+    path = write_gfx_replay(recording, posed_parts(replay), tmp_path / "own.gfx_replay.json").path
+    keyframes = json.loads(path.read_text())["keyframes"]
+    rig = keyframes[0]["rigCreations"][0]
+    (person,) = [c for c in keyframes[0]["creations"] if c["creation"]["rigId"] == rig["id"]]
+    file = tmp_path / person["creation"]["filepath"]
+    document, chunk = unpack_glb(file.read_bytes(), "")
+    nodes = document["nodes"]
+    order, waiting = [], list(reversed(document["scenes"][0]["nodes"]))
+    while waiting:
+        order.append(waiting.pop())
+        waiting += reversed(nodes[order[-1]].get("children", []))
+    root = next(rig["boneNames"].index(nodes[n]["name"]) for n in order if nodes[n].get("name") in rig["boneNames"])
+    joints = [rig["boneNames"].index(nodes[n]["name"]) for n in document["skins"][0]["joints"]]
+    binds = GltfArrays(document, lambda _: chunk).accessor(document["skins"][0]["inverseBindMatrices"])
+    binds = binds.reshape(-1, 4, 4).swapaxes(1, 2)
+    (number,) = [k for k, d in enumerate(replay.drawables) if d.deformable]
+    state, bones, heights = None, None, []
+    for step, keyframe in enumerate(keyframes):
+        updates = [u for u in keyframe.get("stateUpdates", []) if u["instanceKey"] == person["instanceKey"]]
+        state = updates[-1]["state"]["absTransform"] if updates else state
+        bones = keyframe["rigUpdates"][0]["pose"] if "rigUpdates" in keyframe else bones
+        assert state is not None
+        assert bones is not None
+        placed = _matrix(state["translation"], state["rotation"])
+        of_bone = np.stack([_matrix(b["t"], b["r"]) for b in bones])
+        np.testing.assert_allclose(placed, of_bone[root], atol=1e-6)  # as in habitat-sim's own recordings
+        heights.append(state["translation"][1])
+        if step in STEPS:
+            moves = placed @ np.linalg.inv(of_bone[root]) @ of_bone[joints] @ binds
+            drawn = _skinned_by(document, chunk, moves)
+            assert_same_points(drawn, replay.vertices(number, np.array([step]))[0], atol=1e-5)
+    assert np.ptp(heights) > 0.005  # the pelvis sways
+
+
+def _matrix(position: list[float], wxyz: list[float]) -> np.ndarray:
+    w, x, y, z = wxyz
+    return pose_to_matrix(np.array([*position, x, y, z, w]))
+
+
+def _skinned_by(document: dict[str, Any], chunk: Any, moves: np.ndarray) -> np.ndarray:
+    arrays, out = GltfArrays(document, lambda _: chunk), []
+    for primitive in document["meshes"][0]["primitives"]:
+        get = {name: arrays.floats(index) for name, index in primitive["attributes"].items()}
+        blend = np.einsum("vk,vkab->vab", get["WEIGHTS_0"], moves[get["JOINTS_0"].astype(int)])
+        out.append(np.einsum("vab,vb->va", blend[:, :3, :3], get["POSITION"]) + blend[:, :3, 3])
+    return np.concatenate(out)
+
+
+def test_our_replays_carry_light_from_all_sides(recording: Recording, replay: Replay, tmp_path: Path) -> None:
+    path = write_gfx_replay(recording, posed_parts(replay), tmp_path / "own.gfx_replay.json").path
+    first = json.loads(path.read_text())["keyframes"][0]
+    assert first["lightsChanged"] is True
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    vectors, colors = (np.array([light[key] for light in first["lights"]]) for key in ("vector", "color"))
+    received = np.maximum(-normals @ vectors[:, :3].T, 0) @ colors
+    assert received.min() > 0.6  # also what faces down
+    assert received.max() <= 1.0
+    assert {light["model"] for light in first["lights"]} == {"global"}
+    assert read_gfx_replay(path).episode.info["lights"] == first["lights"]
+
+
+def test_replays_from_before_still_come_back(recording: Recording, replay: Replay, tmp_path: Path) -> None:
+    """Until 0.1.0's first trial, people stood at their root 0.9 m above the floor, and no user transform said so."""
+    path = write_gfx_replay(recording, posed_parts(replay), tmp_path / "own.gfx_replay.json").path
+    content = json.loads(path.read_text())
+    rig = next(c for c in content["keyframes"][0]["creations"] if c["creation"]["rigId"] == 0)
+    for keyframe in content["keyframes"]:
+        roots = [u for u in keyframe["userTransforms"] if u["name"].startswith("h3data_person_root_")]
+        keyframe["userTransforms"] = [u for u in keyframe["userTransforms"] if u not in roots]
+        keep = [u for u in keyframe.get("stateUpdates", []) if u["instanceKey"] != rig["instanceKey"]]
+        state = {"absTransform": roots[0]["transform"]}
+        keyframe["stateUpdates"] = [*keep, {"instanceKey": rig["instanceKey"], "state": state}]
+    path.write_text(json.dumps(content))
+    back = read_gfx_replay(path)
+    np.testing.assert_allclose(
+        np.abs(back.columns["agent_1.base_pose"]), np.abs(recording.columns["agent_1.base_pose"]), atol=1e-6
+    )
+    again = Replay(back, assets=[tmp_path])
+    (number,) = [k for k, d in enumerate(again.drawables) if d.deformable]
+    one, other = (r.vertices(number, STEPS) for r in (replay, again))
+    for step in range(len(STEPS)):
+        assert_same_points(one[step], other[step], atol=3e-6)
 
 
 @pytest.mark.parametrize("name", robot_names())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -22,6 +22,10 @@ our exports name, say theirs; for the rest 0 is assumed."""
 
 HUMAN_ROOT_HEIGHT_M = 0.9
 """Height of a humanoid's root over the floor [m], habitat-lab's ``base_offset`` (spec/habitat.md 0)."""
+
+PERSON_ROOT_PREFIX = "h3data_person_root_"
+"""User transforms of our own exports: before the number of a rig, habitat-lab's root of that person. The instance of a rig has
+the pose of its root bone, which also sways and tilts."""
 
 _ROBOT = re.compile(r"(^|/)robots?/([^/]+)/|(hab_spot_arm|hab_fetch|hab_stretch)")
 _HUMAN = re.compile(r"(^|/)(humanoids?|humanoid_data)/|(^|/)(human|male|female|neutral)(_\w+)?\.\w+$")
@@ -46,7 +50,13 @@ class _Group:
 
 
 def add_agents(
-    bodies: Sequence[Body], assets: Sequence[AssetRef], object_pose: NDArray[np.float32] | None, steps: int, path: Path
+    bodies: Sequence[Body],
+    assets: Sequence[AssetRef],
+    object_pose: NDArray[np.float32] | None,
+    steps: int,
+    path: Path,
+    *,
+    roots: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[list[Agent], list[Body], dict[str, NDArray[Any]], list[AgentInfo]]:
     """Agents (robots first), bodies that name their agent, the agents' columns, and how each was recognised.
 
@@ -54,7 +64,8 @@ def add_agents(
     where a base link appears again. A person is one body with a humanoid's file. ``agent_<i>.base_pose`` follows
     habitat-lab (spec/habitat.md 0): a robot stands ``ROBOT_BASE_HEIGHT_M`` under its base link and faces along that
     link's x axis; a person stands `HUMAN_ROOT_HEIGHT_M` under the root and faces along its z axis. Both headings are
-    projected on the floor. ``path`` appears in error texts.
+    projected on the floor. ``path`` appears in error texts. ``roots`` holds the roots of people (pose7 [T, 7] by body) that
+    the file tells apart from their instances (`PERSON_ROOT_PREFIX`).
     """
     uris = {ref.name: ref.uri for ref in assets}
     groups = _groups([uris[b.asset] for b in bodies])
@@ -69,7 +80,8 @@ def add_agents(
         alone = (robots if group.kind == "robot" else len(groups) - robots) == 1
         name = group.kind if alone else f"{group.kind}_{index if group.kind == 'robot' else index - robots}"
         root, info = _root(group, [uris[bodies[b].asset] for b in group.bodies], bodies)
-        track = _track(bodies[root], object_pose, steps)
+        track = (roots or {}).get(bodies[root].name)
+        track = _track(bodies[root], object_pose, steps) if track is None else track.astype(np.float64)
         height = HUMAN_ROOT_HEIGHT_M if group.kind == "human" else _base_height(group.model) or 0.0
         columns[f"agent_{index}.base_pose"] = _base_pose(
             track, forward=2 if group.kind == "human" else 0, height=height

@@ -17,7 +17,7 @@ from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
 from h3data.habitat.asset_folders import clean_path
 from h3data.habitat.asset_library import EMPTY_URI
-from h3data.habitat.gfx.gfx_agents import add_agents
+from h3data.habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX, add_agents
 from h3data.habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data.habitat.gfx.gfx_keyframes import Load, read_keyframes
 from h3data.limits import check_size
@@ -63,7 +63,9 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     if tracks.shape[1]:
         columns["object_pose"] = tracks
     columns |= _user_columns(fold, path) | _rig_columns(fold, path)
-    agents, bodies, agent_columns, agent_info = add_agents(bodies, assets, columns.get("object_pose"), fold.steps, path)
+    agents, bodies, agent_columns, agent_info = add_agents(
+        bodies, assets, columns.get("object_pose"), fold.steps, path, roots=_person_roots(fold, bodies, columns)
+    )
     columns |= agent_columns
     warnings = (
         notes + [f"{count} {what}" for what, count in fold.counts.items()] + [w for a in agent_info for w in a.warnings]
@@ -240,6 +242,22 @@ def _user_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:
         ]  # transforms do not persist: only keyframes that list one have it
         columns[f"user.{name}"] = rows
     return columns
+
+
+def _person_roots(
+    fold: Fold, bodies: Sequence[Body], columns: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float32]]:
+    """Takes the roots of people out of the user columns; by body."""
+    roots = {}
+    for life, body in zip(fold.lives, bodies, strict=True):
+        track = columns.get(f"user.{PERSON_ROOT_PREFIX}{life.creation.rigId}")
+        if track is not None:
+            there = np.arange(len(track)) >= life.start
+            there &= (np.arange(len(track)) < life.end) | (life.end < 0)
+            roots[body.name] = np.where(there[:, None], track, np.float32(np.nan))
+    for name in [name for name in columns if name.startswith(f"user.{PERSON_ROOT_PREFIX}")]:
+        del columns[name]
+    return roots
 
 
 def _rig_columns(fold: Fold, path: Path) -> dict[str, NDArray[Any]]:

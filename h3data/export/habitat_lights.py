@@ -1,0 +1,53 @@
+"""Lights for habitat-sim under which its pictures of our homes look like ours.
+
+habitat-sim's ``material`` shader has no ambient light: what no light faces is black, ceilings above all. So there is one
+directional light along each axis, both ways, as strong as our renderer's light on a surface that faces it. The shader
+works on sRGB values as they are (``map_mat_txtr_to_linear`` and ``map_output_to_srgb`` are off by default), our renderer on
+linear light, hence the power. Occlusion and the camera's headlight have no counterpart.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import normalized
+from h3data.render.shade.shading import Light
+
+SHADER = "material"
+"""``shader_type`` of what we write: glTF's own materials. ``phong`` has no counterpart of roughness and shows spots."""
+_GAMMA = 2.2
+_AXES = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+
+
+def axis_lights() -> list[tuple[list[float], list[float]]]:
+    """Direction in which each light travels, and its sRGB colour times its intensity."""
+    return [([float(-v) for v in axis], color) for axis, color in zip(_AXES, _colors().round(4).tolist(), strict=True)]
+
+
+def _colors() -> NDArray[np.float64]:
+    """sRGB light [6, 3] of our renderer on surfaces that face along `_AXES`."""
+    light, normals = Light(), np.array(_AXES, np.float64)
+    up = (normals[:, 1:2] + 1) / 2
+    linear = up * np.array(light.sky) + (1 - up) * np.array(light.ground)
+    for color, direction in ((light.sun, light.sun_direction), (light.fill, light.fill_direction)):
+        facing = np.maximum(normals @ normalized(np.array(direction, np.float64)), 0)
+        linear = linear + facing[:, None] * np.array(color)
+    return np.clip(linear, 0, 1) ** (1 / _GAMMA)
+
+
+def light_setup() -> dict[str, Any]:
+    """Content of a ``*.lighting_config.json``."""
+    return {
+        "lights": {
+            str(k): {"type": "directional", "direction": direction, "intensity": 1.0, "color": color}
+            for k, (direction, color) in enumerate(axis_lights())
+        }
+    }
+
+
+def replay_lights() -> list[dict[str, Any]]:
+    """The same as the ``lights`` of a gfx-replay keyframe."""
+    return [{"vector": [*direction, 0.0], "color": color, "model": "global"} for direction, color in axis_lights()]
