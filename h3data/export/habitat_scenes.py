@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -15,24 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError, SceneError
+from h3data.errors import H3DataError, InputError, SceneError
 from h3data.export.habitat_lights import SHADER, light_setup
-from h3data.geometry import normalized
+from h3data.geometry import normalized, transform_points
+from h3data.habitat.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
+from h3data.habitat.navmesh.navmesh_file import navmesh_bytes
 from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.mesh.glb_write import GlbNode, glb_bytes
 from h3data.mesh.mesh import Mesh
+from h3data.scene.freespace.free_space import FreeSpace
 from h3data.scene.records import Asset, Instance, Receptacle, Room, Scene, instance_matrix
 from h3data.scene.scene_json import asset_record
+
+_log = logging.getLogger(__name__)
 
 STAGE_CATEGORIES = frozenset(("wall", "floor", "ceiling", "door", "window", "trim", "stage"))
 """Static instances of these categories are the building: Habitat's stage. All others become objects."""
 
+_AGENT_HEIGHT_M, _AGENT_RADIUS_M = 1.41, 0.25
+
 NAVMESH_SETTINGS: Mapping[str, float | bool] = {
     "cellSize": 0.05,
     "cellHeight": 0.2,
-    "agentHeight": 1.41,
-    "agentRadius": 0.25,
+    "agentHeight": _AGENT_HEIGHT_M,
+    "agentRadius": _AGENT_RADIUS_M,
     "agentMaxClimb": 0.2,
     "agentMaxSlope": 45.0,
     "regionMinSize": 20.0,
@@ -45,12 +53,13 @@ NAVMESH_SETTINGS: Mapping[str, float | bool] = {
     "filterLowHangingObstacles": True,
     "filterLedgeSpans": True,
     "filterWalkableLowHeightSpans": True,
-    "includeStaticObjects": True,
 }
-"""habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7)."""
+"""habitat-sim's defaults with the agent of Rearrange (spec/habitat.md 6.7). Its JSON reader knows no ``includeStaticObjects``:
+who bakes a navmesh from these has to ask for furniture in Python (docs/habitat.md)."""
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
+_CEILING_SLACK_M = 0.01
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
@@ -93,7 +102,7 @@ def export_habitat_dataset(
     for handle, scene in zip(handles, scenes, strict=True):
         _add_scene(files, handle, scene)
     config = f"{name}{DATASET_ENDING}"
-    files.json(config, _dataset_config())
+    files.json(config, {**_dataset_config(), "navmesh_instances": files.navmeshes})
     files.json(_LEXICON, {"classes": [{"id": k, "name": v} for k, v in sorted(files.classes.items())]})
     _write(folder, files.content, force=force)
     return folder / config
@@ -105,6 +114,8 @@ class _Files:
 
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
+    navmeshes: dict[str, str] = field(default_factory=dict)
+    """Paths of the navmeshes by handle."""
     _templates: dict[tuple[int, int], str] = field(default_factory=dict)
     _alive: list[Asset] = field(default_factory=list)
 
@@ -175,6 +186,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
         "stage_instance": {"template_name": f"stages/{handle}.stage_config.json", "translation_origin": "asset_local"},
         "object_instances": objects,
         "default_lighting": f"lighting/{handle}.lighting_config.json",
+        **({"navmesh_instance": handle} if _add_navmesh(files, handle, scene) else {}),
         **({"semantic_scene_instance": f"{handle}.semantic_config.json"} if regions else {}),
         "user_defined": {"scene_filter_file": filter_file},
     }
@@ -184,6 +196,24 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
     files.json(f"navmeshes/{handle}.navmesh_settings.json", NAVMESH_SETTINGS)
     if regions:
         files.json(f"semantics/scenes/{handle}.semantic_config.json", {"region_annotations": regions})
+
+
+def _add_navmesh(files: _Files, handle: str, scene: Scene) -> bool:
+    """Adds the navmesh of the free floor, furniture included; False, with a warning, for a scene without one."""
+    try:
+        free = FreeSpace.from_scene(scene, radius_m=_AGENT_RADIUS_M, height_m=_AGENT_HEIGHT_M)
+        if free.polygon.is_empty:
+            raise SceneError("no floor is free")
+        settings = NavMeshSettings(
+            agent_height=_AGENT_HEIGHT_M, agent_radius=_AGENT_RADIUS_M, include_static_objects=True
+        )  # else equal to the defaults: whoever asks habitat-sim for these settings gets this navmesh, not a new one
+        content = navmesh_bytes(navmesh_from_free_space(free, settings=settings))
+    except H3DataError as fault:
+        _log.warning("%s has no navmesh, habitat-sim has to bake one: %s", scene.name, fault)
+        return False
+    files.navmeshes[handle] = f"navmeshes/{handle}.navmesh"
+    files.content[files.navmeshes[handle]] = content
+    return True
 
 
 def _object_instance(instance: Instance, template: str, category: str) -> dict[str, Any]:
@@ -200,22 +230,33 @@ def _object_instance(instance: Instance, template: str, category: str) -> dict[s
 
 
 def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instance]) -> None:
-    names = list(dict.fromkeys(i.asset for i in stage))
+    meshes: list[Mesh] = []
+    shared: dict[str, int] = {}
     nodes = []
+    ceilings = [_world_box(scene, i) for i in stage if scene.assets[i.asset].category == "ceiling"]
     for instance in stage:
-        category = scene.assets[instance.asset].category
-        files.classes.setdefault(int(instance.semantic_id), category)
-        extras = {"category": category, "semantic_id": int(instance.semantic_id), "layer": instance.layer}
+        asset = scene.assets[instance.asset]
+        mesh = _without_roof(asset.mesh, instance_matrix(instance), ceilings)
+        if not len(mesh.faces):
+            continue
+        number = shared.get(instance.asset) if mesh is asset.mesh else None
+        if number is None:
+            number = len(meshes)
+            meshes.append(mesh)
+            if mesh is asset.mesh:
+                shared[instance.asset] = number
+        files.classes.setdefault(int(instance.semantic_id), asset.category)
+        extras = {"category": asset.category, "semantic_id": int(instance.semantic_id), "layer": instance.layer}
         nodes.append(
             GlbNode(
                 name=instance.name,
-                mesh=names.index(instance.asset),
+                mesh=number,
                 pose=instance.pose,
                 scale=instance.scale,
                 extras={"h3data": extras},
             )
         )
-    files.content[f"stages/{handle}.glb"] = glb_bytes([scene.assets[n].mesh for n in names], nodes)
+    files.content[f"stages/{handle}.glb"] = glb_bytes(meshes, nodes)
     config = {
         "render_asset": f"{handle}.glb",
         "collision_asset": f"{handle}.glb",
@@ -229,6 +270,31 @@ def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instanc
         "user_defined": dict(_stage_receptacles(scene, stage)),
     }
     files.json(f"stages/{handle}.stage_config.json", config)
+
+
+def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
+    """Lower and upper corner [2, 3] [m] of an instance in the world."""
+    points = transform_points(instance_matrix(instance), scene.assets[instance.asset].mesh.vertices.astype(np.float64))
+    return np.stack([points.min(0), points.max(0)])
+
+
+def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[NDArray[np.float64]]) -> Mesh:
+    """The mesh without what faces up on or in a ceiling, which nobody sees from inside.
+
+    habitat-sim bakes its navmesh from the stage: the roof was the largest island. A ceiling whose underside alone is left
+    is too steep to walk on, and tops of walls in it would lend it their walkability (``rcAddSpan`` merges spans).
+    """
+    corners = transform_points(matrix, mesh.vertices.astype(np.float64))[mesh.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    upward = normal[:, 1] > 0.5 * np.linalg.norm(normal, axis=1)
+    middle, roof = corners.mean(1), np.zeros(len(corners), bool)
+    for low, high in ceilings:
+        roof |= ((middle >= low - _CEILING_SLACK_M) & (middle <= high + _CEILING_SLACK_M)).all(1)
+    kept = ~(upward & roof)
+    if kept.all():
+        return mesh
+    textures = None if mesh.face_textures is None else mesh.face_textures[kept]
+    return replace(mesh, faces=np.ascontiguousarray(mesh.faces[kept]), face_textures=textures)
 
 
 def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, dict[str, Any]]]:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from h3data.mesh import meshopt
-
+MESHOPT = "EXT_meshopt_compression"
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MAX_ZEROS = 1 << 20
@@ -58,21 +57,23 @@ class GltfArrays:
         """The bytes of a buffer view."""
         record, where = entry(self.document, "bufferViews", index), f"bufferViews[{index}]"
         packed = record.get("extensions")
-        if isinstance(packed, dict) and meshopt.NAME in packed:
+        if isinstance(packed, dict) and MESHOPT in packed:
             assert isinstance(index, int)  # `entry` has checked it
             if index not in self._unpacked:
-                self._unpacked[index] = self._unpack(packed[meshopt.NAME], f"{where}.extensions.{meshopt.NAME}")
+                self._unpacked[index] = self._unpack(packed[MESHOPT], f"{where}.extensions.{MESHOPT}")
             return self._unpacked[index]
         return self._bytes(record, where)
 
     def _unpack(self, packed: Any, where: str) -> memoryview:
         """The bytes of a buffer view that is compressed as ``packed`` says."""
+        from h3data.mesh.meshopt import decode_view  # numba, which few files need
+
         if not isinstance(packed, dict):
             raise ValueError(f"{where} is not an object")
         count, stride = natural(packed, "count", where), natural(packed, "byteStride", where)
         data, mode = self._bytes(packed, where), str(packed.get("mode"))
         try:
-            unpacked = meshopt.decode_view(
+            unpacked = decode_view(
                 data, mode=mode, filter=str(packed.get("filter", "NONE")), count=count, stride=stride
             )
         except ValueError as fault:

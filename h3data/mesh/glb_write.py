@@ -60,6 +60,8 @@ class Influences:
 def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) -> bytes:
     """A GLB with ``nodes`` (default: one per mesh); the same meshes give the same bytes.
 
+    A mesh of several looks is a node with one child per look.
+
     Positions, texture coordinates and textures are exact. Colours are exact where a triangle has a single one; a triangle
     whose corners differ gets their mean. If a mesh shows its textures in more than `MAX_LOOKS` colours, as a floor of
     boards may, similar colours are replaced by their mean: every pair of texture and colour costs a draw call.
@@ -67,18 +69,41 @@ def glb_bytes(meshes: Sequence[Mesh], nodes: Sequence[GlbNode] | None = None) ->
     if nodes is None:
         nodes = [GlbNode(name=f"part_{k}", mesh=k) for k in range(len(meshes))]
     chunk = GlbChunk()
-    records = [
+    lists = mesh_lists(chunk, meshes)
+    single, of_mesh = _one_primitive_each(lists["meshes"])
+    lists["meshes"] = single
+    records: list[dict[str, Any]] = [
         {
             "name": n.name,
-            "mesh": n.mesh,
             **placement(n.pose, n.scale),
             **({"extras": dict(n.extras)} if n.extras else {}),
         }
         for n in nodes
     ]
-    lists = mesh_lists(chunk, meshes)
+    for n, record in zip(nodes, records[: len(nodes)], strict=True):
+        parts = of_mesh[n.mesh]
+        if len(parts) == 1:
+            record["mesh"] = parts[0]
+        else:
+            record["children"] = [len(records) + k for k in range(len(parts))]
+            records += [{"name": f"{n.name}.{k}", "mesh": part} for k, part in enumerate(parts)]
     document = gltf_document({"nodes": list(range(len(nodes)))}, nodes=records, **lists, **chunk.lists())
     return pack_glb(document, chunk)
+
+
+def _one_primitive_each(meshes: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[list[int]]]:
+    """Meshes of one primitive, and which of them each mesh has become.
+
+    habitat-sim culls by the box of a node, which may be that of one primitive only: a rug of six vanished in some pictures.
+    """
+    single: list[dict[str, Any]] = []
+    of_mesh = []
+    for mesh in meshes:
+        primitives = mesh["primitives"]
+        of_mesh.append(list(range(len(single), len(single) + len(primitives))))
+        names = [mesh["name"]] if len(primitives) == 1 else [f"{mesh['name']}.{k}" for k in range(len(primitives))]
+        single += [{"name": name, "primitives": [p]} for name, p in zip(names, primitives, strict=True)]
+    return single, of_mesh
 
 
 def mesh_lists(

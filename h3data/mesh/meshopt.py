@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from h3data.kernels import kernel
 
-NAME = "EXT_meshopt_compression"
 BYTES_MAX = 1 << 30
 """A view that claims to unpack to more is refused before anything is allocated."""
 _ATTRIBUTES, _TRIANGLES, _INDICES = 0xA0, 0xE1, 0xD1

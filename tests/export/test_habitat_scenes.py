@@ -16,6 +16,8 @@ from h3data.errors import InputError, SceneError
 from h3data.export import habitat_scenes as export_module
 from h3data.export.habitat_scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
+from h3data.habitat.navmesh.navmesh import NavMeshSettings
+from h3data.habitat.navmesh.navmesh_file import read_navmesh
 from h3data.habitat.scenes.colliders import part_mesh, part_points
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.glb_write import glb_bytes
@@ -25,6 +27,7 @@ from h3data.scene import (
     Box,
     Capsule,
     Cylinder,
+    FreeSpace,
     HomeSpec,
     Hull,
     Instance,
@@ -124,6 +127,19 @@ def same_triangles(a: Scene, b: Scene) -> None:
     np.testing.assert_allclose(first.sum(0), second.sum(0), atol=0.05)
 
 
+def without_roof(home: Scene) -> Scene:
+    """A home of ours (all parts of the building in place) without what faces up from 2.59 m on."""
+    assets = dict(home.assets)
+    for name in ("walls", "ceiling", "trim"):
+        mesh = assets[name].mesh
+        corners = mesh.vertices[mesh.faces]
+        up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 1] > 0
+        kept = ~(up & (corners[:, :, 1].min(1) > 2.59))
+        textures = None if mesh.face_textures is None else mesh.face_textures[kept]
+        assets[name] = replace(assets[name], mesh=replace(mesh, faces=mesh.faces[kept], face_textures=textures))
+    return replace(home, assets=assets)
+
+
 @pytest.fixture(scope="module")
 def home() -> Scene:
     return build_home(HomeSpec(preset="small", seed=3))
@@ -138,7 +154,7 @@ def exported(home: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_home_comes_back(home: Scene, exported: Path) -> None:
     again = load_habitat_scene(exported)
     assert again.source["warnings"] == []
-    same_triangles(home, again)
+    same_triangles(without_roof(home), again)
     np.testing.assert_allclose(surfaces(again), surfaces(home), atol=2e-6)
 
     def things(scene: Scene) -> Counter:
@@ -282,7 +298,54 @@ def test_scenes_share_the_objects_of_a_dataset(tmp_path: Path) -> None:
 def test_navmesh_settings_have_habitats_keys(real: Path) -> None:
     theirs = json.loads((real / "habitat-sim/data/test_assets/test_navmeshsettings.json").read_text())
     assert set(theirs) <= set(NAVMESH_SETTINGS)
-    assert (NAVMESH_SETTINGS["agentRadius"], NAVMESH_SETTINGS["includeStaticObjects"]) == (0.25, True)
+    assert NAVMESH_SETTINGS["agentRadius"] == 0.25
+    assert "includeStaticObjects" not in NAVMESH_SETTINGS, "NavMeshSettings::readFromJSON does not read it"
+
+
+def test_the_navmesh_is_written_and_named_as_habitat_looks_for_it(home: Scene, exported: Path) -> None:
+    """`Simulator::createSceneInstance` loads the file of ``navmesh_instance`` in ``navmesh_instances``."""
+    config = json.loads(exported.read_text())
+    instance = json.loads((exported.parent / "scenes/home_small_3.scene_instance.json").read_text())
+    file = exported.parent / config["navmesh_instances"][instance["navmesh_instance"]]
+    navmesh = read_navmesh(file)
+    free = FreeSpace.from_scene(home)
+    assert navmesh.area_m2 == pytest.approx(free.polygon.area, rel=0.02)  # furniture is left out of it
+    settings = navmesh.settings
+    assert settings.include_static_objects
+    assert (settings.agent_radius, settings.agent_height) == pytest.approx((0.25, 1.41))
+    rest = {"agent_radius", "agent_height", "include_static_objects"}
+    for name in NavMeshSettings.__dataclass_fields__.keys() - rest:
+        assert getattr(settings, name) == pytest.approx(getattr(NavMeshSettings(), name)), (
+            "else habitat-sim bakes another"
+        )
+    assert file == exported.parent / "navmeshes/home_small_3.navmesh"  # where habitat-lab's rearrangement looks
+
+
+def test_nothing_on_the_roof_can_be_walked_on(exported: Path) -> None:
+    """What Recast marks as walkable: triangles less steep than 45 degrees that face up."""
+    mesh = load_mesh(exported.parent / "stages/home_small_3.glb")
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    walkable = normal[:, 1] > np.cos(np.radians(45)) * np.linalg.norm(normal, axis=1)
+    assert corners[walkable][:, :, 1].max() < 2.55
+    assert corners[:, :, 1].max() == pytest.approx(2.7)  # the ceiling is there
+    down = normal[:, 1] < -0.9 * np.linalg.norm(normal, axis=1)
+    assert np.linalg.norm(normal[down & (corners[:, :, 1].min(1) > 2.55)], axis=1).sum() / 2 > 60  # m2 seen from below
+
+
+def test_rooms_are_lit_from_all_sides(exported: Path) -> None:
+    """habitat-sim's material shader has no ambient light: what faces away from all lights is black."""
+    stage = json.loads((exported.parent / "stages/home_small_3.stage_config.json").read_text())
+    assert stage["shader_type"] == "material"
+    lights = json.loads((exported.parent / "lighting/home_small_3.lighting_config.json").read_text())["lights"].values()
+    vectors = np.array([light["direction"] for light in lights], float)
+    colors = np.array([light["color"] for light in lights]) * [[light["intensity"]] for light in lights]
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    received = np.maximum(-normals @ vectors.T, 0) @ colors
+    up, down = received[1], received[4]
+    assert down.min() > 0.6
+    assert up.max() <= 1.0
+    assert (up > down).all()
 
 
 # --- colliders and GLB ------------------------------------------------------------------------------------------------

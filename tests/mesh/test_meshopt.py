@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from h3data.errors import SceneError
 from h3data.mesh import meshopt
+from h3data.mesh.accessors import MESHOPT
 from tests.mesh.gltf_builder import FLOAT, U16, Builder
 
 K = np.arange(40)
@@ -135,14 +136,14 @@ def test_a_file_with_compressed_views(tmp_path: Path) -> None:
     about = {"buffer": 0, "byteOffset": packed["byteOffset"], "byteLength": len(stream), "byteStride": 2, "count": 96}
     view = build.chunk.views[build.chunk.accessors[build.primitive["indices"]]["bufferView"]]
     plain = dict(view)
-    view.update(buffer=1, byteOffset=0, extensions={meshopt.NAME: {**about, "mode": "TRIANGLES"}})
+    view.update(buffer=1, byteOffset=0, extensions={MESHOPT: {**about, "mode": "TRIANGLES"}})
     build.document["buffers"] = [{"byteLength": build.chunk.size}, {"byteLength": 192}]
-    build.document["extensionsRequired"] = [meshopt.NAME]
+    build.document["extensionsRequired"] = [MESHOPT]
     mesh = build.mesh(tmp_path)
     del view["extensions"]
     view.update(plain)
     assert (_from_least(build.mesh(tmp_path).faces) == _from_least(mesh.faces)).all()
     assert len(mesh.faces) == 32
-    view.update(buffer=1, extensions={meshopt.NAME: {**about, "mode": "INDICES"}})
+    view.update(buffer=1, extensions={MESHOPT: {**about, "mode": "INDICES"}})
     with pytest.raises(SceneError, match=r"bufferViews\[\d+\]\.extensions.*expected d1"):
         build.mesh(tmp_path)

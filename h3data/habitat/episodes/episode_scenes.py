@@ -20,7 +20,8 @@ def scene_of_episode(episode: RearrangeEpisode, nav: SocialNavEpisode, folder: P
     """How to get the scene of an episode that was read from a file in ``folder``.
 
     A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
-    home, the file is taken that the episode names: below ``folder``, the folder above it or the working directory.
+    home, the file is taken that the episode names: below ``folder``, the folder above it or the working directory; or the
+    dataset that lies there, when the folder of an export has been moved.
 
     Raises:
         SceneError: neither is there; the message says why.
@@ -29,11 +30,14 @@ def scene_of_episode(episode: RearrangeEpisode, nav: SocialNavEpisode, folder: P
     if home is not None and nav.scene_sha256 in ("", _digest(home)):
         return home
     for root in (folder, folder.parent, Path()):
-        config, file = root / episode.scene_dataset_config, root / episode.scene_id
-        if config.name.endswith(DATASET_ENDING) and config.is_file():
-            return SceneFile(path=str(config), scene=Path(episode.scene_id).name.split(".")[0])
-        if file.is_file():
-            return SceneFile(path=str(file))
+        for config, file in (
+            (root / episode.scene_dataset_config, root / episode.scene_id),
+            (root / Path(episode.scene_dataset_config).name, root / "scenes" / Path(episode.scene_id).name),
+        ):
+            if config.name.endswith(DATASET_ENDING) and config.is_file():
+                return SceneFile(path=str(config), scene=Path(episode.scene_id).name.split(".")[0])
+            if file.is_file():
+                return SceneFile(path=str(file))
     config, scene = nav.scene_source.get("config"), nav.scene_source.get("scene")
     if isinstance(config, str) and Path(config).is_file():
         of_dataset = config.endswith(DATASET_ENDING) and isinstance(scene, str)

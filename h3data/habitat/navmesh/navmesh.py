@@ -13,6 +13,7 @@ from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from h3data.errors import InputError, SceneError
+from h3data.habitat.navmesh.merging import CORNERS_MAX, merged_polygons, plain_outline
 from h3data.scene.freespace._sdf import sdf_from_edges
 from h3data.scene.freespace._visibility_build import area_edges, build_graph, polygon_parts
 from h3data.scene.freespace.free_space import FreeSpace
@@ -216,11 +217,20 @@ def _one_floor(navmesh: NavMesh, island: int | None, cell_m: float) -> FreeSpace
     )
 
 
-def navmesh_from_free_space(free_space: FreeSpace) -> NavMesh:
-    """The same floor as triangles (constrained Delaunay); islands keep their order."""
+def navmesh_from_free_space(
+    free_space: FreeSpace, *, merge: bool = True, settings: NavMeshSettings | None = None
+) -> NavMesh:
+    """The same floor as polygons; islands keep their order.
+
+    Args:
+        free_space: The floor.
+        merge: Whether to write few polygons of up to six corners, whose outlines are within 3 cm of the floor's, as
+            habitat-sim needs for large homes (`h3data.habitat.navmesh.merging`). Else exact triangles (constrained Delaunay).
+        settings: What to record as settings; by default those of the floor's agent.
+    """
+    area = plain_outline(free_space.polygon) if merge else free_space.polygon
     found = [
-        shapely.get_coordinates(shapely.constrained_delaunay_triangles(p)).reshape(-1, 4, 2)[:, :3]
-        for p in free_space.polygon.geoms
+        shapely.get_coordinates(shapely.constrained_delaunay_triangles(p)).reshape(-1, 4, 2)[:, :3] for p in area.geoms
     ]
     flat = np.concatenate([np.zeros((0, 3, 2)), *found])
     island = np.repeat(np.arange(len(found)), [len(f) for f in found])
@@ -230,35 +240,43 @@ def navmesh_from_free_space(free_space: FreeSpace) -> NavMesh:
     vertices[:, [0, 2]] = unique[:, 1:]
     vertices[:, 1] = free_space.floor_y
     corner = corner.reshape(-1, 3).astype(np.int32)
-    count = len(corner)
-    triangles = vertices[corner]
+    polygons = merged_polygons(unique[:, 1:], corner) if merge else corner.tolist()
+    start = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int32)
+    flat_corner = np.array([v for p in polygons for v in p], np.int32)
+    fans = (
+        [[(p[0], p[k], p[k + 1]) for k in range(1, len(p) - 1)] for p in polygons] if merge else [[p] for p in polygons]
+    )
     return NavMesh(
-        settings=NavMeshSettings(
+        settings=settings
+        or NavMeshSettings(
             agent_height=free_space.height_m,
             agent_radius=free_space.radius_m,
             agent_max_climb=free_space.max_climb_m,
-            verts_per_poly=3.0,
+            verts_per_poly=float(CORNERS_MAX if merge else 3),
         ),
         vertices=vertices,
-        polygon_start=np.arange(0, 3 * count + 1, 3, dtype=np.int32),
-        polygon_vertices=corner.reshape(-1),
-        polygon_neighbours=_triangle_neighbours(corner),
-        areas=np.zeros(count, np.uint8),
-        flags=np.ones(count, np.uint16),
-        detail_start=np.arange(count + 1, dtype=np.int32),
-        detail_triangles=triangles,
+        polygon_start=start,
+        polygon_vertices=flat_corner,
+        polygon_neighbours=_neighbours(start, flat_corner),
+        areas=np.zeros(len(polygons), np.uint8),
+        flags=np.ones(len(polygons), np.uint16),
+        detail_start=np.concatenate([[0], np.cumsum([len(fan) for fan in fans])]).astype(np.int32),
+        detail_triangles=vertices[np.array([t for fan in fans for t in fan], np.int32).reshape(-1, 3)],
         bounds=np.stack([vertices.min(0), vertices.max(0) + np.array([0, free_space.height_m, 0], np.float32)]),
     )
 
 
-def _triangle_neighbours(corner: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Triangle across each edge, int32 [3 M], -1: none, of triangles [M, 3] by vertex."""
-    ends = np.sort(np.stack([corner, np.roll(corner, -1, axis=1)], -1).reshape(-1, 2), axis=1)
+def _neighbours(start: NDArray[np.int32], corner: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Polygon across each edge, int32 [S], -1: none, of polygons by their vertices (`NavMesh.polygon_vertices`)."""
+    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    last = np.arange(len(corner)) == start[owner + 1] - 1
+    following = corner[np.where(last, start[owner], np.arange(len(corner)) + 1)]
+    ends = np.sort(np.stack([corner, following], axis=1), axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     same = np.flatnonzero((ends[order][1:] == ends[order][:-1]).all(1))
     neighbour = np.full(len(ends), -1, np.int32)
-    neighbour[order[same]] = order[same + 1] // 3
-    neighbour[order[same + 1]] = order[same] // 3
+    neighbour[order[same]] = owner[order[same + 1]]
+    neighbour[order[same + 1]] = owner[order[same]]
     return neighbour
 
 

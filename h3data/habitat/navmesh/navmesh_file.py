@@ -261,8 +261,17 @@ def _read_details(
 
 
 def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
-    """Writes a ``.navmesh`` of version 2 with one Detour tile, which habitat-sim loads; links and search tree are left
-    to Detour (it builds the one and does without the other)."""
+    """Writes a ``.navmesh`` of version 2 with one Detour tile, which habitat-sim loads.
+
+    Raises:
+        InputError: The navmesh is too large for one tile.
+    """
+    Path(path).write_bytes(navmesh_bytes(navmesh))
+
+
+def navmesh_bytes(navmesh: NavMesh) -> bytes:
+    """The content of a ``.navmesh``; links and search tree are left to Detour (it builds the one and does without the
+    other). Raises as `write_navmesh`."""
     count = np.diff(navmesh.polygon_start)
     if len(navmesh.vertices) > 0xFFFE or len(count) > 0x7FFE or count.max(initial=0) > 6:
         raise InputError(
@@ -295,7 +304,7 @@ def write_navmesh(navmesh: NavMesh, path: str | Path) -> None:
     values = astuple(settings)
     head = struct.pack("<3i5f2i", SET_MAGIC, 2, 1, *low, high[0] - low[0], high[2] - low[2], 1, len(polygons))
     head += struct.pack("<13f4B", *values) + struct.pack("<Ii", _tile_reference(len(polygons)), len(tile))
-    Path(path).write_bytes(head + tile)
+    return head + tile
 
 
 def _tile_reference(polygon_count: int) -> int:

@@ -70,7 +70,7 @@ class PathFinder:
     def __init__(self, source: FreeSpace | NavMesh) -> None:
         self.free_space = source if isinstance(source, FreeSpace) else None
         """Set if made from one: shortest paths are then its own."""
-        self.navmesh: NavMesh = source if isinstance(source, NavMesh) else navmesh_from_free_space(source)
+        self.navmesh: NavMesh = source if isinstance(source, NavMesh) else navmesh_from_free_space(source, merge=False)
         if not self.navmesh.enabled.any():
             raise InputError("The navmesh has no polygon that can be walked on.")
         self._surface = build_surface(self.navmesh)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import msgspec
+import numpy as np
 import tyro
 
 from h3data.errors import InputError, SceneError
-from h3data.habitat.episodes.rearrange_episode import EpisodeSet
+from h3data.habitat.episodes.rearrange_episode import EpisodeSet, RigidObject
 from h3data.habitat.scene_names import NamedScene, named_scenes, open_free_space, open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.progress import progress
@@ -38,6 +41,9 @@ from h3data_pipelines.command import (
     StrictFlag,
     claim_file,
 )
+
+_PARKED_M = 5.0
+"""How far below the floor the target object of a social-navigation episode lies."""
 
 _SCENE_HELP = (
     "a built-in home such as small:3, a scene set such as h3-homes/test, or the path of a scene (.scene_instance.json, "
@@ -213,14 +219,14 @@ class ScenesExport:
         name = stems[0] if sets else None
         config = f"{name}{DATASET_ENDING}"
         episode_files = {
-            f"social_nav_{stem}.json.gz": _episodes(scene_set, self.episodes, config)
+            f"social_nav_{stem}.json.gz": _episodes(scene_set, self.episodes, self.out, config)
             for stem, scene_set in zip(stems, sets, strict=True)
         }
         dataset = export_habitat_dataset(scenes, self.out, name=name, force=self.force)
         for file, episodes in episode_files.items():
             if len(episodes):
                 (self.out / "episodes").mkdir(exist_ok=True)
-                write_episodes(episodes, self.out / "episodes" / file)
+                write_episodes(_with_targets(episodes, self.out), self.out / "episodes" / file)
         return sorted(p for p in self.out.rglob("*") if p.is_file()), str(dataset)
 
     def _to_glb(self, scenes: Sequence[Scene]) -> tuple[list[Path], str]:
@@ -358,8 +364,12 @@ def _free(named: NamedScene) -> FreeSpace | None:
         return None
 
 
-def _episodes(scenes: SceneSet, max_count: int | None, config: str) -> EpisodeSet:
-    """First episodes of a set in Habitat's format, in the order in which `h3data generate` plays them."""
+def _episodes(scenes: SceneSet, max_count: int | None, folder: Path, config: str) -> EpisodeSet:
+    """First episodes of a set in Habitat's format, in the order in which `h3data generate` plays them.
+
+    Their paths lead through ``folder`` as it was given, so Habitat finds the scenes from the working directory of the export,
+    as with its own ``data/...``.
+    """
     from h3data.habitat.episodes.social_nav_episodes import social_nav_episode
     from sim_kinematic.tasks.social_nav.sets import set_episode
 
@@ -371,11 +381,38 @@ def _episodes(scenes: SceneSet, max_count: int | None, config: str) -> EpisodeSe
             social_nav_episode(
                 set_episode(scenes, entry, index),
                 episode_id=str(i),
-                scene_id=f"scenes/{entry.id}.scene_instance.json",
-                scene_dataset_config=config,
+                scene_id=(folder / f"scenes/{entry.id}.scene_instance.json").as_posix(),
+                scene_dataset_config=(folder / config).as_posix(),
             )
         )
     return EpisodeSet(episodes=tuple(episodes))
+
+
+def _with_targets(episodes: EpisodeSet, folder: Path) -> EpisodeSet:
+    """Gives every episode one target object, below the floor where nobody meets it.
+
+    Habitat's social navigation keeps its starts `min_start_distance` away from some target object, and cannot reset
+    without one (spec/habitat.md 1.2). The object is another piece of one that stands in the scene.
+    """
+    templates: dict[str, str | None] = {}
+    out = []
+    for episode in episodes.episodes:
+        file = folder / "scenes" / Path(episode.scene_id).name
+        if file.name not in templates:
+            things = json.loads(file.read_text())["object_instances"]
+            movable = sorted(thing["template_name"] for thing in things if thing["motion_type"] != "STATIC")
+            templates[file.name] = next(iter(movable), None)
+        handle = templates[file.name]
+        if handle is not None:
+            x, y, z = episode.start_position
+            matrix = np.eye(4)
+            matrix[:3, 3] = x, y - _PARKED_M, z
+            thing = RigidObject(config=f"{handle}.object_config.json", matrix=matrix)
+            name = f"{handle}_:0000"
+            labels = {**episode.info, "object_labels": {name: "any_targets|0"}}
+            episode = msgspec.structs.replace(episode, rigid_objects=(thing,), targets={name: matrix}, info=labels)
+        out.append(episode)
+    return EpisodeSet(episodes=tuple(out))
 
 
 def _png(path: Path, *, force: bool) -> Path:

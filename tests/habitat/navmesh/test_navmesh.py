@@ -18,7 +18,8 @@ from shapely.geometry import Polygon, box
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.habitat.navmesh.navmesh import NavMesh, NavMeshSettings, free_space_from_navmesh, navmesh_from_free_space
 from h3data.habitat.navmesh.navmesh_file import read_navmesh, write_navmesh
-from h3data.scene import FreeSpace
+from h3data.habitat.navmesh.pathfinder import PathFinder
+from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data.scene.freespace.build import build_from_walkable
 from tests.paths import REAL
 
@@ -192,13 +193,53 @@ def test_a_free_space_becomes_triangles_of_the_same_area_and_back():
     free = FreeSpace.from_map(
         build_from_walkable(area, radius_m=0.2, height_m=1.4, max_climb_m=0.2, cell_m=0.05, floor_y=0.5)
     )
-    navmesh = navmesh_from_free_space(free)
+    navmesh = navmesh_from_free_space(free, merge=False)
     assert navmesh.island_areas == pytest.approx(free.island_areas, rel=1e-5)
     again = free_space_from_navmesh(navmesh)
     assert again.polygon.symmetric_difference(free.polygon).area < 1e-4
     rng = np.random.default_rng(0)
     a, b = free.sample(rng, 50), free.sample(rng, 50)
     assert again.geodesic(a, b) == pytest.approx(free.geodesic(a, b), abs=1e-3)
+
+
+def test_a_large_home_has_few_convex_polygons(tmp_path):
+    """habitat-sim's findPath gives up after 256 polygons on a path, and its search after 2,048 nodes."""
+    free = FreeSpace.from_scene(build_home(HomeSpec(preset="large", seed=0)))
+    navmesh = navmesh_from_free_space(free)
+    assert len(navmesh_from_free_space(free, merge=False).flags) > 4000
+    assert len(navmesh.flags) <= 600
+    assert np.diff(navmesh.polygon_start).max() <= 6
+    assert navmesh.area_m2 == pytest.approx(free.polygon.area, rel=0.01)
+    for p in range(len(navmesh.flags)):
+        corners = navmesh.corners(p)[:, [0, 2]].astype(float)
+        sides = np.roll(corners, -1, axis=0) - corners
+        after = np.roll(sides, -1, axis=0)
+        turns = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
+        assert (turns > -1e-6).all() or (turns < 1e-6).all(), f"polygon {p} is not convex"
+    write_navmesh(navmesh, tmp_path / "a.navmesh")
+    again = read_navmesh(tmp_path / "a.navmesh")  # checks that neighbours share their edges
+    assert (again.polygon_vertices == navmesh.polygon_vertices).all()
+    finder, rng = PathFinder(again), np.random.default_rng(0)
+    starts, ends = free.sample(rng, 200), free.sample(rng, 200)
+    exact = free.geodesic(starts, ends)
+    lift = lambda p: [p[0], free.floor_y, p[1]]  # noqa: E731
+    found = np.array([finder.geodesic_distance(lift(a), lift(b)) for a, b in zip(starts, ends, strict=True)])
+    assert np.abs(found - exact).max() < 0.1
+    assert _longest_chain(again) < 256
+
+
+def _longest_chain(navmesh: NavMesh) -> int:
+    """Most polygons between any two, by the fewest steps."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import shortest_path
+
+    owner = np.repeat(np.arange(len(navmesh.flags)), np.diff(navmesh.polygon_start))
+    inner = navmesh.polygon_neighbours >= 0
+    steps = csr_matrix(
+        (np.ones(inner.sum()), (owner[inner], navmesh.polygon_neighbours[inner])), shape=2 * [len(navmesh.flags)]
+    )
+    hops = shortest_path(steps, unweighted=True)
+    return int(hops[np.isfinite(hops)].max()) + 1
 
 
 # --- damage --------------------------------------------------------------------------------------------------------------

@@ -218,9 +218,10 @@ def test_an_exported_set_plays_the_same_from_its_files(tmp_path: Path, capsys: p
     assert data["scenes"] == ["a", "b"]
     (episodes_file,) = data["episodes"]
     episodes = read_episodes(episodes_file, strict=True).episodes
-    assert [e.scene_id for e in episodes[:2]] == ["scenes/a.scene_instance.json", "scenes/b.scene_instance.json"]
-    assert all((tmp_path / "export" / e.scene_id).is_file() for e in episodes)
-    assert (tmp_path / "export" / episodes[0].scene_dataset_config).is_file()
+    scenes = tmp_path / "export/scenes"
+    assert [e.scene_id for e in episodes[:2]] == [f"{scenes}/{name}.scene_instance.json" for name in "ab"]
+    assert all(Path(e.scene_id).is_file() for e in episodes)
+    assert Path(episodes[0].scene_dataset_config).is_file()
     options = ("--max-steps", "40", "--episodes", "3", "-o")
     a = run_json(capsys, "generate", "social_nav", "--scenes", file, *options, tmp_path / "a")
     b = run_json(capsys, "generate", "social_nav", "--episodes-file", episodes_file, *options, tmp_path / "b")
@@ -246,7 +247,8 @@ def test_a_home_that_is_built_differently_now_is_taken_from_its_files(
     source = scene_of_episode(episode, changed, path.parent)
     assert isinstance(source, SceneFile)
     assert goals_of(episode_from(nav, open_scene(source)))  # its free floor is that of the home, to a few centimetres
-    with pytest.raises(SceneError, match=r"another home from its specification.*no file scenes/a"):
+    (tmp_path / "export").rename(tmp_path / "moved")
+    with pytest.raises(SceneError, match=r"another home from its specification.*no file .*scenes/a"):
         scene_of_episode(episode, changed, tmp_path / "elsewhere")
 
 
