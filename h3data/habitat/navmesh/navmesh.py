@@ -240,7 +240,7 @@ def navmesh_from_free_space(
     vertices[:, [0, 2]] = unique[:, 1:]
     vertices[:, 1] = free_space.floor_y
     corner = corner.reshape(-1, 3).astype(np.int32)
-    polygons = merged_polygons(unique[:, 1:], corner) if merge else corner.tolist()
+    polygons = merged_polygons(unique[:, 1:].astype(np.float64), corner) if merge else corner.tolist()
     start = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int32)
     flat_corner = np.array([v for p in polygons for v in p], np.int32)
     fans = (
