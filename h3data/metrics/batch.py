@@ -24,6 +24,7 @@ from h3data.metrics.requirements import UnmeasurableError, stored_columns
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
 from h3data.recording.opening import logs_in
+from h3data.recording.parquet.files import is_dataset
 from h3data.recording.storage import AnyPath, RemotePath, place
 
 _CHUNK = 16
@@ -76,7 +77,7 @@ def measure_tables(
 def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
     """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
     for path in map(place, paths):
-        if not path.is_dir() or (path / "meta").is_dir() or (path / "h3").is_dir():
+        if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
             yield path
             continue
         datasets = sorted({file.parent.parent for file in path.rglob("meta/info.json")})

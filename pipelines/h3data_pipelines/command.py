@@ -30,6 +30,12 @@ StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")
 ]
+ShareScenesFlag = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Store each scene once for all .mcap files of the output folder, in its h3/files, instead of in each of them."
+    ),
+]
 
 
 @dataclass(frozen=True)

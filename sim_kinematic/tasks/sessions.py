@@ -30,6 +30,7 @@ def session(
     spec: Any = None,
     record: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    share_in: str | os.PathLike[str] | None = None,
     robot: str = ROBOT_BODY,
     human: str = HUMAN_BODY,
     **rules: Any,
@@ -46,6 +47,8 @@ def session(
         spec: The rules (default: the task's).
         record: MCAP file that grows while the episode runs; None keeps the recording in memory.
         overwrite: Whether an existing file is replaced.
+        share_in: A folder around ``record`` whose recordings share their scenes (`RecordingWriter`); None stores the scene
+            in the recording.
         robot: Body of robots named by their kind.
         human: Body of people named by their kind.
         **rules: Fields of the rules to change, such as ``max_steps=900`` or ``human_speed=1.2``.
@@ -55,7 +58,7 @@ def session(
         SceneError: no scene has room for the episode.
     """
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
-    return Session(found, episode, agents, sink=_sink(record, overwrite))
+    return Session(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
 
 def simulate(
@@ -69,13 +72,14 @@ def simulate(
     spec: Any = None,
     record: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    share_in: str | os.PathLike[str] | None = None,
     robot: str = ROBOT_BODY,
     human: str = HUMAN_BODY,
     **rules: Any,
 ) -> Recording:
     """Plays one episode under policies and returns its recording; arguments as `session`."""
     found, episode = _episode(task, scenes, roster, seed, index, spec, robot, human, rules)
-    return simulate_episode(found, episode, agents, sink=_sink(record, overwrite))
+    return simulate_episode(found, episode, agents, sink=_sink(record, overwrite, share_in))
 
 
 def _episode(
@@ -95,7 +99,9 @@ def _episode(
     return found, source.sample(seed, index)
 
 
-def _sink(record: str | os.PathLike[str] | None, overwrite: bool) -> Callable[[RecordingHeader], Sink] | None:
+def _sink(
+    record: str | os.PathLike[str] | None, overwrite: bool, share_in: str | os.PathLike[str] | None
+) -> Callable[[RecordingHeader], Sink] | None:
     if record is None:
         return None
-    return lambda header: RecordingWriter(Path(record), header, overwrite=overwrite)
+    return lambda header: RecordingWriter(Path(record), header, overwrite=overwrite, share_in=share_in)

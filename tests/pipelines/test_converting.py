@@ -113,6 +113,19 @@ def test_a_damaged_scene_of_a_dataset_is_reported_by_every_command(
     assert not list((tmp_path / "out").rglob("*.mcap"))
 
 
+def test_logs_of_one_folder_can_share_their_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = {"scene.glb": bytes(100_000)}
+    with DatasetWriter(tmp_path / "ds") as writer:
+        for name in "abc":
+            writer.add(replace(episode(name), attachments=scene))
+    done = run_json(capsys, "convert", tmp_path / "ds", tmp_path / "logs", "--share-scenes", "--check")
+    assert done["converted"] == 3
+    assert len(list((tmp_path / "logs/h3/files").iterdir())) == 1
+    assert sum(p.stat().st_size for p in (tmp_path / "logs").glob("*.mcap")) < 100_000
+    assert run_json(capsys, "convert", tmp_path / "logs", tmp_path / "ds2", "--check")["converted"] == 3
+    assert Dataset(tmp_path / "ds2").recording(2).attachments == scene
+
+
 @settings(max_examples=10)
 @given(steps=st.integers(0, 40), joints=st.integers(0, 6), extra=st.sampled_from(["", "sim.x", "agent_0.odd"]))
 def test_any_shape_survives(

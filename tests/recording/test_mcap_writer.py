@@ -22,6 +22,7 @@ from h3data.recording import (
     RecordingWriter,
     SkillSpan,
     open_recording,
+    open_steps,
     read_mcap,
     recordings_equal,
     recover_mcap,
@@ -113,6 +114,52 @@ def test_raw_input_of_an_unfinished_log_is_saved(tmp_path):
     writer.abort()
     recover_mcap(tmp_path / "a.mcap.part", tmp_path / "b.mcap")
     assert read_mcap(tmp_path / "b.mcap").inputs == KEYS
+
+
+# --- files shared by the logs of a folder ------------------------------------------------------------------------------
+def test_a_folder_of_logs_stores_their_scene_once(tmp_path):
+    study, scene = tmp_path / "study", b"a scene" * 1000
+    recs = [replace(simple_recording(seed=k, steps=60), attachments={"scene.glb": scene}) for k in range(3)]
+    write_mcap(recs[0], study / "a.mcap", share_in=study)
+    write_mcap(recs[1], study / "p01" / "b.mcap", share_in=study)
+    with RecordingWriter(study / "p01" / "c.mcap", replace(recs[2], skills=(), events=()), share_in=study) as writer:
+        for k in range(60):
+            writer.append({n: a[k : k + 1] for n, a in recs[2].columns.items()})
+    (file,) = (study / "h3" / "files").iterdir()
+    assert file.read_bytes() == scene
+    study = study.rename(tmp_path / "moved")
+    for rec, log in zip(recs[:2], ("a.mcap", "p01/b.mcap"), strict=True):
+        assert (study / log).stat().st_size < write_mcap(rec, tmp_path / "embedded.mcap", overwrite=True).stat().st_size
+        assert recordings_equal(rec, open_recording(study / log)) == []
+    assert read_mcap(study / "p01" / "c.mcap").attachments == {"scene.glb": scene}
+    with open_steps(study / "p01/b.mcap") as steps:
+        assert steps.recording(2, 4).attachments == {"scene.glb": scene}
+    with DatasetWriter(tmp_path / "ds") as writer:
+        writer.add(read_mcap(study / "a.mcap"))
+    with pytest.raises(InputError, match="in the folder of the shared files"):
+        write_mcap(recs[0], tmp_path / "elsewhere.mcap", share_in=study)
+    assert not list(tmp_path.glob("elsewhere*"))
+
+
+def test_a_shared_scene_that_is_missing_or_damaged_is_named(tmp_path):
+    rec = simple_recording(steps=60)
+    write_mcap(rec, tmp_path / "a.mcap", share_in=tmp_path)
+    (file,) = (tmp_path / "h3" / "files").glob("*.glb")
+    file.write_bytes(b"damaged")
+    with pytest.raises(FormatError, match=rf"damaged: expected the SHA-256 {file.stem}.*h3data recover.*{file}"):
+        open_recording(tmp_path / "a.mcap")
+    file.unlink()
+    with pytest.raises(FormatError, match=rf"scene.glb of the recording a.mcap is missing.*{file.name}.*copy"):
+        open_recording(tmp_path / "a.mcap")
+    with open_steps(tmp_path / "a.mcap") as steps:
+        assert len(steps.rows(0, 60)["time_ns"]) == 60, "numbers need no scene"
+        with pytest.raises(FormatError, match=r"scene.glb of the recording a.mcap is missing"):
+            steps.recording(0, 4)
+    saved = recover_mcap(tmp_path / "a.mcap", tmp_path / "saved.mcap")
+    assert "scene.glb" in saved.reason
+    back = read_mcap(saved.path)
+    assert len(back) == 60
+    assert "is missing" in back.episode.info["recovered"]["reason"]
 
 
 @pytest.mark.parametrize("wrong", [{"time_ns": 2**63}, {"time_ns": 1, "payload": "\ud800"}])

@@ -33,6 +33,7 @@ from h3data.recording.mcap.header import (
 )
 from h3data.recording.mcap.part import PartFile
 from h3data.recording.mcap.rows import PendingRows, native_rows
+from h3data.recording.mcap.shared_files import RECORD, share_files
 from h3data.recording.mcap.wire import (
     WireLayout,
     encode_block,
@@ -74,6 +75,7 @@ class LogWriter:
         *,
         overwrite: bool = False,
         t0_unix_ns: int | None = None,
+        share_in: str | os.PathLike[str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
         flush_rows: int = FLUSH_ROWS,
         flush_s: float = FLUSH_S,
@@ -82,7 +84,8 @@ class LogWriter:
 
         ``header.columns`` fixes the columns unless it is empty; then the first `append` does. Rows, skills, events and
         inputs of a `Recording` given as the header are not written. Log times are ``time_ns`` plus ``t0_unix_ns``, which
-        defaults to ``episode.info["t0_unix_ns"]`` or 0, so that equal episodes make equal files.
+        defaults to ``episode.info["t0_unix_ns"]`` or 0, so that equal episodes make equal files. With ``share_in``, a folder
+        around the log, attachments such as the scene are stored once for all its logs, in ``<share_in>/h3/files``.
 
         Raises:
             InputError: the file exists and ``overwrite`` is False, or the header cannot be stored.
@@ -104,6 +107,7 @@ class LogWriter:
         scene = encode_record("h3.Scene", scene_dict(header))
         self._file = PartFile(self.path, overwrite=overwrite)
         try:
+            shared = {} if share_in is None else share_files(header.attachments, local(share_in), self.path)
             with self._file.writing():
                 self._mcap = Writer(
                     self._file.stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
@@ -111,7 +115,9 @@ class LogWriter:
                 self._mcap.start(profile=PROFILE, library=f"h3data schema {SCHEMA_VERSION}")
                 for name, values in metadata.items():
                     self._mcap.add_metadata(name, values)
-                for name, data in header.attachments.items():
+                if shared:
+                    self._mcap.add_metadata(RECORD, shared)
+                for name, data in header.attachments.items() if share_in is None else ():
                     media = mimetypes.guess_type(name)[0] or "application/octet-stream"
                     self._mcap.add_attachment(self._log_time(0), self._log_time(0), name, media, bytes(data))
                 self._open_channels()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, did_you_mean
 from h3data.recording.mcap.header import PROFILE, TOPIC_MESSAGES
 from h3data.recording.mcap.scan import McapRecords, decoding_errors, scan_records
+from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.mcap.wire import decode_messages, fields_from_metadata, message_class
 from h3data.recording.records import Episode, Recording, RecordingHeader, SkillSpan
 from h3data.recording.schema import (
@@ -47,6 +48,7 @@ def read_mcap(path: str | os.PathLike[str] | RemotePath, *, columns: Sequence[st
             f"Damaged or unfinished MCAP log: {log.fault}. {log.readable_bytes} of {log.size} bytes are sound, "
             f"{_recoverable_steps(log, path)} complete steps can be saved with `h3data recover {path} -o OUT`: {path}"
         )
+    log.attachments |= shared_files(log.metadata.get(RECORD, {}), path)
     try:
         steps = int(log.metadata["h3.end"]["steps"])
         return assemble(log, path, steps=steps, wanted=columns)

@@ -10,6 +10,7 @@ from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.part import publish
 from h3data.recording.mcap.read import assemble, check_kind, load
 from h3data.recording.mcap.scan import decoding_errors, scan_records
+from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.mcap.writer import write_mcap
 from h3data.recording.storage import RemotePath, local, place
 
@@ -45,11 +46,18 @@ def recover_mcap(
     check_kind(log, path)
     finished = log.fault is None and "h3.end" in log.metadata
     reason = log.fault or ("nothing is wrong with it" if finished else "the recording was never finished")
+    missing = ""
+    try:
+        log.attachments |= shared_files(log.metadata.get(RECORD, {}), path)
+    except FormatError as error:  # better the steps without the scene than nothing
+        missing = str(error)
     try:
         recording = assemble(log, path, steps=None, wanted=None)
     except (KeyError, FormatError, *decoding_errors()) as error:
         raise FormatError(f"Nothing can be recovered ({error}): {path}") from error
-    if not finished:
+    if missing:
+        reason = missing if finished else f"{reason}; {missing}"
+    if not finished or missing:
         note = {"from": path.name, "reason": reason, "steps": len(recording)}
         info = {**recording.episode.info, "recovered": note}
         recording = replace(recording, episode=replace(recording.episode, info=info))

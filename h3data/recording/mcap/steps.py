@@ -17,6 +17,7 @@ from h3data.errors import FormatError, InputError
 from h3data.recording.mcap.header import TOPIC_MESSAGES
 from h3data.recording.mcap.read import assemble, check_kind, columns_of
 from h3data.recording.mcap.scan import MAGIC, McapRecords, check_crc, decoding_errors, decompress, take
+from h3data.recording.mcap.shared_files import RECORD, shared_files
 from h3data.recording.records import Recording
 from h3data.recording.schema import layout_of
 from h3data.recording.steps import Steps
@@ -91,6 +92,7 @@ class McapSteps(Steps):
         def read() -> Recording:
             for offset in self._attachments:
                 take(self._log, *self._record(offset))
+            self._log.attachments |= shared_files(self._log.metadata.get(RECORD, {}), self.path)
             return self._whole(start, stop, *_ONCE)
 
         return self._reported(read, f"steps {start} to {stop - 1}")

@@ -31,18 +31,20 @@ class RecordingWriter(LogWriter):
         *,
         overwrite: bool = False,
         t0_unix_ns: int | None = None,
+        share_in: str | os.PathLike[str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
         flush_rows: int = FLUSH_ROWS,
         flush_s: float = FLUSH_S,
         compact: bool = True,
     ) -> None:
         """See `LogWriter`; ``compact`` packs the finished file."""
-        self._compact = compact
+        self._compact, self._share_in = compact, share_in
         super().__init__(
             path,
             header,
             overwrite=overwrite,
             t0_unix_ns=t0_unix_ns,
+            share_in=share_in,
             chunk_bytes=chunk_bytes,
             flush_rows=flush_rows,
             flush_s=flush_s,
@@ -60,17 +62,26 @@ class RecordingWriter(LogWriter):
         due = self._compact and not self.closed
         path = super().close(info=info)
         if due and self._blocks > 1:
-            _compact(path, t0_unix_ns=self._t0, chunk_bytes=self._chunk_bytes)
+            _compact(path, t0_unix_ns=self._t0, share_in=self._share_in, chunk_bytes=self._chunk_bytes)
         return path
 
 
-def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> AnyPath:
+def write_mcap(
+    recording: Recording,
+    path: str | os.PathLike[str] | RemotePath,
+    *,
+    overwrite: bool = False,
+    share_in: str | os.PathLike[str] | None = None,
+) -> AnyPath:
     """Writes a finished recording as one MCAP file and returns its path; equal recordings make equal files.
 
-    A file for a URI is written to a temporary folder first and uploaded whole.
+    With ``share_in``, a folder around the file, attachments such as the scene are stored once for all recordings in it
+    (``<share_in>/h3/files``). A file for a URI is written to a temporary folder first and uploaded whole.
     """
     target = place(path)
     if isinstance(target, RemotePath):
+        if share_in is not None:
+            raise InputError(f"Files can be shared by recordings in a local folder only, not by: {target}")
         if target.exists() and not overwrite:
             raise InputError(f"The file exists; pass overwrite=True (--force) to replace it: {target}")
         with tempfile.TemporaryDirectory(prefix="h3data-") as folder:
@@ -78,17 +89,19 @@ def write_mcap(recording: Recording, path: str | os.PathLike[str] | RemotePath, 
             with open_binary(written) as stream:
                 target.put(stream)
         return target
-    with LogWriter(target, recording, overwrite=overwrite) as writer:
+    with LogWriter(target, recording, overwrite=overwrite, share_in=share_in) as writer:
         writer.append_recording(recording)
     return writer.path
 
 
-def _compact(path: Path, *, t0_unix_ns: int, chunk_bytes: int) -> None:
+def _compact(path: Path, *, t0_unix_ns: int, share_in: str | os.PathLike[str] | None, chunk_bytes: int) -> None:
     """Replaces a finished log by an equal one with large chunks; without room for it on the disk, leaves it as it is."""
     packed = path.with_name(f".{path.name}.compact")
     try:
         recording = read_mcap(path)
-        with LogWriter(packed, recording, overwrite=True, t0_unix_ns=t0_unix_ns, chunk_bytes=chunk_bytes) as writer:
+        with LogWriter(
+            packed, recording, overwrite=True, t0_unix_ns=t0_unix_ns, share_in=share_in, chunk_bytes=chunk_bytes
+        ) as writer:
             writer.append_recording(recording)
         publish(packed, path)
     except BaseException as error:

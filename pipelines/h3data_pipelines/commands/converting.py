@@ -18,6 +18,7 @@ from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
     Outcome,
+    ShareScenesFlag,
     claim_file,
     claim_folder,
     remove_dataset,
@@ -53,6 +54,7 @@ class Convert:
     nominal_fps: int | None = None
     """Steps per second of LeRobot's time stamps in a dataset of episodes with other or irregular rates; the true times stay
     in time_ns (default: the rate of the first episode, which all must have)."""
+    share_scenes: ShareScenesFlag = False
     check: bool = False
     """Read everything back and compare it with the input bit for bit."""
     resume: bool = False
@@ -119,12 +121,19 @@ class Convert:
                 return {**row, "status": "kept"}
             recording = source.read()
             claim_file(target, force=self.force)
-            write_mcap(recording, target, overwrite=self.force or self.resume)
+            write_mcap(recording, target, overwrite=self.force or self.resume, share_in=self._shared_in(target))
             if self.check:
                 _require_equal(recording, _read_log(target), target)
         except H3DataError as error:
             return {**row, "status": "failed", "reason": str(error)}
         return {**row, "status": "converted", "steps": len(recording)}
+
+    def _shared_in(self, target: AnyPath) -> Path | None:
+        """Folder whose recordings share their scenes, if they do."""
+        folder = target.parent if target == self._out else self._out
+        if self.share_scenes and not isinstance(folder, Path):
+            raise InputError(f"--share-scenes needs a local output folder, got: {self._out}")
+        return folder if self.share_scenes and isinstance(folder, Path) else None
 
     # --- to a dataset ---------------------------------------------------------------------------------------------
     def _dataset(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:

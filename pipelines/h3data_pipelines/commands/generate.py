@@ -25,6 +25,7 @@ from h3data_pipelines.command import (
     JsonFlag,
     MissingFlag,
     Outcome,
+    ShareScenesFlag,
     claim_folder,
     counted,
     keeping,
@@ -113,6 +114,7 @@ class Generate:
     """Processes."""
     mcap: bool = False
     """Also write each episode as <out>/mcap/<episode>.mcap, at the end."""
+    share_scenes: ShareScenesFlag = False
     resume: bool = False
     """Go on with an interrupted dataset that was started with the same options."""
     dry_run: DryRunFlag = False
@@ -125,6 +127,8 @@ class Generate:
 
         if self.force and self.resume:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
+        if self.share_scenes and not self.mcap:
+            raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
         jobs, out = self.jobs(), place(self.out)
         if self.dry_run:
             return self._plan(jobs)
@@ -137,7 +141,9 @@ class Generate:
         with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
-        written = ReadBack(Dataset(out), out / "mcap" if self.mcap else None)
+        written = ReadBack(
+            Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
+        )
         table = measure_many(written)
         text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}"
         text += f"\n\n{table.to_text()}"

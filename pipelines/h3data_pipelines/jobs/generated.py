@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data.recording.storage import AnyPath
+from h3data.recording.storage import AnyPath, RemotePath
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import is_failed
 
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 class ReadBack:
     """The episodes of a dataset, read once, with what they add up to. Writes those logs that are wanted and not there."""
 
-    def __init__(self, dataset: Dataset, mcap: AnyPath | None) -> None:
-        self.dataset, self.mcap = dataset, mcap
+    def __init__(self, dataset: Dataset, mcap: AnyPath | None, *, share_in: AnyPath | None = None) -> None:
+        if isinstance(share_in, RemotePath):
+            raise InputError(f"--share-scenes needs a local output folder, got: {share_in}")
+        self.dataset, self.mcap, self.share_in = dataset, mcap, share_in
         self.hashes: list[str] = []
         self.failed: list[str] = []
         """Episodes that raised: their number, seed and error."""
@@ -37,7 +39,8 @@ class ReadBack:
             if self.mcap is not None:
                 log = self.mcap / f"{recording.episode.episode_id}.mcap"
                 if not log.exists():
-                    write_mcap(recording, log, overwrite=True)  # over what an interrupted run left of it
+                    # over what an interrupted run left of it
+                    write_mcap(recording, log, overwrite=True, share_in=self.share_in)
             episode = recording.episode
             if is_failed(recording):
                 self.failed.append(f"{episode.episode_id} (seed {episode.seed}): {episode.info['failed']}")
