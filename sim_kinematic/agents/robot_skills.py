@@ -296,24 +296,24 @@ class RobotActor:
 
     def _pick(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("pick", k)))
-        for posture in (over, at):
-            yield from self._bring_arm(posture)
+        yield from self._bring_hand(over, at)
         gap = float(np.linalg.norm(self.hand_pose[:3] - self.objects.poses[k, :3]))
         if gap > self.grip_m or self.objects.held_by[k] != NOBODY:
+            if self._is_instant:
+                yield  # the arm has moved in this step
             self.arm_goal = self.robot.rest.copy()
             return Ending("failed", "out_of_reach" if gap > self.grip_m else "held_by_other")
         self.objects.held_by[k] = self.number
         self.objects.state.grip_pose[0, k] = pose_multiply(pose_inverse(self.hand_pose), self.objects.poses[k])
-        yield from self._bring_arm(over)
+        yield from self._withdraw_hand(over)
         self.arm_goal = self.robot.rest.copy()  # the arm gets there while the base drives on
         return Ending("done")
 
     def _place(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("place", k)))
-        for posture in (over, at):
-            yield from self._bring_arm(posture)
+        yield from self._bring_hand(over, at)
         self.objects.held_by[k] = NOBODY
-        yield from self._bring_arm(over)
+        yield from self._withdraw_hand(over)
         self.arm_goal = self.robot.rest.copy()
         return Ending("done")
 
@@ -338,6 +338,30 @@ class RobotActor:
         line = reach_line(self.robot, hand)
         assert line is not None, "checked before it starts"
         return line
+
+    @property
+    def _is_instant(self) -> bool:
+        """Whether its arm takes no time, as in Habitat: then a pick or a place is one step, not one per posture."""
+        return bool(np.isinf(self.arm_rad_s))
+
+    def _bring_hand(self, over: Array, at: Array) -> Generator[None, None, None]:
+        """Brings the hand to its target; an instant arm is there before the step ends, so that this step can use it."""
+        if not self._is_instant:
+            yield from self._bring_arm(over)
+            yield from self._bring_arm(at)
+            return
+        self.arm_goal, self.yields = at, False
+        self._step(0.0, 0.0, avoid=False)
+        while np.any(self.joints[self._arm] != at[self._arm]):  # held up by another agent
+            yield
+            self._step(0.0, 0.0, avoid=False)
+
+    def _withdraw_hand(self, over: Array) -> Generator[None, None, None]:
+        """Takes the hand back over the target; an instant arm ends the step where it is."""
+        if self._is_instant:
+            yield
+        else:
+            yield from self._bring_arm(over)
 
     def _bring_arm(self, posture: Array) -> Generator[None, None, None]:
         self.arm_goal, self.yields = posture, False

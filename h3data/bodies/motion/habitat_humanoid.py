@@ -28,6 +28,12 @@ MIN_TURN_DEG = 5.0
 TURN_STEP_DEG = 20.0
 """Largest turn per step, and the turn from which on nobody advances, unless speeds were given."""
 STOP_M = 1e-9
+DIRECTIONAL_STOP_M = 1e-5
+DIRECTIONAL_FPS = 30.0
+DIRECTIONAL_TURNING_M = 0.05
+"""Farthest that `HabitatHumanoid.walk_directional` goes in a step in which it turns."""
+DIRECTIONAL_TURN_FACTOR = 20
+"""Times the usual turn per step, when it is told where to look."""
 CONTROL_HZ = 120.0
 
 
@@ -177,7 +183,6 @@ class HabitatHumanoid:
         if not left >= STOP_M:  # NaN too
             self.stop()
             return
-        clip = self.motion.walk
         angle = float(np.degrees(np.arctan2(aim[0], aim[2])))
         before = float(np.degrees(np.arctan2(self._forward[0], self._forward[2])))
         change = _within_half_turn(angle - before)
@@ -187,16 +192,87 @@ class HabitatHumanoid:
             left = 0.0 if abs(change) >= self._turn_step else 2 * self._way_per_frame
         heading = np.radians(angle)
         self._forward = np.array([np.sin(heading), 0.0, np.cos(heading)])
-        step = 0 if distance_multiplier == 0 else max(1, min(self._frames_per_step, int(left / self._way_per_frame)))
-        frame = (self.frame + step) % len(clip.joints)
+        self._advance(left, self._frames_per_step, distance_multiplier, self._forward)
+
+    def _advance(self, left: float, frames: int, distance_multiplier: float, going: Array) -> None:
+        """Plays up to ``frames`` frames, but no more than the way ``left`` [m] takes, and moves along ``going`` [3]."""
+        step = 0 if distance_multiplier == 0 else max(1, min(frames, int(left / self._way_per_frame)))
+        frame = (self.frame + step) % len(self.motion.walk.joints)
         way = self._displacement[frame] - self._displacement[self.frame]
         if frame < self.frame:
             way += self._displacement[-1]
         self.frame = frame
         move = min(left, max(0.0, float(way))) * distance_multiplier
+        self.base = base_matrix(self.base[:3, 3] + going * move, self._forward)
+        self._show(frame)
+
+    def _show(self, frame: int) -> None:
+        """Takes the pose of a frame of the walk."""
+        clip = self.motion.walk
         self.offset = _without_forward(_HALF_TURN @ clip.roots[frame])
-        self.base = base_matrix(self.base[:3, 3] + self._forward * move, self._forward)
         self.joints = np.asarray(clip.joints[frame], np.float64)
+
+    def walk_directional(
+        self, target: ArrayLike, distance_multiplier: float = 1.0, look: ArrayLike | None = None
+    ) -> None:
+        """One step towards ``target`` [3] [m] while facing ``look`` [3], both relative to the base, world axes.
+
+        habitat-hitl's ``calculate_walk_pose_directional``: walking backwards. It plays 30 frames/s whatever the speeds, and a
+        body that has to turn by more than `MIN_TURN_DEG` goes where it looks, by 5 cm at most.
+        """
+        aim = np.asarray(target, np.float64)
+        left = float(np.linalg.norm(aim))
+        if not left >= DIRECTIONAL_STOP_M:  # NaN too
+            self.stop()
+            return
+        facing = aim if look is None else np.asarray(look, np.float64)
+        angle, going = _bearing(facing), _bearing(aim)
+        before = _bearing(self._forward)
+        change = _within_half_turn(angle - before)
+        if abs(change) > MIN_TURN_DEG:
+            largest = self._turn_step * (1 if look is None else DIRECTIONAL_TURN_FACTOR)
+            angle = going = before + min(largest, abs(change)) * np.sign(change)
+            left = DIRECTIONAL_TURNING_M
+        self._forward = _level(angle)
+        frames = int(self.motion.walk.fps / DIRECTIONAL_FPS)
+        self._advance(left, frames, distance_multiplier, _level(going))
+
+    def with_gait(self, forward_m: float, turn_rad: float) -> None:
+        """Moves the base by ``forward_m`` [m] and turns it by ``turn_rad``, and finds the frame of the clip that fits.
+
+        habitat-hitl's ``translate_and_rotate_with_gait``. Moving backwards plays the clip backwards. The heading from which
+        later walks turn stays that of the last walk, as it does there.
+        """
+        forward = self.base[:3, 0].copy()
+        heading = float(np.arctan2(forward[0], forward[2])) + turn_rad
+        place = self.base[:3, 3] + forward_m * forward
+        self.base = base_matrix(place, (np.sin(heading), 0.0, np.cos(heading)))
+        if forward_m != 0:
+            self.frame = self._frame_after(forward_m)
+        self._show(self.frame)
+
+    def _frame_after(self, way: float) -> int:
+        """Frame of the clip ``way`` [m] after the present one, by Habitat's binary search (the first frame not before it)."""
+        total, here = float(self._displacement[-1]), float(self._displacement[self.frame])
+        if abs(way) > total:
+            # habitat-lab takes int(way / total) cycles off the length, which adds them for a way back: kept
+            way = float(np.sign(way)) * (abs(way) - total * int(way / total))
+        if way < 0:
+            way += total  # back by x is on by the rest of the cycle
+        to_end = total - here
+        if to_end < way:
+            way, first, last = way - to_end, 0, self.frame
+        else:
+            way, first, last = way + here, self.frame, len(self._displacement) - 1
+        while first <= last:
+            middle = (first + last) // 2
+            if self._displacement[middle] == way:
+                return middle
+            if self._displacement[middle] < way:
+                first = middle + 1
+            else:
+                last = middle - 1
+        return min(first, len(self._displacement) - 1)
 
     def reach(self, position: ArrayLike, hand: Hand = "right") -> None:
         """Put a hand at a world position [3] [m], as far as the stored poses go (spec/habitat.md 3.5).
@@ -267,6 +343,17 @@ def _without_forward(matrix: Array) -> Array:
     out = matrix.copy()
     out[:3, 3] *= _WITHOUT_FORWARD
     return out
+
+
+def _bearing(direction: Array) -> float:
+    """Angle [degrees] of a direction on the floor, from x towards z."""
+    return float(np.degrees(np.arctan2(direction[2], direction[0])))
+
+
+def _level(degrees: float) -> Array:
+    """The unit vector of a `_bearing`."""
+    angle = np.radians(degrees)
+    return np.array([np.cos(angle), 0.0, np.sin(angle)])
 
 
 def _within_half_turn(degrees: float) -> float:

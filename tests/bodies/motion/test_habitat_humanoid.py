@@ -8,10 +8,11 @@ import pytest
 
 from h3data.bodies.motion.habitat_humanoid import HABITAT_JOINTS, HabitatHumanoid, reach_coordinates, sequence_pose
 from h3data.bodies.motion.habitat_motion import read_habitat_motion, read_habitat_sequence
+from h3data.bodies.motion.habitat_pick import HabitatPick
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import FormatError, InputError
 
-STOP, WALK, TURN, HALF_WALK = 0, 1, 2, 5
+STOP, WALK, TURN, DIRECTIONAL, GAIT, HALF_WALK = range(6)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +62,43 @@ def test_walks_turns_and_stops_as_habitat_does(golden, motion, run):
     assert compared > 180
 
 
+@pytest.mark.parametrize("run", range(5))
+def test_whole_sessions_of_all_commands_as_habitat_plays_them(golden, motion, run):
+    """From the commands alone, the two of habitat-hitl (a look of its own, gait by deltas) included; nothing is reset."""
+    truth = np.load(golden / f"commands_{run}.npz")
+    given = not np.isnan(truth["lin_speed"])
+    person = HabitatHumanoid(
+        motion,
+        lin_speed=float(truth["lin_speed"]) if given else None,
+        ang_speed=float(truth["ang_speed"]) if given else None,
+        control_hz=float(truth["ctrl_freq"]),
+    )
+    person.reset(truth["start_base_T"])
+    seen = set()
+    for t, command in enumerate(truth["command"].tolist()):
+        if t and truth["reset_every_step"]:
+            person.reset(truth["agent_base_T"][t - 1])
+        rel, look = truth["rel"][t], truth["target_dir"][t]
+        if command == STOP:
+            person.stop()
+        elif command == TURN:
+            person.turn(rel)
+        elif command == DIRECTIONAL:
+            person.walk_directional(rel, look=None if np.isnan(look).any() else look)
+        elif command == GAIT:
+            person.with_gait(float(truth["forward_delta"][t]), float(truth["rot_delta"][t]))
+        else:
+            person.walk(rel, 1.0 if command == WALK else 0.5)
+        seen.add(command)
+        assert person.frame == truth["mocap_frame"][t], t
+        np.testing.assert_allclose(person.base, truth["base_T"][t], atol=5e-5, err_msg=f"step {t}")
+        np.testing.assert_allclose(person.joints, truth["joints_xyzw"][t], atol=1e-6)
+        if command != STOP:
+            np.testing.assert_allclose(person.offset, truth["offset_T"][t], atol=1e-6)
+            np.testing.assert_allclose(person.root, truth["sim_obj_T"][t], atol=5e-5)
+    assert run == 1 or seen >= {STOP, WALK, TURN, DIRECTIONAL, GAIT}  # run 1 has none of habitat-hitl's
+
+
 def test_reaches_as_habitat_does(golden, motion):
     truth = np.load(golden / "reach.npz")
     person = HabitatHumanoid(motion)
@@ -71,6 +109,30 @@ def test_reaches_as_habitat_does(golden, motion):
         np.testing.assert_allclose(place, truth["local_left_up_forward"][t], atol=1e-5)
         np.testing.assert_allclose(person.joints, truth["joints_xyzw"][t], atol=1e-6)
         np.testing.assert_allclose(person.offset, truth["offset_T"][t], atol=1e-5)
+
+
+@pytest.mark.parametrize("run", range(6))
+def test_picks_and_places_as_habitat_does(golden, motion, run):
+    """120 steps each of the real HumanoidPickAction, also those that never take hold."""
+    truth = np.load(golden / f"pick_place_{run}.npz")
+    person = HabitatHumanoid(motion)
+    person.reset(truth["start_base_T"])
+    action = HabitatPick(person, step_m=float(truth["dist_move_per_step"]), snap_m=float(truth["dist_to_snap"]))
+    holding, place = False, truth["object_pos"]
+    for t, (entity, pick) in enumerate(truth["arg"]):
+        if entity <= 0:
+            break  # nothing is asked for any more
+        target = place if pick else truth["goal_pos"]
+        event = action.step(target, pick=bool(pick), holding=holding)
+        holding = {"take": True, "put": False, None: holding}[event]
+        assert holding == (truth["snap_idx"][t] >= 0), t
+        assert action.retracting == bool(truth["hand_state"][t]), t
+        assert action.steps == truth["hand_iter"][t], t
+        assert action.done == truth["skill_done"][t], t
+        np.testing.assert_allclose(person.joints, truth["joints_xyzw"][t], atol=1e-5)
+        np.testing.assert_allclose(person.offset, truth["offset_T"][t], atol=1e-5)
+        place = truth["object_T"][t][:3, 3]
+    assert t > 50
 
 
 def test_reaching_below_the_grid_never_gives_nan(motion):

@@ -183,6 +183,18 @@ def test_bodies_keep_their_speed_and_out_of_obstacles(world: RearrangeEpisode, p
     assert joints <= world.spec.arm_rad_s / 30 + 1e-5
 
 
+def test_an_instant_arm_picks_and_places_in_one_step(home: Scene, free: FreeSpace) -> None:
+    """Habitat's oracle pick and place change the world in the step of the action (spec/habitat.md 2.4)."""
+    spec = RearrangeSpec(arm_rad_s=float("inf"))
+    episode = rearrange_episode(home, seed=3, free=free, spec=spec)
+    recording = simulate_rearrange(episode, policy="complement", partner="both")
+    pick, place = (s for s in recording.skills if s.agent == 0 and s.name in ("pick", "place"))
+    assert (pick.start_step, pick.outcome) == (pick.end_step, "done")
+    assert (place.start_step, place.outcome) == (place.end_step, "done")
+    in_hand = recording.columns["agent_0.grasp_body"] >= 0
+    assert np.flatnonzero(in_hand).tolist() == list(range(pick.end_step, place.start_step))
+
+
 def test_same_seed_same_bits(home: Scene, free: FreeSpace, world: RearrangeEpisode, pair: Recording, tmp_path) -> None:
     again = simulate_rearrange(rearrange_episode(home, seed=3, free=free), policy="complement", partner="both")
     assert recordings_equal(pair, again) == []
