@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import h3data
 from h3data.recording import recordings_equal
 from h3data_pipelines.cli import main
 from h3data_pipelines.jobs.cross_play import METRICS, ZSC_COLUMN, Row, cross_play_table
+from h3data_viewers.html_report.report import make_report
 from sim_kinematic.policies import rearrange as planners
 
 GENERATE = ("generate", "rearrange", "--scenes", "small", "--homes", "1", "--max-steps", "700", "--json", "-o")
@@ -138,3 +140,56 @@ def test_the_zero_shot_column_is_over_the_four_planners() -> None:
     assert table.cells["SR", "p", ZSC_COLUMN].mean == 0.75
     assert table.cells["RE", "p", ZSC_COLUMN].count == 3
     assert "75 [30, 95]" in table.to_text()
+
+
+def test_kept_recordings_and_bare_results_give_the_same_heat_maps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, bare = tmp_path / "kept", tmp_path / "bare"
+    zsc = ("--zsc", "plan_pop_1")
+    first = run_json(capsys, *EVALUATE[:-1], *zsc, "--keep", "-o", kept)
+    run_json(capsys, *EVALUATE[:-1], *zsc, "-o", bare)
+    means = {(c["metric"], c["policy"], c["partner"]): c["mean"] for c in first["cells"]}
+    assert means["RC", "complement", "ZSC mean"] == means["RC", "complement", "plan_pop_1"]
+    tables = {}
+    for folder in (kept, bare):
+        report = make_report([folder], pictures=1 if folder is kept else 0, zsc=["plan_pop_1"])
+        heat = {t.key: t for t in report.tables_of_partners}
+        tables[folder] = {
+            k: [(r.name, [c.value for c in r.cells]) for r in t.sections[0].rows] for k, t in heat.items()
+        }
+        assert set(heat) == {f"partners_rearrange_{name}" for name in ("SR", "RE", "CR", "RC")}
+        assert [c.head for c in heat["partners_rearrange_RC"].columns] == ["object_1", "plan_pop_1", "ZSC mean"]
+        assert [run.name for run in report.data.runs] == ["complement", "still"]
+    assert tables[kept] == tables[bare]
+    rows = dict(tables[kept]["partners_rearrange_SR"])
+    assert rows["complement"] == [means["SR", "complement", p] for p in ("object_1", "plan_pop_1", "ZSC mean")]
+    assert main(["report", str(kept), "-o", str(tmp_path / "r.html"), "--pictures", "1"]) == 0
+    assert "<h2>Trajectories" in (tmp_path / "r.html").read_text()
+    assert main(["report", str(bare), "-o", str(tmp_path / "b.html")]) == 0
+    assert "evaluate --keep keeps their recordings" in (tmp_path / "b.html").read_text()
+    capsys.readouterr()
+    shutil.rmtree(kept / "recordings" / "000000")  # killed before the episode was whole
+    again = run_json(capsys, *EVALUATE[:-1], *zsc, "--keep", "--resume", "-o", kept)
+    assert (again["new"], again["cells"]) == (1, first["cells"])
+    assert (kept / "recordings" / "000000").is_dir()
+    assert (
+        "no evaluation to go on with"
+        in run_json(capsys, *EVALUATE[:-1], "--resume", "-o", tmp_path / "x", code=2)["error"]
+    )
+    assert (
+        "expected partners" in run_json(capsys, *EVALUATE[:-1], "--zsc", "both", "-o", tmp_path / "x", code=2)["error"]
+    )
+    assert main(["report", str(bare), "-o", str(tmp_path / "c.html"), "--zsc", "objekt_1"]) == 2
+    assert "Did you mean 'object_1'" in capsys.readouterr().err
+
+
+def test_datasets_of_one_policy_are_one_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ("generate", "rearrange", "--scenes", "h3-homes/test#2", "--episodes", "1", "--policy", "still", "--json")
+    for partner in ("object_1", "object_2"):
+        run_json(capsys, *common, "--partner", partner, "-o", tmp_path / partner)
+    report = make_report([tmp_path / "object_1", tmp_path / "object_2"], pictures=0)
+    assert [(run.name, len(run.episodes)) for run in report.data.runs] == [("still", 2)]
+    run_json(capsys, *common, "--partner", "object_1", "-o", tmp_path / "again")
+    twice = make_report([tmp_path / "object_1", tmp_path / "again"], pictures=0)
+    assert [run.name for run in twice.data.runs] == ["still (object_1)", "still (again)"]

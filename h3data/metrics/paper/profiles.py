@@ -49,7 +49,7 @@ REARRANGEMENT_PROFILE = Profile(
             "CR": "touches the person in",
         },
         ranking=("SR", "RE", "TS"),
-        by_partner=("SR", "RE", "CR"),
+        by_partner=("SR", "RE", "CR", "RC"),
         milestones=(
             Milestone(flag="done", title="Task done by then", label="completes the task", metric="SR"),
             _TOUCHED,

@@ -29,6 +29,7 @@ from h3data.stats import (
     fit_glmm,
     marginal_means,
     relative_efficiency,
+    wilson_interval,
 )
 
 StepsModel = Literal["auto", "poisson", "observation"]
@@ -235,7 +236,7 @@ class _Analyser:
         for place, fitted in enumerate(models):
             which = "Model" if place == 0 else "Beside it, the paper's model" if fitted is plain else "Beside it"
             self.notes.append(f"{which} of {metric.name}: {fitted.fit.formula}, {fitted.fit.rows} rows.")
-            self.notes += [f"{metric.name}, {fitted.label}: {note}" for note in fitted.fit.notes]
+            self.notes += [f"{metric.name}, {fitted.label}: {without_hint(note)}" for note in fitted.fit.notes]
         return tuple(models)
 
     def from_means(self, metric: Metric, means: MarginalMeans) -> dict[str, Estimate]:
@@ -255,11 +256,13 @@ class _Analyser:
         return {solo: Estimate(mean=100.0), **others}
 
     def plain(self, metric: Metric) -> dict[str, Estimate]:
-        """Means over episodes, with bootstrap intervals unless the metric is 0 or 1."""
+        """Means over episodes with bootstrap intervals, of 0/1 metrics with Wilson's."""
         estimates: dict[str, Estimate] = {}
         for condition in self._conditions:
             values = self._defined(metric, condition)
             low, high = bootstrap_interval(values) if values and not metric.binary else (NAN, NAN)
+            if metric.binary and not _alone(condition):  # nobody alone can touch a robot: 0 is no estimate there
+                low, high = wilson_interval(int(sum(values)), len(values))
             mean = float(np.mean(values)) if values else NAN
             estimates[condition] = Estimate(mean=mean, low=low, high=high, episodes=len(values))
         return estimates
@@ -282,7 +285,7 @@ class _Analyser:
             self.notes.append(f"{metric.name}: plain shares, as no mixed model could be fitted: {fault}")
             return None
         self.notes.append(f"Model of {metric.name}: {fitted.fit.formula}, {fitted.fit.rows} rows.")
-        self.notes += [f"{metric.name}: {note}" for note in fitted.fit.notes]
+        self.notes += [f"{metric.name}: {without_hint(note)}" for note in fitted.fit.notes]
         estimates |= self.from_means(metric, fitted.means)
         return fitted
 
@@ -315,6 +318,11 @@ class _Analyser:
 
     def _defined(self, metric: Metric, condition: str) -> list[float]:
         return [v for e in self._episodes if e.condition == condition and (v := e.values[metric.name]) == v]
+
+
+def without_hint(note: str) -> str:
+    """A note of a fit without its hint to Python's users."""
+    return note.partition(" Hint:")[0]
 
 
 def _alone(condition: str) -> bool:

@@ -15,7 +15,8 @@ from h3data.metrics.table import aligned, deviation_lines, summarize
 
 METRICS = tuple(m for m in REARRANGEMENT_PROFILE.metrics if m.name in REARRANGEMENT_PROFILE.report.columns)
 """Metrics of the paper's table."""
-ZSC_COLUMN = "ZSC planners"
+ZSC_COLUMN, ZSC_NAMED = "ZSC planners", "ZSC mean"
+"""Heads of the columns of the paper's four planners and of a population that the user names."""
 NOTHING = "No episode could be played: there is no table."
 
 
@@ -43,7 +44,7 @@ class CrossPlayTable:
 
     policies: tuple[str, ...]
     partners: tuple[str, ...]
-    """Names; last, if all four are among them, the paper's zero-shot planners together."""
+    """Names; last the zero-shot population together, if there is one."""
     cells: dict[tuple[str, str, str], Summary]
     """By metric, policy, partner."""
     episodes: int
@@ -81,15 +82,22 @@ class CrossPlayTable:
         }
 
 
-def cross_play_table(rows: Iterable[Row]) -> CrossPlayTable:
-    """Returns the table of many results."""
+def cross_play_table(rows: Iterable[Row], zsc: Sequence[str] = ()) -> CrossPlayTable:
+    """Returns the table of many results.
+
+    Args:
+        rows: One for each robot, partner and episode.
+        zsc: Partners of the zero-shot population (default: the paper's four planners, if all are there).
+    """
     from sim_kinematic.policies.rearrange import ZSC
 
     rows = list(rows)
     policies = tuple(dict.fromkeys(row.policy for row in rows))
     partners = tuple(dict.fromkeys(row.partner for row in rows))
     groups: dict[str, tuple[str, ...]] = {partner: (partner,) for partner in partners}
-    if set(ZSC) <= set(partners):
+    if zsc:
+        groups[ZSC_NAMED] = tuple(zsc)
+    elif set(ZSC) <= set(partners):
         groups[ZSC_COLUMN] = ZSC
     cells = {
         (metric.name, policy, name): cell_of(

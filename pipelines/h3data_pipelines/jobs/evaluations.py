@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError, did_you_mean
 from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import reason_of
+
+if TYPE_CHECKING:
+    from h3data.recording import Recording
 
 ALL = "all"
 
@@ -21,6 +26,8 @@ class Evaluation:
     policies: tuple[str, ...]
     partners: tuple[str, ...] = ()
     """Empty: people follow the task's default."""
+    keep: Path | None = None
+    """Folder of a dataset with the recordings of all pairs, made anew; None: they are not kept."""
 
     def to_json(self) -> dict[str, Any]:
         """What decides the results."""
@@ -32,18 +39,24 @@ class Evaluation:
 
 
 def play_evaluation(job: Evaluation) -> dict[str, Any]:
-    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed."""
+    """The metrics of every pair in one episode. A pair, or an episode, that raises is listed as failed.
+
+    Partners with the same plan share a recording, whose ``info["partners"]`` names them.
+    """
     from h3data.metrics import measure
     from sim_kinematic.tasks.runner import simulate
 
     rows: list[dict[str, Any]] = []
     failed: list[str] = []
+    kept: list[Recording] = []
     try:
         task, episode = job.base.found_task, job.base.episode()
     except Exception as fault:
         return {"job": job.to_json(), "rows": [], "failed": [reason_of(fault)]}
     for policy in job.policies:
         played: dict[str, dict[str, Any]] = {}  # partners with one plan do the same
+        recordings: dict[str, Recording] = {}
+        partners: dict[str, list[str]] = {}
         for partner in job.partners or (None,):
             chosen = {"robot": policy, **({} if partner is None else {"human": partner})}
             try:
@@ -51,6 +64,8 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
                 if plan not in played:
                     recording = simulate(task, episode, {**chosen, **({"human": plan} if plan else {})})
                     measured = measure(recording)
+                    if job.keep is not None:
+                        recordings[plan] = recording
                     info = recording.episode.info
                     played[plan] = {
                         "policy": policy,
@@ -61,12 +76,37 @@ def play_evaluation(job: Evaluation) -> dict[str, Any]:
                     }
                     if "solo_steps" in info:
                         played[plan] |= {"plan": plan, "solo_steps": info["solo_steps"]}
+                partners.setdefault(plan, []).extend([] if partner is None else [partner])
                 row = {"index": job.base.index, **played[plan]}
                 rows.append(row if partner is None else {**row, "partner": partner})
             except Exception as fault:
                 pair = policy if partner is None else f"{policy} with {partner}"
                 failed.append(f"{pair}: {reason_of(fault)}")
+        kept += [_named(recording, policy, partners.get(plan, [])) for plan, recording in recordings.items()]
+    if job.keep is not None:
+        _write_dataset(kept, job.keep)
     return {"job": job.to_json(), "rows": rows, "failed": failed}
+
+
+def _named(recording: Recording, policy: str, partners: Sequence[str]) -> Recording:
+    """The recording with the names under which the table lists it."""
+    info = {**recording.episode.info, "policy": policy, **({"partners": list(partners)} if partners else {})}
+    return replace(recording, episode=replace(recording.episode, info=info))
+
+
+def _write_dataset(recordings: Sequence[Recording], folder: Path) -> None:
+    """A dataset that appears under its name when it is complete."""
+    from h3data.recording import DatasetWriter
+
+    part = folder.with_name(f".{folder.name}.part")
+    for old in (part, folder):
+        shutil.rmtree(old, ignore_errors=True)
+    if not recordings:
+        return
+    with DatasetWriter(part, like=recordings) as writer:
+        for recording in recordings:
+            writer.add(recording)
+    part.rename(folder)
 
 
 def _plan(task: Any, episode: Any, partner: str | None) -> str:

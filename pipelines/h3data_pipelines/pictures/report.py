@@ -28,11 +28,12 @@ class ReportCommand:
         h3data report ds/ -o report.html
         h3data report expert/ random/ still/ -o report.html --latex tables.tex
         h3data report ds/ --markdown tables.md --pictures 0
+        h3data report out/zsc --zsc plan_pop_1 --zsc plan_pop_2
         h3data report study/ --study-model observation --failed limit
     """
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
-    """Datasets, .mcap files, and folders of these, which are walked."""
+    """Datasets, .mcap files, folders of these, which are walked, and those of h3data evaluate."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html")
     """HTML file to write."""
     title: str = ""
@@ -45,6 +46,8 @@ class ReportCommand:
     """Number of episodes per task shown with key frames."""
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
+    zsc: tuple[str, ...] = ()
+    """A partner of the zero-shot population, whose mean the heat maps show (repeatable; default: as the recordings say)."""
     study_model: StepsModelOption = "auto"
     failed: FailedOption = "leave-out"
     force: ForceFlag = False
@@ -66,6 +69,7 @@ class ReportCommand:
         report = write_report(
             self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets,
             study=StudyModel(steps=self.study_model, failed=self.failed),
+            zsc=[name for entry in self.zsc for name in entry.split(",") if name],
         )  # fmt: skip
         if self.markdown is not None:
             write_text(self.markdown, report.to_markdown())

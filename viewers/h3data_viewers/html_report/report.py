@@ -58,6 +58,8 @@ class Report:
     data: ReportData
     tables: tuple[Table, ...]
     """The paper's tables that there are episodes for, and the paired differences."""
+    tables_of_partners: tuple[Table, ...]
+    """Heat maps of policies by partners."""
     missing: tuple[str, ...]
     """What is not in the report, and why."""
     html: str
@@ -78,29 +80,34 @@ def make_report(
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
     study: StudyModel | None = None,
+    zsc: Sequence[str] = (),
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
     ``assets`` are folders of the files that foreign recordings name, for the key frames; ``study`` chooses the models of
-    episodes that participants did under conditions.
+    episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population.
 
     Raises:
         InputError: there is no recording, or episodes that cannot share a table; see `gather`.
         FormatError: a file is damaged.
     """
-    data = gather(paths)
+    data = gather(paths, zsc=zsc)
     title = title or _title(data)
     missing: list[str] = []
     tables = _paper_tables(data, missing, study or StudyModel())
     pairs = paired_tables(data)
     if len(data.runs) > 1 and not pairs:
         missing.append("Paired differences: no two runs hold the same episodes (ids, scenes and seeds).")
-    body, plans = [], Plans()
+    body, plans, heat = [], Plans(), []
     for task in data.tasks:
         runs, tail = data.of_task(task), f" in {task_name(task)}" if len(data.tasks) > 1 else ""
-        body += _task_sections(task, runs, tables, plans, missing, tail)
+        partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
+        heat += partners
+        body += _task_sections(task, runs, [*tables, *partners], plans, missing, tail)
         if chosen := highlights(runs, pictures):
             body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], tail))
+    if any(not e.recorded for e in data.episodes):
+        missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
     if pairs:
         text = "".join(f"<h3>{escape(t.title)}</h3>{to_html(t)}" for t in pairs)
         body.append(_section("paired", "Paired differences", text))
@@ -116,6 +123,7 @@ def make_report(
         title=title,
         data=data,
         tables=(*tables, *pairs),
+        tables_of_partners=tuple(heat),
         missing=tuple(missing),
         html=_page(title, plans.definitions() + head + "<main>" + "".join(s for _, _, s in body) + "</main>" + _foot()),
     )
@@ -129,9 +137,10 @@ def write_report(
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
     study: StudyModel | None = None,
+    zsc: Sequence[str] = (),
 ) -> Report:
     """`make_report`, written to ``out``."""
-    report = make_report(paths, title=title, pictures=pictures, assets=assets, study=study)
+    report = make_report(paths, title=title, pictures=pictures, assets=assets, study=study, zsc=zsc)
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
     return report
@@ -189,7 +198,7 @@ def _task_sections(
         parts.append(_section(task, table.title, to_html(table) + beside))
     keys = [key_of(name, task) for name in ("hitl", "contrasts")]
     parts += [_section(t.key, t.title + tail, to_html(t)) for t in tables if t.key in keys]
-    partners = partner_tables(runs, runs[0].profile.report.by_partner or ranked_by(runs[0].profile))
+    partners = [t for t in tables if t.key.startswith(f"partners_{task}_")]
     if partners:
         heats = "".join(f"<div>{to_html(t, sortable=False)}</div>" for t in partners)
         css = "heats" if len(partners[0].columns) <= _BESIDE else "heats rows"

@@ -2,80 +2,38 @@
 together.
 
 What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition``.
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition`` (which names the run where no policy does).
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.errors import InputError
-from h3data.metrics import EpisodeMetrics, MetricsTable, Profile, tabulate
+from h3data.errors import InputError, did_you_mean
+from h3data.metrics import MetricsTable, Profile, tabulate
 from h3data.metrics.batch import find_sources, recordings
 from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
 from h3data.recording.storage import AnyPath
+from h3data_viewers.html_report.report_episode import GRID_S, TRACK_S, ReportEpisode, Track
+from h3data_viewers.html_report.report_evaluations import holds_results, result_episodes
 
 _FIRST = ("social_nav", "rearrange")
 """Tasks that a report begins with."""
-GRID_S = 0.5
-"""Distances are kept at this spacing."""
-TRACK_S = 0.1
-"""Tracks are kept at this spacing."""
 CURVES_FILE = "learning.csv"
 """In a dataset's folder: how its policy was trained. One row per logged update, a column ``step``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
-    """Where one agent went."""
-
-    kind: str
-    """``robot`` or ``human``."""
-    xz: NDArray[np.float32]
-    """Floor positions every `TRACK_S`, the last row included, shape [K, 2] [m]; NaN = not there."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ReportEpisode:
-    """One measured episode."""
-
-    source: AnyPath
-    """Dataset or log that holds it."""
-    index: int
-    """Its number in the dataset."""
-    metrics: EpisodeMetrics
-    seed: int
-    policy: str
-    partner: str
-    population: str
-    """``train``, ``zsc`` or empty."""
-    participant: str
-    condition: str
-    distance_m: NDArray[np.float32]
-    """Robot to human every `GRID_S`, shape [G]; empty without both."""
-    tracks: tuple[Track, ...]
-
-    @property
-    def name(self) -> str:
-        """How the command line names it."""
-        return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
-
-    def seconds(self, row: int) -> float:
-        """Time of a row since the beginning."""
-        return (row + 1) * self.metrics.dt_ns * 1e-9
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """Episodes of one policy from one dataset."""
+    """Episodes of one policy: of all datasets that hold different ones, else of one dataset."""
 
     name: str
     policy: str
@@ -114,11 +72,15 @@ class ReportData:
         return tuple(run for run in self.runs if run.task == task)
 
 
-def gather(paths: Iterable[str | os.PathLike[str]]) -> ReportData:
-    """Reads every recording of datasets, logs and folders of logs, and measures each by the profile of its task.
+def gather(paths: Iterable[str | os.PathLike[str]], *, zsc: Sequence[str] = ()) -> ReportData:
+    """Reads every recording of datasets, logs and folders of these, and measures each by the profile of its task.
+
+    A folder of ``h3data evaluate`` without recordings gives its results. ``zsc`` names the partners of the zero-shot
+    population (default: as the recordings say).
 
     Raises:
-        InputError: there is no recording, or a path is given twice; what `tabulate` refuses.
+        InputError: there is no recording, or a path is given twice; a partner in ``zsc`` does not occur; what `tabulate`
+            refuses.
         FormatError: a file is damaged.
     """
     roots = tuple(map(Path, paths))
@@ -127,38 +89,87 @@ def gather(paths: Iterable[str | os.PathLike[str]]) -> ReportData:
     twice = [p for k, p in enumerate(roots) if p.resolve() in {q.resolve() for q in roots[:k]}]
     if twice:
         raise InputError(f"Named twice, so its episodes would count twice: {twice[0]}")
-    grouped: dict[tuple[int, str, str], list[ReportEpisode]] = {}
-    profiles: dict[tuple[int, str, str], Profile] = {}
-    unmeasured: dict[str, list[str]] = {}
-    count = 0
+    gathered = _Gathered()
     for place, root in enumerate(roots):
+        gathered.add(place, root)
+    if not gathered.count:
+        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
+    if zsc:
+        gathered.name_population(zsc)
+    return ReportData(
+        paths=roots,
+        runs=_runs(gathered.grouped, gathered.profiles, roots),
+        unmeasured={reason: tuple(names) for reason, names in gathered.unmeasured.items()},
+        curves={root.name: curve for root in roots if (curve := read_curves(root / CURVES_FILE))},
+    )
+
+
+class _Gathered:
+    """Episodes by place of the path, task and policy."""
+
+    def __init__(self) -> None:
+        self.grouped: dict[tuple[int, str, str], list[ReportEpisode]] = {}
+        self.profiles: dict[tuple[int, str, str], Profile] = {}
+        self.unmeasured: dict[str, list[str]] = {}
+        self.count = 0
+
+    def add(self, place: int, root: Path) -> None:
+        """Reads what lies at one path."""
+        if holds_results(root):
+            for episode, profile in result_episodes(root):
+                self.count += 1
+                self._group(place, root, episode, profile)
+            return
         for source in find_sources([root]):
             for index, recording in enumerate(recordings([source])):
-                count += 1
+                self.count += 1
                 try:
                     profile = profile_for(recording.episode.task, recording.episode.info)
                     episode = _episode(source, index, recording, profile)
                 except InputError as fault:
-                    unmeasured.setdefault(_reason(fault), []).append(
-                        f"{source.name}#{index}" if source.is_dir() else source.name
-                    )
+                    name = f"{source.name}#{index}" if source.is_dir() else source.name
+                    self.unmeasured.setdefault(_reason(fault), []).append(name)
                     continue
-                policy = episode.policy or root.stem or "unnamed"
-                key = (place, episode.metrics.task, policy)
-                if profiles.setdefault(key, profile) is not profile:
-                    raise InputError(
-                        f"Episodes of {episode.metrics.task!r} by {policy!r} in {root} ask for two metrics profiles, "
-                        f"{profiles[key].name} and {profile.name}. Hint: report them separately."
-                    )
-                grouped.setdefault(key, []).append(episode)
-    if not count:
-        raise InputError(f"There are no recordings in {', '.join(map(str, roots))}.")
-    return ReportData(
-        paths=roots,
-        runs=_runs(grouped, profiles, roots),
-        unmeasured={reason: tuple(names) for reason, names in unmeasured.items()},
-        curves={root.name: curve for root in roots if (curve := read_curves(root / CURVES_FILE))},
-    )
+                for each in _with_each_partner(episode, recording.episode.info):
+                    self._group(place, root, each, profile)
+
+    def name_population(self, zsc: Sequence[str]) -> None:
+        """Makes the episodes with these partners the zero-shot population."""
+        partners = sorted({e.partner for episodes in self.grouped.values() for e in episodes if e.partner})
+        if strangers := [name for name in zsc if name not in partners]:
+            raise InputError(
+                f"No episode has the partner {strangers[0]!r}; there are: {', '.join(partners) or 'none'}."
+                f"{did_you_mean(strangers[0], partners)}"
+            )
+        for key, episodes in self.grouped.items():
+            self.grouped[key] = [
+                replace(e, population="zsc" if e.partner in zsc else e.population.replace("zsc", "")) for e in episodes
+            ]
+
+    def _group(self, place: int, root: Path, episode: ReportEpisode, profile: Profile) -> None:
+        policy = episode.policy or episode.condition or root.stem or "unnamed"
+        key = (place, episode.metrics.task, policy)
+        if self.profiles.setdefault(key, profile) is not profile:
+            raise InputError(
+                f"Episodes of {episode.metrics.task!r} by {policy!r} in {root} ask for two metrics profiles, "
+                f"{self.profiles[key].name} and {profile.name}. Hint: report them separately."
+            )
+        self.grouped.setdefault(key, []).append(episode)
+
+
+def _with_each_partner(episode: ReportEpisode, info: Mapping[str, Any]) -> list[ReportEpisode]:
+    """The episode once for each partner that it stands for (``info["partners"]`` of ``h3data evaluate --keep``)."""
+    partners = info.get("partners")
+    if not isinstance(partners, list) or not partners:
+        return [episode]
+    metrics = episode.metrics
+    return [
+        replace(
+            episode, partner=str(partner),
+            metrics=replace(metrics, uid=f"{metrics.uid} {partner}", episode_id=f"{metrics.episode_id} with {partner}"),
+        )
+        for partner in partners
+    ]  # fmt: skip
 
 
 def same_episodes(first: Run, second: Run) -> bool:
@@ -224,20 +235,39 @@ def _runs(
     profiles: Mapping[tuple[int, str, str], Profile],
     roots: Sequence[Path],
 ) -> tuple[Run, ...]:
-    """Named by policy; where several datasets hold a policy, by dataset as well."""
-    policies = [(task, policy) for _, task, policy in grouped]
-    names: list[str] = []
-    runs = []
+    """One run for each policy. Datasets of a policy with the same episodes or other rules stay apart, named by dataset as well."""
+    places: dict[tuple[str, str], list[int]] = {}
+    for place, task, policy in grouped:
+        places.setdefault((task, policy), []).append(place)
+    merged: list[tuple[str, str, str, Profile, Sequence[ReportEpisode]]] = []
     for (place, task, policy), episodes in grouped.items():
-        name = policy if policies.count((task, policy)) == 1 else f"{policy} ({roots[place].name or roots[place]})"
-        if name in names and policies.count((task, policy)) > 1:
-            name = f"{policy} ({roots[place]})"
-        names.append(name)
-        profile = profiles[place, task, policy]
-        table = tabulate((e.metrics for e in episodes), profile=profile.name)
-        run = Run(name=name, policy=policy, task=task, profile=profile, episodes=tuple(episodes), table=table)
-        runs.append(run)
-    return tuple(runs)
+        where = places[task, policy]
+        parts = [grouped[k, task, policy] for k in where]
+        alike = all(profiles[k, task, policy] is profiles[place, task, policy] for k in where)
+        name = policy
+        if alike and _one_row(parts):
+            if place != where[0]:
+                continue
+            episodes = [e for part in parts for e in part]
+        else:
+            short = [roots[k].name or str(roots[k]) for k in where]
+            root = roots[place].name or str(roots[place])
+            name = f"{policy} ({root if short.count(root) == 1 else roots[place]})"
+        merged.append((name, task, policy, profiles[place, task, policy], episodes))
+    return tuple(
+        Run(
+            name=name, policy=policy, task=task, profile=profile, episodes=tuple(episodes),
+            table=tabulate((e.metrics for e in episodes), profile=profile.name),
+        )
+        for name, task, policy, profile, episodes in merged
+    )  # fmt: skip
+
+
+def _one_row(parts: Sequence[Sequence[ReportEpisode]]) -> bool:
+    """Whether datasets of a policy belong together: no episode with the same partner twice, and the same rules."""
+    keys = [{(e.metrics.episode_id, e.metrics.scene, e.seed, e.partner) for e in part} for part in parts]
+    rules = {frozenset(e.metrics.protocol_deviations for e in part) for part in parts}
+    return sum(map(len, keys)) == len(set().union(*keys)) and len(rules) == 1
 
 
 def _said(info: Mapping[str, Any], key: str) -> str:

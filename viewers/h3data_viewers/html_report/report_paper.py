@@ -37,6 +37,8 @@ from h3data_viewers.html_report.report_tables import (
 _ARROWS = {"higher": "↑", "lower": "↓", "neither": ""}
 _POPULATIONS = {"train": "Train-pop-eval", "zsc": "ZSC-pop-eval", "": "All partners"}
 _MOST_PAIRS = 6
+ZSC = "ZSC mean"
+"""Column of the mean over the zero-shot population in heat maps."""
 
 
 # --- social navigation ------------------------------------------------------------------------------------------------
@@ -223,17 +225,26 @@ def _paired_table(place: int, first: Run, second: Run) -> Table:
 
 # --- partners ---------------------------------------------------------------------------------------------------------
 def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
-    """Run x partner: the mean of each metric in ``names``, coloured; none if there is one partner only."""
+    """Run x partner: the mean of each metric in ``names``, coloured; none if there is one partner only.
+
+    A last column has the mean over all episodes with partners of the zero-shot population, if there is one.
+    """
     partners = sorted({e.partner for run in runs for e in run.episodes if e.partner})
     if len(partners) < 2:
         return []
+    unseen = sorted({e.partner for run in runs for e in run.episodes if e.population == "zsc"})
+    columns = [*partners, ZSC] if unseen else partners
     metrics = {m.name: m for m in runs[0].table.metrics}
     tables = []
     for name in names:
         cells = {
-            (run.name, partner): _known(e.metrics.values[name] for e in run.episodes if e.partner == partner)
+            (run.name, column): _known(
+                e.metrics.values[name]
+                for e in run.episodes
+                if (e.population == "zsc" if column == ZSC else e.partner == column)
+            )
             for run in runs
-            for partner in partners
+            for column in columns
         }
         means = [float(np.mean(v)) for v in cells.values() if v]
         if not means:
@@ -241,16 +252,17 @@ def partner_tables(runs: Sequence[Run], names: Sequence[str]) -> list[Table]:
         low, high = (0.0, max(1.0, *means)) if metrics[name].unit == "1" else (min(means), max(means))
         digits = _digits(metrics[name])
         rows = [
-            Row(name=run.name, cells=tuple(_heat_cell(cells[run.name, p], low, high, digits) for p in partners))
+            Row(name=run.name, cells=tuple(_heat_cell(cells[run.name, p], low, high, digits) for p in columns))
             for run in runs
         ]
         tables.append(
             Table(
                 key=f"partners_{runs[0].task}_{name}",
                 title=f"{name} by partner",
-                caption=f"{name}, {metrics[name].title.lower()}: mean by policy and partner.",
+                caption=f"{name}, {metrics[name].title.lower()}: mean by policy and partner"
+                + (f"; {ZSC}: over episodes with {', '.join(unseen)}." if unseen else "."),
                 name_head="Policy",
-                columns=tuple(Column(head=partner) for partner in partners),
+                columns=tuple(Column(head=column) for column in columns),
                 sections=(Section(title="", rows=tuple(rows)),),
             )
         )

@@ -17,7 +17,8 @@ from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
 from h3data_viewers.html_report.report_charts import series_class
-from h3data_viewers.html_report.report_data import GRID_S, ReportEpisode, Run, Track, read_whole
+from h3data_viewers.html_report.report_data import Run, read_whole
+from h3data_viewers.html_report.report_episode import GRID_S, ReportEpisode, Track
 from h3data_viewers.html_report.report_svg import Svg, linear
 from h3data_viewers.html_report.report_tables import counted, number
 
@@ -205,7 +206,7 @@ def ranked_by(profile: Profile) -> tuple[str, ...]:
 
 def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
     """Up to ``most`` episodes: the worst and the best of each run, then the second worst, and so on."""
-    ranked = [sorted(run.episodes, key=lambda e: _score(e, run.profile)) for run in runs]
+    ranked = [sorted(_recorded(run), key=lambda e: _score(e, run.profile)) for run in runs]
     chosen: list[Highlight] = []
     for depth in range(max(map(len, ranked), default=0)):
         for kind in ("worst", "best"):
@@ -215,6 +216,11 @@ def highlights(runs: Sequence[Run], most: int) -> list[Highlight]:
                 if fresh and len(chosen) < most:
                     chosen.append(Highlight(place=k, run=run, kind=kind, episode=episodes[place]))
     return sorted(chosen, key=lambda h: (h.place, h.kind == "best"))
+
+
+def _recorded(run: Run) -> list[ReportEpisode]:
+    """Episodes with a recording, each recording once."""
+    return list({(e.source, e.index): e for e in run.episodes if e.recorded}.values())
 
 
 def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:

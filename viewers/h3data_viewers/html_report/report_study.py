@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from h3data.errors import InputError
 from h3data.metrics import Metric, Profile, StudyAnalysis, StudyModel, analyse_study
 from h3data.metrics.report_layout import StudyLayout
-from h3data.metrics.studies.analysis import FittedMeans, study_layout
-from h3data_viewers.html_report.report_data import ReportEpisode, Run
+from h3data.metrics.studies.analysis import FittedMeans, study_layout, without_hint
+from h3data_viewers.html_report.report_data import Run
+from h3data_viewers.html_report.report_episode import ReportEpisode
 from h3data_viewers.html_report.report_paper import metric_column
 from h3data_viewers.html_report.report_tables import (
     Cell,
@@ -89,7 +90,7 @@ def _contrast_table(task: str, analysis: StudyAnalysis, layout: StudyLayout) -> 
         for name, cells in _contrasts(model, order).items():
             names.setdefault(name, []).extend(cells)
     sections = [Section(title="These recordings", rows=tuple(Row(name=n, cells=tuple(c)) for n, c in names.items()))]
-    notes = [f"{model.label}: {note}" for model in analysis.models for note in model.fit.notes]
+    notes = [f"{model.label}: {without_hint(note)}" for model in analysis.models for note in model.fit.notes]
     if layout.published_contrasts is not None:
         paper = layout.published_contrasts()
         blank = (Cell(text=""),) * (2 * len(analysis.models) - 2)

@@ -39,6 +39,7 @@ def beginning(title: str, data: ReportData, missing: Sequence[str], sections: Se
         ),
         (f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min", "of behaviour"),
     ]
+    facts = facts if steps else facts[:3]  # results without recordings have no steps
     tiles = "".join(f"<li><b>{value}</b><span>{name}</span></li>" for value, name in facts)
     links = "".join(f'<li><a href="#{escape(key)}">{escape(name)}</a></li>' for key, name in sections)
     said = "".join(f"<li>{escape(line)}</li>" for line in _findings(data))

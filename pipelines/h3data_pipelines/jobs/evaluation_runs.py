@@ -1,0 +1,245 @@
+"""Evaluations in a folder: a small file of results for each episode, tables of all of them, recordings on request.
+
+``episodes/000012.json`` has the rows of one episode, ``recordings/000012`` a dataset with the recordings behind them.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from h3data.errors import FormatError, InputError
+from h3data_pipelines.command import claim_folder, write_text
+from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
+from h3data_pipelines.jobs.episodes import Choices, make_jobs
+from h3data_pipelines.jobs.evaluations import ALL, Evaluation, chosen_names, play_evaluation
+from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
+from h3data_pipelines.jobs.running import run_jobs
+
+RESULTS, RECORDINGS = "episodes", "recordings"
+"""Folders below that of an evaluation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationRequest:
+    """What to evaluate."""
+
+    task: str
+    policies: str = ALL
+    """Robots, separated by commas, or ``all``."""
+    partners: str = ALL
+    """People, separated by commas, or ``all``."""
+    zsc: tuple[str, ...] = ()
+    """Partners over which the zero-shot mean is taken (default: the paper's four planners, if all play)."""
+    scenes: str = "h3-homes/test"
+    episodes: int | None = None
+    homes: int = 4
+    seed: int = 0
+    human: str | None = None
+    human_speed: float | None = None
+    max_steps: int | None = None
+
+    def jobs(self) -> list[Evaluation]:
+        """All episodes, or an `InputError` that names the bad option."""
+        from sim_kinematic.policies.assignment import policy_names
+        from sim_kinematic.tasks.registry import find_task
+
+        for name, value in (("--episodes", self.episodes), ("--homes", self.homes)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} must be at least 1, got {value}.")
+        task = find_task(self.task)
+        policies = chosen_names("--policies", self.policies, policy_names(task, "robot"))
+        crosses = "human" in task.defaults and task.crosses_partners
+        partners: tuple[str, ...] = ()
+        if crosses or self.partners != ALL:
+            partners = chosen_names("--partners", self.partners, policy_names(task, "human"))
+        if strangers := [name for name in self.population if name not in partners]:
+            raise InputError(
+                f"--zsc: expected partners that are evaluated ({', '.join(partners) or 'none'}), got {', '.join(strangers)}."
+            )
+        choices = Choices(
+            task=self.task, policy=policies[0], partner=partners[0] if partners else None, human=self.human,
+            human_speed=self.human_speed, max_steps=self.max_steps,
+        )  # fmt: skip
+        for kind, names in (("robot", policies), ("human", partners)):
+            for name in names:
+                task.check_policy(kind, name, choices.spec())
+        base = make_jobs(choices, self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed)
+        return [Evaluation(job, policies, partners) for job in base]
+
+    @property
+    def population(self) -> tuple[str, ...]:
+        """Names in ``zsc``, of which one entry may have several with commas between."""
+        return tuple(dict.fromkeys(name.strip() for entry in self.zsc for name in entry.split(",") if name.strip()))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EvaluationResult:
+    """A finished evaluation."""
+
+    folder: Path
+    table: PolicyTable | CrossPlayTable
+    rows: tuple[dict[str, Any], ...]
+    """One for each policy, partner and episode, with the metrics in ``values``."""
+    episodes: int
+    new: int
+    """Episodes played now; the others were there."""
+    failed: tuple[str, ...]
+    """Pairs that raised: episode, seed, names and error."""
+    job: dict[str, Any]
+    """What was asked for."""
+    created_by: tuple[str, ...]
+
+    def to_text(self) -> str:
+        """The tables, and what failed."""
+        return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON types."""
+        return {
+            "episodes": self.episodes,
+            "new": self.new,
+            "failed": list(self.failed),
+            **self.table.to_dict(),
+            "job": self.job,
+            "created_by": list(self.created_by),
+        }
+
+
+def evaluate_task(
+    request: EvaluationRequest,
+    out: Path,
+    *,
+    keep: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    workers: int = 1,
+    progress: Callable[..., Any] | None = None,
+) -> EvaluationResult:
+    """Plays every policy with every partner in the same episodes, and writes results, tables and recordings to ``out``.
+
+    Episodes whose results are in ``out`` already are not played again.
+
+    Args:
+        request: What to evaluate.
+        out: Folder, new or that of an interrupted evaluation with the same options.
+        keep: Whether recordings are kept, as datasets in ``out/recordings``.
+        resume: Whether ``out`` must hold an evaluation to go on with.
+        force: Whether results in ``out`` are deleted first.
+        workers: Number of processes.
+        progress: Makes a progress bar: called with ``total``, ``initial``, ``desc`` and ``unit``.
+
+    Raises:
+        InputError: an option cannot be, or the folder holds results of other options, or anything else.
+        FormatError: a file among the results is none.
+    """
+    if workers < 1:
+        raise InputError(f"--workers must be at least 1, got {workers}.")
+    if force and resume:
+        raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
+    jobs = request.jobs()
+    folder, recordings = out / RESULTS, out / RECORDINGS
+    if resume and not folder.is_dir():
+        raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
+    claim_folder(out, force=force or folder.is_dir())  # with episodes/ it is an evaluation to go on with
+    folder.mkdir(exist_ok=True)
+    if force:
+        for file in folder.glob("[0-9]*.json"):
+            file.unlink()
+        shutil.rmtree(recordings, ignore_errors=True)
+    if keep:
+        recordings.mkdir(exist_ok=True)
+        jobs = [replace(job, keep=recordings / f"{job.base.index:06d}") for job in jobs]
+    files = {job.base.index: folder / f"{job.base.index:06d}.json" for job in jobs}
+    wanted = [job for job in jobs if not _is_done(files[job.base.index], job)]
+    made_by, origins = f"h3data {version('h3data')}", {job.base.index: job.base.origin for job in jobs}
+    bar = (progress or _Quiet)(total=len(jobs), initial=len(jobs) - len(wanted), desc="evaluate", unit="episode")
+    with bar, closing(run_jobs(play_evaluation, wanted, workers=workers)) as results:
+        for result in results:
+            index = result["job"]["episode"]["index"]
+            write_text(files[index], json.dumps({**result, "created_by": made_by, "origin": origins[index]}) + "\n")
+            bar.update()
+    played = [json.loads(files[job.base.index].read_text(encoding="utf-8")) for job in jobs]
+    rows = [row for result in played for row in result["rows"]]
+    result = EvaluationResult(
+        folder=out,
+        table=_table(jobs[0], rows, request.population),
+        rows=tuple(rows),
+        episodes=len(jobs),
+        new=len(wanted),
+        failed=tuple(
+            f"episode {r['job']['episode']['index']} (seed {r['job']['episode']['seed']}), {f}"
+            for r in played
+            for f in r["failed"]
+        ),
+        job=_asked(request, jobs[0]),
+        created_by=tuple(sorted({r.get("created_by", "unknown") for r in played})),
+    )
+    write_text(out / "table.txt", result.to_text() + "\n")
+    write_text(out / "table.json", json.dumps(result.to_dict(), indent=2) + "\n")
+    return result
+
+
+class _Quiet:
+    """A progress bar that shows nothing."""
+
+    def __init__(self, **_options: object) -> None: ...
+
+    def __enter__(self) -> _Quiet:
+        return self
+
+    def __exit__(self, *_error: object) -> None: ...
+
+    def update(self) -> None:
+        """One more is done."""
+
+
+def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
+    """What the table is of: the task, the rules, who plays, and the digest of the set of scenes."""
+    asked = job.to_json()
+    own = {"index", "seed", "scene", "source", "human", "drawn_with"}
+    rules = {name: value for name, value in asked.pop("episode").items() if name not in own}
+    of_set = {name: (job.base.origin or {}).get(name) for name in ("set", "split", "sha256")}
+    return {
+        "task": request.task,
+        **asked,
+        **rules,
+        "scenes": request.scenes,
+        "set": of_set if of_set["set"] else None,
+        "seed": request.seed,
+        "human": request.human,
+        **({"zsc": list(request.population)} if request.zsc else {}),
+    }
+
+
+def _table(job: Evaluation, rows: list[dict[str, Any]], zsc: Sequence[str]) -> PolicyTable | CrossPlayTable:
+    from h3data.metrics.registry import profile_for
+
+    task = job.base.found_task
+    if task.crosses_partners:
+        return cross_play_table((Row(**row) for row in rows), zsc)
+    if job.partners:
+        rows = [{**row, "policy": f"{row['policy']} with {row['partner']}"} for row in rows]
+    return policy_table(profile_for(task.name, {"profile": task.profile}), rows)
+
+
+def _is_done(file: Path, job: Evaluation) -> bool:
+    """Whether the results of this very job are there, none of them failed; others' are refused."""
+    if not file.is_file():
+        return False
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        was, failed = found["job"], found["failed"]
+    except (ValueError, KeyError, TypeError):
+        raise FormatError(f"This is no result of h3data evaluate. Remove it, or choose another -o: {file}") from None
+    if was != job.to_json():
+        raise InputError(
+            f"The folder holds results with other options. Use the same ones, --force, or another -o: {file}"
+        )
+    return not failed and (job.keep is None or job.keep.is_dir())

@@ -1,0 +1,58 @@
+"""One episode of a report: its metrics, what its recording says about itself, and a few kilobytes of its paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.metrics import EpisodeMetrics
+from h3data.recording.storage import AnyPath
+
+GRID_S = 0.5
+"""Distances are kept at this spacing."""
+TRACK_S = 0.1
+"""Tracks are kept at this spacing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Where one agent went."""
+
+    kind: str
+    """``robot`` or ``human``."""
+    xz: NDArray[np.float32]
+    """Floor positions every `TRACK_S`, the last row included, shape [K, 2] [m]; NaN = not there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportEpisode:
+    """One measured episode."""
+
+    source: AnyPath
+    """Dataset or log that holds it."""
+    index: int
+    """Its number in the dataset."""
+    metrics: EpisodeMetrics
+    seed: int
+    policy: str
+    partner: str
+    population: str
+    """``train``, ``zsc`` or empty."""
+    participant: str
+    condition: str
+    distance_m: NDArray[np.float32]
+    """Robot to human every `GRID_S`, shape [G]; empty without both."""
+    tracks: tuple[Track, ...]
+    recorded: bool = True
+    """False: only its metrics were kept."""
+
+    @property
+    def name(self) -> str:
+        """How the command line names it."""
+        return f"{self.source}#{self.index}" if self.source.is_dir() else str(self.source)
+
+    def seconds(self, row: int) -> float:
+        """Time of a row since the beginning."""
+        return (row + 1) * self.metrics.dt_ns * 1e-9

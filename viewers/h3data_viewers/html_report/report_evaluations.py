@@ -1,0 +1,73 @@
+"""Results that ``h3data evaluate`` left without recordings: a row of metrics for each policy, partner and episode."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from h3data.errors import FormatError
+from h3data.metrics import EpisodeMetrics, Profile
+from h3data.metrics.registry import profile_for
+from h3data_viewers.html_report.report_episode import ReportEpisode
+
+
+def holds_results(root: Path) -> bool:
+    """Whether a folder is that of an evaluation whose recordings were not kept."""
+    return (root / "table.json").is_file() and (root / "episodes").is_dir() and not (root / "recordings").is_dir()
+
+
+def result_episodes(root: Path) -> Iterator[tuple[ReportEpisode, Profile]]:
+    """Yields every result of an evaluation, with the profile of its metrics.
+
+    Raises:
+        FormatError: a file is no result of ``h3data evaluate``.
+    """
+    try:
+        task = str(json.loads((root / "table.json").read_text(encoding="utf-8"))["job"]["task"])
+    except (ValueError, KeyError, TypeError):
+        raise FormatError(f"Expected the table of h3data evaluate: {root / 'table.json'}") from None
+    for file in sorted((root / "episodes").glob("[0-9]*.json")):
+        try:
+            result = json.loads(file.read_text(encoding="utf-8"))
+            asked = result["job"]["episode"]
+            for row in result["rows"]:
+                yield _episode(file, row, asked, task)
+        except (ValueError, KeyError, TypeError) as fault:
+            raise FormatError(f"Expected a result of h3data evaluate ({fault!r}): {file}") from None
+
+
+def _episode(file: Path, row: Mapping[str, Any], asked: Mapping[str, Any], task: str) -> tuple[ReportEpisode, Profile]:
+    profile = profile_for(task, {})
+    partner = str(row.get("partner", ""))
+    name = f"{row['index']:06d}" + (f" with {partner}" if partner else "")
+    metrics = EpisodeMetrics(
+        episode_id=name,
+        uid=f"{file}: {row['policy']} {name}",
+        profile=profile.name,
+        metrics=profile.metrics,
+        values={m.name: np.nan if (v := row["values"].get(m.name)) is None else float(v) for m in profile.metrics},
+        notes={},
+        rows=0,
+        task=profile.tasks[0] if profile.tasks else task,
+        scene=str(asked.get("scene") or ""),
+        protocol_deviations=str(row.get("set_up", "")),
+    )
+    episode = ReportEpisode(
+        source=file,
+        index=int(row["index"]),
+        metrics=metrics,
+        seed=int(asked.get("seed", 0)),
+        policy=str(row["policy"]),
+        partner=partner,
+        population="",
+        participant="",
+        condition="",
+        distance_m=np.zeros(0, np.float32),
+        tracks=(),
+        recorded=False,
+    )
+    return episode, profile
