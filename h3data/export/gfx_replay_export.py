@@ -148,6 +148,8 @@ def export_gfx_replay(recordings: Iterable[Recording], request: ExportRequest) -
     text = f"{files.path}: {files.keyframes} keyframes, {files.instances} instances, {size_text(size)}"
     if files.assets:
         text += f"\n{folder}: {len(files.assets)} GLB files. Start habitat-sim in the folder of both."
+    if files.path.suffix == ".gz":
+        text += "\nhabitat-sim's read_keyframes_from_file does not read .json.gz. Hint: unpack it there, or export to .json."
     missing = sorted(replay.missing)
     data = {
         "keyframes": files.keyframes,
