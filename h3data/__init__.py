@@ -16,15 +16,17 @@ Everything is imported at first use, so `import h3data` is quick.
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from h3data.api import make, open, render_frame, session, simulate
+    from h3data.api import make, measure, open, render_frame, session, simulate
     from h3data.errors import H3DataError
-    from h3data.metrics import measure
-    from h3data.recording import Dataset, Recording
+    from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
+    from h3data_pipelines.api import export, generate, import_, rerender, view
 
 _HOMES = {
     "make": "h3data.api",
@@ -32,9 +34,15 @@ _HOMES = {
     "render_frame": "h3data.api",
     "session": "h3data.api",
     "simulate": "h3data.api",
-    "measure": "h3data.metrics",
+    "measure": "h3data.api",
+    "export": "h3data_pipelines.api",
+    "generate": "h3data_pipelines.api",
+    "import_": "h3data_pipelines.api",
+    "rerender": "h3data_pipelines.api",
+    "view": "h3data_pipelines.api",
     "H3DataError": "h3data.errors",
     "Dataset": "h3data.recording",
+    "Episodes": "h3data.recording",
     "Recording": "h3data.recording",
     "Replay": "h3data.replay",
     "HomeSpec": "h3data.scene",
@@ -44,22 +52,35 @@ _HOMES = {
 
 __all__ = [
     "Dataset",
+    "Episodes",
     "H3DataError",
     "HomeSpec",
     "Recording",
     "Replay",
     "Scene",
     "build_home",
+    "export",
+    "generate",
+    "import_",
     "make",
     "measure",
     "open",
     "render_frame",
+    "rerender",
     "session",
     "simulate",
+    "view",
 ]
+
+if (
+    "gymnasium" in sys.modules
+):  # Gymnasium reads no entry points: its ids need an import, and this is the one people have
+    importlib.import_module("h3data.envs")
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.metadata.version("h3data")
     if name not in _HOMES:
         raise AttributeError(f"module 'h3data' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(importlib.import_module(_HOMES[name]), name)

@@ -1,39 +1,95 @@
-"""Shortcuts: open a recording or scene, render one frame, make a training environment."""
+"""Shortcuts: open a recording or scene, measure, render one frame, make a training environment."""
 
 from __future__ import annotations
 
+import glob
 import importlib
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from numpy.typing import NDArray
 
-from h3data.recording import Recording, open_recording
+from h3data.errors import InputError
+from h3data.recording import Dataset, Episodes, Recording, open_recording
 from h3data.render import Output
 from h3data.replay import CameraTrack, Replay, camera_at
 
 if TYPE_CHECKING:
+    import gymnasium
+    import gymnasium.vector
+
     from h3data.habitat.scenes.scene_dataset import SceneDataset
+    from h3data.metrics import EpisodeMetrics, MetricsTable
     from h3data.scene import Scene
 
 
-def open(path: str | os.PathLike[str]) -> Any:
-    """Opens the `Recording` in an MCAP file, the `Dataset` in a folder, or the `Scene` in a GLB or Habitat file.
+T = TypeVar("T")
+_GLOB = re.compile(r"[*?\[]")
 
-    A ``*.scene_dataset_config.json`` gives its list of scenes (`SceneDataset`), ``path#name`` one of them; the other files
-    of Habitat, and options, are described in `h3data.habitat.scenes.scene_instance.load_habitat_scene`.
+
+@overload
+def open(path: str | os.PathLike[str], kind: type[T]) -> T: ...
+@overload
+def open(path: str | os.PathLike[str]) -> Any: ...
+def open(path: str | os.PathLike[str], kind: type[Any] | None = None) -> Any:
+    """Opens recordings, datasets and scenes, by whatever name the command line knows them.
+
+    ====================================================  ==========================================
+    ``episode.mcap``, ``ds#3``                             `Recording`
+    ``ds/``, ``s3://bucket/ds``                            `Dataset`
+    ``recordings/*.mcap``, ``runs/*/``, a folder of logs   `Episodes`, read when they are asked for
+    ``small:3``, ``h3-homes/test#3``                       `Scene`
+    a GLB or a scene of Habitat                            `Scene`
+    ``*.scene_dataset_config.json``                        `SceneDataset`; followed by ``#name``, a `Scene`
+    ====================================================  ==========================================
+
+    Options of Habitat's scenes: `h3data.habitat.scenes.scene_instance.load_habitat_scene`.
+
+    Args:
+        path: Path, URI or name.
+        kind: What is expected, such as ``Recording``: anything else is refused, and type checkers know the result.
 
     Raises:
-        FormatError: it is none of these; the message says what the file is and what to do with it.
+        InputError: there is nothing of that name, or it is not of that ``kind``.
+        FormatError: a file is something else; the message says what it is and what to do with it.
     """
-    from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
+    opened = _open(os.fspath(path))
+    if kind is not None and not isinstance(opened, kind):
+        raise InputError(f"Expected a {kind.__name__}, this is a {type(opened).__name__}: {path}")
+    return opened
 
+
+def _open(path: str) -> Any:
+    from h3data.habitat.scene_names import is_builtin_name, named_scenes, open_scene
+    from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, dataset_and_scene
+    from h3data.recording.parquet.files import is_dataset
+
+    if is_builtin_name(path):
+        first, *more = named_scenes(path)
+        if more:
+            raise InputError(f"{path} names several scenes. Expected one, such as {first.name}.")
+        return open_scene(first.source)
     dataset, name = dataset_and_scene(path)
-    if dataset is not None or os.fspath(path).lower().endswith(HABITAT_ENDINGS):
+    if dataset is not None or path.lower().endswith(HABITAT_ENDINGS):
         return _open_scene(Path(path) if dataset is None else dataset, name)
-    return open_recording(Path(path))
+    place = Path(path)
+    if _GLOB.search(path) and "://" not in path and not place.exists():
+        return _below(sorted(glob.glob(path, recursive=True)), path)
+    if place.is_dir() and not is_dataset(place):
+        return _below([path], path)
+    return open_recording(path)
+
+
+def _below(paths: list[str], named: str) -> Episodes:
+    """Every episode below some paths."""
+    from h3data.recording.finding import find_episodes
+
+    if not paths:
+        raise InputError(f"No file has such a name. Expected recordings or datasets: {named}")
+    return Episodes(find_episodes(paths))
 
 
 def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
@@ -44,6 +100,34 @@ def _open_scene(path: Path, name: str | None) -> Scene | SceneDataset:
     if path.name.endswith(DATASET_ENDING) and name is None:
         return load_scene_dataset(path)
     return read_scene_file(SceneFile(path=str(path), scene=name or ""))
+
+
+@overload
+def measure(recordings: Recording, profile: str | None = None) -> EpisodeMetrics: ...
+@overload
+def measure(
+    recordings: Dataset | Iterable[Recording] | str | os.PathLike[str], profile: str | None = None
+) -> MetricsTable: ...
+def measure(recordings: Any, profile: str | None = None) -> EpisodeMetrics | MetricsTable:
+    """Computes task metrics: the values of one recording, or the table of many with means and 95% intervals.
+
+    Args:
+        recordings: A recording; or a dataset, episodes, or the path of a log, a dataset, or a folder of these.
+        profile: Name of a profile, such as ``field`` (default: that of the recordings' task).
+
+    Raises:
+        InputError: no such profile, or the recordings are of tasks with different metrics.
+        UnmeasurableError: the recording, or all of them, lack what every metric needs.
+    """
+    from h3data import metrics
+
+    if isinstance(recordings, Recording):
+        return metrics.measure(recordings, profile)
+    if isinstance(recordings, Dataset):
+        return metrics.measure_files([recordings.root], profile)
+    if isinstance(recordings, str | os.PathLike):
+        return metrics.measure_files([recordings], profile)
+    return metrics.measure_many(recordings, profile)
 
 
 def render_frame(
@@ -65,11 +149,29 @@ def render_frame(
     return next(iter(replay.frames([track], [row], outputs=outputs)))[1][0]
 
 
+@overload
+def make(
+    task: Any,
+    scenes: Any = ...,
+    *,
+    num_envs: None = None,
+    device: None = None,
+    agents: tuple[str] = ...,
+    **options: Any,
+) -> gymnasium.Env[Any, Any]: ...
+@overload
+def make(
+    task: Any, scenes: Any = ..., *, num_envs: int, device: None = None, **options: Any
+) -> gymnasium.vector.VectorEnv[Any, Any, Any]: ...
+@overload
+def make(task: Any, scenes: Any = ..., **options: Any) -> Any: ...
 def make(task: Any, *args: Any, **options: Any) -> Any:
-    """A training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)`` (docs/environments.md).
+    """Makes a training environment of a task: ``make("social_nav")``, ``make("social_nav", num_envs=64)``.
 
-    Arguments are those of `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the
-    group ``h3data.tasks`` and by ``module:Class``.
+    One world is a Gymnasium environment, ``num_envs`` worlds a vector environment, several ``agents`` a PettingZoo
+    environment, a ``device`` worlds as torch tensors (docs/environments.md). Arguments are those of
+    `sim_kinematic.envs.make.make`; tasks of installed packages are found by entry points of the group ``h3data.tasks``
+    and by ``module:Class``.
 
     Raises:
         InputError: no such task, scenes or option.

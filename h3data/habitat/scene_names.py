@@ -58,6 +58,15 @@ def named_scenes(
     )
 
 
+def is_builtin_name(text: str) -> bool:
+    """Whether the words name built-in homes (``small``, ``small:3``) or a set of scenes, one of which may follow ``#``."""
+    preset, _, seed = text.partition(":")
+    if preset in HOME_PRESETS and (not seed or re.fullmatch(r"[0-9]{1,18}", seed)):
+        return not Path(text).exists()
+    label = text.partition("#")[0]
+    return any(label in (name, *(f"{name}/{split}" for split in of)) for name, of in builtin_sets().items())
+
+
 def _named(text: str, homes: int) -> tuple[NamedScene, ...]:
     if text in HOME_PRESETS:
         return tuple(_home(text, seed) for seed in range(homes))

@@ -23,9 +23,8 @@ from h3data.metrics.registry import measure, profile_for, profiles_named
 from h3data.metrics.requirements import UnmeasurableError, stored_columns
 from h3data.metrics.table import MetricsTable, tabulate
 from h3data.recording import Dataset, Recording, open_recording
-from h3data.recording.opening import logs_in
-from h3data.recording.parquet.files import is_dataset
-from h3data.recording.storage import AnyPath, RemotePath, place
+from h3data.recording.finding import find_sources
+from h3data.recording.storage import AnyPath, RemotePath
 
 _CHUNK = 16
 """Episodes read together from a dataset."""
@@ -72,19 +71,6 @@ def measure_tables(
     return tuple(
         tabulate(group, profile=profile, left_out={} if k else some) for k, group in enumerate(groups.values())
     )
-
-
-def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
-    """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
-    for path in map(place, paths):
-        if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
-            yield path
-            continue
-        datasets = sorted({file.parent.parent for file in path.rglob("meta/info.json")})
-        logs = [log for log in logs_in(path, below=True) if not any(root in log.parents for root in datasets)]
-        if not logs and not datasets:
-            raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
-        yield from (*logs, *datasets)
 
 
 def measure_sources(

@@ -21,6 +21,7 @@ from h3data.recording.records import (
 
 if TYPE_CHECKING:
     from h3data.recording.compare import recordings_equal, state_hash
+    from h3data.recording.episodes import Episodes
     from h3data.recording.mcap.read import read_mcap
     from h3data.recording.mcap.recover import Recovery, recover_mcap
     from h3data.recording.mcap.writer import RecordingWriter, write_mcap
@@ -43,6 +44,7 @@ _HOMES = {
     "read_mcap": "mcap.read",
     "recover_mcap": "mcap.recover",
     "open_recording": "opening",
+    "Episodes": "episodes",
     "Steps": "steps",
     "open_steps": "opening",
     "WindowDataset": "windows",
@@ -57,6 +59,7 @@ __all__ = [
     "Dataset",
     "DatasetWriter",
     "Episode",
+    "Episodes",
     "Event",
     "InputEvent",
     "Recording",

@@ -52,6 +52,8 @@ class Outcome:
 
     text: str
     data: dict[str, Any] = field(default_factory=dict)
+    result: Any = None
+    """The same for Python (`h3data_pipelines.api`)."""
     exit_code: int = 0
     """0 done, 1 done but failures are listed."""
 

@@ -8,6 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 from h3data.errors import InputError, did_you_mean
+from sim_kinematic.envs.recipe import EnvRecipe
 from sim_kinematic.tasks.registry import find_task
 from sim_kinematic.tasks.sources import Scenes
 from sim_kinematic.tasks.task import Task
@@ -39,6 +40,24 @@ def make(
         InputError: no such task, scenes, agents or option, or both ``num_envs`` and several agents are wanted.
         MissingExtraError: Gymnasium or PettingZoo are not installed.
     """
+    given = {"num_envs": num_envs, "device": device, "agents": agents, "render_mode": render_mode, **options}
+    env = _make(task, scenes, num_envs, device, agents, render_mode, dict(options))
+    if device is None:
+        env.recipe = EnvRecipe(task, scenes, {name: value for name, value in given.items() if value is not None})
+        if hasattr(env, "spec"):
+            env.spec = env.recipe.gymnasium_spec()
+    return env
+
+
+def _make(
+    task: str | Task,
+    scenes: Scenes,
+    num_envs: int | None,
+    device: Any,
+    agents: Sequence[str],
+    render_mode: str | None,
+    options: dict[str, Any],
+) -> Any:
     found = find_task(task) if isinstance(task, str) else task
     if device is not None:
         return _on_device(found, scenes, num_envs, device, agents, options)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError, MissingExtraError
+from sim_kinematic.envs.recipe import Remade
 from sim_kinematic.envs.single import ALL, Observations, checked_render_mode, first, one_row, run_seed
 from sim_kinematic.envs.stepper import Stepper
 from sim_kinematic.motion.spec import STEP_S
@@ -24,7 +25,7 @@ except ImportError as error:
 Infos = dict[str, dict[str, Any]]
 
 
-class TaskParallelEnv(pettingzoo.ParallelEnv[str, Any, Any]):
+class TaskParallelEnv(Remade, pettingzoo.ParallelEnv[str, Any, Any]):
     """Several agents act at every step, and all get the same reward.
 
     In tasks with skills, which last differently long, a step lasts until one agent must choose. ``info[agent]["choosing"]``

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from sim_kinematic.envs.recipe import Remade
 from sim_kinematic.envs.stepper import Stepper, gymnasium
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.sensing.watching import Watcher
@@ -16,7 +17,7 @@ Observations = dict[str, NDArray[Any]]
 ALL = np.ones(1, np.bool_)
 
 
-class TaskEnv(gymnasium.Env[Any, Any]):
+class TaskEnv(Remade, gymnasium.Env[Any, Any]):
     """One world in which one agent acts.
 
     ``reset(seed=s)`` begins run ``s`` with its episode 0; every `reset` without a seed goes on to its next episode. The same

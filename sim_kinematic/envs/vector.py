@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
+from sim_kinematic.envs.recipe import Remade
 from sim_kinematic.envs.single import Observations, checked_render_mode, run_seed
 from sim_kinematic.envs.stepper import Info, Stepper, gymnasium
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.sensing.watching import Watcher
 
 
-class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+class TaskVectorEnv(Remade, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """W worlds of `sim_kinematic.envs.single.TaskEnv`: world w after ``reset(seed=s)`` is the single one after ``s + w``.
 
     Autoreset is Gymnasium's NEXT_STEP: the step after a world's last ignores its action, begins its next episode, gives

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
+from h3data.recording.episodes import Episodes, HasEpisodes, StoredEpisode
 from h3data.recording.parquet import tables
 from h3data.recording.parquet.columns import to_numpy
 from h3data.recording.parquet.folder import DatasetFolder
@@ -35,11 +36,39 @@ class Dataset(DatasetFolder):
         super().__init__(root)
         self._declared = {c.name: c for c in self.schema.columns}
 
-    def __getitem__(self, index: int) -> Recording:
-        """Episode ``index``; see `recording`."""
+    @overload
+    def __getitem__(self, index: int) -> Recording: ...
+    @overload
+    def __getitem__(self, index: slice) -> Episodes: ...
+    def __getitem__(self, index: int | slice) -> Recording | Episodes:
+        """Episode ``index``, see `recording`; of a slice the `Episodes`, to be read when they are asked for."""
+        if isinstance(index, slice):
+            return self.all()[index]
         if not -len(self) <= index < len(self):
             raise IndexError(f"The dataset has {len(self)} episodes, there is no {index}.")  # also ends a for loop
         return self.recording(index % len(self))
+
+    def __iter__(self) -> Iterator[Recording]:
+        return (self.recording(index) for index in range(len(self)))
+
+    def all(self) -> Episodes:
+        """All episodes, for `Episodes.filter`, `Episodes.split` and `Episodes.merge`."""
+        return Episodes(
+            StoredEpisode(f"{self.root}#{k}", self.root, partial(self.recording, k), partial(self.row, k), index=k)
+            for k in range(len(self))
+        )
+
+    def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
+        """As `Episodes.filter`: ``ds.filter(policy="heuristic_expert")``, ``ds.filter(lambda f: f["length"] > 300)``."""
+        return self.all().filter(keep, **equal)
+
+    def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
+        """As `Episodes.split`: ``train, test = ds.split(0.8, by="scene")``."""
+        return self.all().split(*shares, seed=seed, by=by)
+
+    def merge(self, *others: HasEpisodes) -> Episodes:
+        """As `Episodes.merge`: ``ds.merge(other).save("both/")``."""
+        return self.all().merge(*others)
 
     def recording(
         self, index: int, *, columns: Sequence[str] | None = None, records: Sequence[str] | None = None

@@ -13,6 +13,8 @@ import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
+from h3data.recording.episodes import StoredEpisode
+from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
     ForceFlag,
@@ -24,7 +26,6 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter, Recording
@@ -77,7 +78,7 @@ class Convert:
         self._refuse_itself()
         to = self.to
         if to == "auto":
-            of_datasets = {source.dataset is not None or "#" in source.name for source in sources}
+            of_datasets = {source.index is not None or "#" in source.name for source in sources}
             if len(of_datasets) > 1:
                 raise InputError("The input holds logs and datasets. Choose the output: --to mcap or --to dataset.")
             to = "mcap" if of_datasets.pop() else "dataset"
@@ -98,19 +99,19 @@ class Convert:
             raise InputError(f"One of input and output contains the other; choose another output folder: {self._out}")
 
     # --- to logs --------------------------------------------------------------------------------------------------
-    def _logs(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
+    def _logs(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
         if not self.resume:
             claim_folder(self._out, force=self.force)
         return [self._log(source, self._target(source)) for source in progress(sources, desc="convert", unit="episode")]
 
-    def _target(self, source: EpisodeSource) -> AnyPath:
+    def _target(self, source: StoredEpisode) -> AnyPath:
         """The log's path below the output, as below the input; episode 3 of a dataset becomes ``DATASET/000003.mcap``."""
         if not self._source.is_dir():
             return self._out / f"{source.path.name.removesuffix('.mcap').replace('#', '_')}.mcap"
         at = self._out / source.path.relative_to(self._source)  # type: ignore[arg-type] - both lie in the same place
-        return at if source.dataset is None else at / f"{source.index:06d}.mcap"
+        return at if source.index is None else at / f"{source.index:06d}.mcap"
 
-    def _log(self, source: EpisodeSource, target: AnyPath) -> dict[str, Any]:
+    def _log(self, source: StoredEpisode, target: AnyPath) -> dict[str, Any]:
         from h3data.recording import write_mcap
 
         row: dict[str, Any] = {"source": source.name, "recording": str(target)}
@@ -136,7 +137,7 @@ class Convert:
         return folder if self.share_scenes and isinstance(folder, Path) else None
 
     # --- to a dataset ---------------------------------------------------------------------------------------------
-    def _dataset(self, sources: list[EpisodeSource]) -> list[dict[str, Any]]:
+    def _dataset(self, sources: list[StoredEpisode]) -> list[dict[str, Any]]:
         from h3data.recording import Dataset, DatasetWriter
 
         rate = _steps_per_second(sources) if self.nominal_fps is None else self.nominal_fps
@@ -156,7 +157,7 @@ class Convert:
             self._compare(sources, rows)
         return rows
 
-    def _compare(self, sources: list[EpisodeSource], rows: list[dict[str, Any]]) -> None:
+    def _compare(self, sources: list[StoredEpisode], rows: list[dict[str, Any]]) -> None:
         """Reads every episode of the dataset back; one that differs from its source has failed."""
         from h3data.recording import Dataset
 
@@ -170,7 +171,7 @@ class Convert:
             except H3DataError as error:
                 row |= {"status": "failed", "reason": str(error)}
 
-    def _add(self, source: EpisodeSource, writer: DatasetWriter, done: dict[str, int]) -> dict[str, Any]:
+    def _add(self, source: StoredEpisode, writer: DatasetWriter, done: dict[str, int]) -> dict[str, Any]:
         try:
             recording = source.read()
             index = done.get(recording.episode.uid)
@@ -210,14 +211,14 @@ def _require_equal(recording: Recording, stored: Recording, path: AnyPath) -> No
         raise H3DataError(f"The output differs from the input: {'; '.join(differences[:4])}: {path}")
 
 
-def _readable(sources: list[EpisodeSource]) -> Iterator[Recording]:
+def _readable(sources: list[StoredEpisode]) -> Iterator[Recording]:
     """Every readable episode, to fix the columns of a dataset; `Convert._add` reports the others."""
     for source in progress(sources, desc="read", unit="episode"):
         with suppress(H3DataError):
             yield source.read()
 
 
-def _steps_per_second(sources: list[EpisodeSource]) -> int:
+def _steps_per_second(sources: list[StoredEpisode]) -> int:
     """Rate of the first readable episode; an `InputError` if there is none."""
     errors = []
     for source in sources:

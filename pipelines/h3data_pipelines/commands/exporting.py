@@ -13,6 +13,8 @@ from h3data.errors import InputError
 from h3data.formats import ExportRequest, Format, export_format, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
+from h3data.recording.episodes import StoredEpisode
+from h3data.recording.finding import find_episodes
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -23,7 +25,6 @@ from h3data_pipelines.command import (
     open_episode,
     remove_dataset,
 )
-from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
 from h3data_pipelines.pictures.rendering import core_count
 
 
@@ -81,7 +82,9 @@ class Export:
             progress=_progress,
         )
         exported = load(form, "write")(recordings, request)
-        return Outcome(text=exported.text, data={"to": form.option, "out": str(self.out), **exported.data})
+        return Outcome(
+            text=exported.text, data={"to": form.option, "out": str(self.out), **exported.data}, result=self.out
+        )
 
     def _claim(self, form: Format) -> None:
         if form.target == "file":
@@ -107,7 +110,7 @@ class _Episodes:
     """The recordings of a path, read again on every iteration."""
 
     def __init__(self, path: Path) -> None:
-        self._sources: list[EpisodeSource] = find_episodes([path])
+        self._sources: list[StoredEpisode] = find_episodes([path])
 
     def __iter__(self) -> Iterator[Recording]:
         for source in progress(self._sources, desc="export", unit="episode"):

@@ -34,7 +34,7 @@ from h3data_pipelines.command import (
 )
 from h3data_pipelines.jobs.episodes import Choices, Job, file_jobs, make_jobs
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
-from h3data_pipelines.jobs.generated import ReadBack, first_played, require_same_options, whose
+from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import simulate_jobs
 
 if TYPE_CHECKING:
@@ -152,7 +152,8 @@ class Generate:
             "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
             "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict(),
         }  # fmt: skip
-        return Outcome(text=text, data=data, exit_code=1 if written.failed else 0)
+        result = Generated(written.dataset, len(written) - done, tuple(written.failed), table)
+        return Outcome(text=text, data=data, result=result, exit_code=1 if written.failed else 0)
 
     def _plan(self, jobs: Sequence[Job]) -> Outcome:
         """Describes the episodes that would be played, without playing any."""

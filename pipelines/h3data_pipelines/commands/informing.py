@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from h3data.errors import H3DataError, InputError
+from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import JsonFlag, Outcome
-from h3data_pipelines.jobs.episode_sources import find_episodes
 
 if TYPE_CHECKING:
     from h3data.recording import Dataset, Recording

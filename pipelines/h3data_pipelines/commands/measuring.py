@@ -68,8 +68,9 @@ class Metrics:
         return self._compare() if self.paired else self._measure()
 
     def _measure(self) -> Outcome:
-        from h3data.metrics.batch import find_sources, measure_tables, recordings
+        from h3data.metrics.batch import measure_tables, recordings
         from h3data.metrics.table_files import write_events, write_series, write_table
+        from h3data.recording.finding import find_sources
 
         tables = measure_tables(self.recordings, self.profile, workers=self.workers)
         first = tables[0]

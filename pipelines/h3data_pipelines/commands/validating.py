@@ -11,8 +11,9 @@ import tyro
 
 from h3data.errors import FormatError, H3DataError, InputError
 from h3data.progress import progress
+from h3data.recording.episodes import StoredEpisode
+from h3data.recording.finding import find_episodes
 from h3data_pipelines.command import JsonFlag, Outcome
-from h3data_pipelines.jobs.episode_sources import EpisodeSource, find_episodes
 
 _SHOWN = 4
 """Findings per kind and recording in the text; JSON has all."""
@@ -57,7 +58,7 @@ class Validate:
         data: dict[str, Any] = {"recordings": len(rows), "failed": failed, **counts, "episodes": rows}
         return Outcome(text=_text(rows, failed), data=data, exit_code=1 if failed else 0)
 
-    def _row(self, source: EpisodeSource, library: Any, *, alone: bool) -> dict[str, Any]:
+    def _row(self, source: StoredEpisode, library: Any, *, alone: bool) -> dict[str, Any]:
         from h3data.replay.validation import Finding, validate_recording
 
         steps = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from h3data.errors import InputError
@@ -13,7 +14,20 @@ from h3data_pipelines.jobs.episodes import Job
 from h3data_pipelines.jobs.failed_episodes import is_failed
 
 if TYPE_CHECKING:
+    from h3data.metrics import MetricsTable
     from h3data.recording import Dataset, DatasetWriter
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A generated dataset."""
+
+    dataset: Dataset
+    new: int
+    """Number of episodes of this run; the others were there before it resumed."""
+    failed: tuple[str, ...]
+    """Episodes that could not be played: number, seed and error."""
+    metrics: MetricsTable
 
 
 class ReadBack:

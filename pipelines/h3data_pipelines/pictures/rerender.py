@@ -26,6 +26,16 @@ if TYPE_CHECKING:
     from h3data.render import Output
 
 
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """Pictures of recordings."""
+
+    files: tuple[Path, ...]
+    """Videos, and folders of images."""
+    failed: dict[str, str]
+    """Why a recording could not be rendered, by its path."""
+
+
 @dataclass(frozen=True)
 class Rerender:
     """Render recordings from any number of cameras, as videos for the browser or as lossless data.
@@ -89,7 +99,11 @@ class Rerender:
         failed = sum("error" in row for row in rows)
         if failed:
             lines.append(f"{failed} of {len(rows)} recordings could not be rendered")
-        return Outcome(text="\n".join(lines), data={"recordings": rows}, exit_code=1 if failed else 0)
+        result = Rendered(
+            files=tuple(Path(file) for row in rows for file in row.get("files", ())),
+            failed={row["recording"]: row["error"] for row in rows if "error" in row},
+        )
+        return Outcome(text="\n".join(lines), data={"recordings": rows}, result=result, exit_code=1 if failed else 0)
 
     def _render(
         self, path: Path, stem: str, outputs: Sequence[Output], counter: str

@@ -62,7 +62,8 @@ class View:
         lines = dict.fromkeys(line for replay in replays for line in missing_lines(replay))
         text = "\n".join([f"wrote {out}; open it with: rerun {out}", *lines])
         missing = {uri: count for replay in reversed(replays) for uri, count in replay.missing.items()}
-        return Outcome(text=text, data={"rrd": str(out), "bytes": out.stat().st_size, "missing": missing})
+        data = {"rrd": str(out), "bytes": out.stat().st_size, "missing": missing}
+        return Outcome(text=text, data=data, result=out)
 
     def _shown(self, path: Path, recording: Recording, replay: Replay) -> ShownRecording:
         from h3data_viewers import ShownRecording, rendered_feed

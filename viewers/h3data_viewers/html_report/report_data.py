@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
 from h3data.metrics import MetricsTable, Profile, tabulate
-from h3data.metrics.batch import find_sources, recordings
+from h3data.metrics.batch import recordings
 from h3data.metrics.registry import profile_for
 from h3data.recording import Recording, open_recording
+from h3data.recording.finding import find_sources
 from h3data.recording.storage import AnyPath
 from h3data_viewers.html_report.report_episode import GRID_S, TRACK_S, ReportEpisode, Track
 from h3data_viewers.html_report.report_evaluations import holds_results, result_episodes

@@ -1,0 +1,154 @@
+"""Episodes wherever they are stored, in datasets and logs: found below paths, chosen, split, merged, read one at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, overload
+
+import numpy as np
+
+from h3data.errors import InputError, did_you_mean
+from h3data.recording.records import Recording
+from h3data.recording.storage import AnyPath, RemotePath
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEpisode:
+    """One episode that can be read."""
+
+    name: str
+    """Path of the file, or ``ds#3``."""
+    path: AnyPath
+    """The file, or the dataset's folder."""
+    read: Callable[[], Recording]
+    """Returns the recording, or raises an `H3DataError`."""
+    read_facts: Callable[[], Mapping[str, Any]]
+    """Reads `facts`, without ``info`` spread out."""
+    index: int | None = None
+    """Its number in a dataset; None of a file."""
+
+    @cached_property
+    def facts(self) -> Mapping[str, Any]:
+        """Facts known without reading the steps: uid, task, scene, seed, length, ``info``, and the entries of ``info``."""
+        row = self.read_facts()
+        info = json.loads(row["info"]) if isinstance(row["info"], str) else row["info"]
+        return {**info, **row, "info": info}
+
+
+class HasEpisodes(Protocol):
+    """A dataset, or `Episodes`."""
+
+    def all(self) -> Episodes: ...
+
+
+class Episodes(Sequence[Recording]):
+    """Episodes in an order, from any number of datasets and logs, read when they are asked for.
+
+    Slices, `filter`, `split` and `merge` give further ones without reading steps; `save` writes them as a dataset.
+    """
+
+    def __init__(self, stored: Iterable[StoredEpisode]) -> None:
+        self.stored = tuple(stored)
+
+    def __len__(self) -> int:
+        return len(self.stored)
+
+    @overload
+    def __getitem__(self, index: int) -> Recording: ...
+    @overload
+    def __getitem__(self, index: slice) -> Episodes: ...
+    def __getitem__(self, index: int | slice) -> Recording | Episodes:
+        if isinstance(index, slice):
+            return Episodes(self.stored[index])
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"There are {len(self)} episodes, there is no {index}.")  # also ends a for loop
+        return self.stored[index].read()
+
+    def __iter__(self) -> Iterator[Recording]:
+        return (stored.read() for stored in self.stored)
+
+    def all(self) -> Episodes:
+        """Returns these episodes, as `Dataset.all` does those of a dataset."""
+        return self
+
+    @property
+    def facts(self) -> list[Mapping[str, Any]]:
+        """Facts of each episode that are known without reading steps: uid, task, scene, seed, length, policy, ..."""
+        return [stored.facts for stored in self.stored]
+
+    def filter(self, keep: Callable[[Mapping[str, Any]], bool] | None = None, **equal: Any) -> Episodes:
+        """Returns the episodes whose facts ``keep`` accepts and that have the given values.
+
+        ``ds.filter(policy="heuristic_expert")``, ``ds.filter(lambda facts: facts["length"] > 300)``.
+
+        Raises:
+            InputError: no episode has such a fact.
+        """
+        facts = self.facts
+        for name in equal:
+            known = sorted(set().union(*facts))
+            if facts and name not in known:
+                raise InputError(
+                    f"No episode has a {name!r}.{did_you_mean(name, known)} They have: {', '.join(known)}."
+                )
+        chosen = (
+            stored
+            for stored, of in zip(self.stored, facts, strict=True)
+            if all(of.get(name) == value for name, value in equal.items()) and (keep is None or keep(of))
+        )
+        return Episodes(chosen)
+
+    def split(self, *shares: float, seed: int = 0, by: str = "uid") -> tuple[Episodes, ...]:
+        """Splits at random, the same for the same seed; ``by="scene"`` keeps the episodes of a scene together.
+
+        Args:
+            shares: Sizes of the parts, as shares of the groups; what is missing to 1 is a last part.
+            seed: Decides which group goes where.
+            by: Fact whose equal values stay together.
+
+        Raises:
+            InputError: shares are not positive, or are more than 1 together.
+        """
+        if not shares or min(shares) <= 0 or sum(shares) > 1 + 1e-9:
+            raise InputError(f"Expected shares above 0 that are at most 1 together, such as 0.8, 0.1, got {shares}.")
+        facts = self.facts
+        groups = list(dict.fromkeys(str(of.get(by)) for of in facts))
+        order = np.random.default_rng(seed).permutation(len(groups))
+        ends = [round(end * len(groups)) for end in np.cumsum(shares)]
+        if sum(shares) < 1 - 1e-9:
+            ends.append(len(groups))
+        part_of = {groups[g]: int(np.searchsorted(ends, place, side="right")) for place, g in enumerate(order)}
+        parts: list[list[StoredEpisode]] = [[] for _ in ends]
+        for stored, of in zip(self.stored, facts, strict=True):
+            parts[part_of[str(of.get(by))]].append(stored)
+        return tuple(map(Episodes, parts))
+
+    def merge(self, *others: HasEpisodes) -> Episodes:
+        """Returns these episodes followed by those of ``others``, each episode once."""
+        stored = {of.facts["uid"]: of for of in self.stored}
+        for other in others:
+            stored |= {of.facts["uid"]: of for of in other.all().stored if of.facts["uid"] not in stored}
+        return Episodes(stored.values())
+
+    def save(self, root: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> None:
+        """Writes the episodes as a dataset.
+
+        Raises:
+            InputError: there are none, or the folder holds something.
+        """
+        from h3data.recording.parquet.writer import DatasetWriter
+
+        if not self.stored:
+            raise InputError(f"There are no episodes to write: {root}")
+        rate = round(1e9 / max(self[0].episode.dt_ns, 1))
+        with DatasetWriter(root, fps=rate, overwrite=overwrite, like=self) as writer:
+            for recording in self:
+                writer.add(recording)
+
+    def __repr__(self) -> str:
+        names = ", ".join(stored.name for stored in self.stored[:3]) + (", ..." if len(self) > 3 else "")
+        return f"Episodes({len(self)}: {names})"

@@ -1,0 +1,85 @@
+"""Finds what is stored below paths: datasets, logs, and the episodes in them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording.episodes import StoredEpisode
+from h3data.recording.opening import logs_in, open_recording, open_steps
+from h3data.recording.parquet.dataset import Dataset
+from h3data.recording.parquet.files import is_dataset
+from h3data.recording.records import Recording
+from h3data.recording.schema import episode_to_dict
+from h3data.recording.storage import AnyPath, RemotePath, place
+
+
+def find_sources(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> Iterator[AnyPath]:
+    """Yields datasets and MCAP logs; any other folder stands for the logs, then the datasets, anywhere below it."""
+    for path in map(place, paths):
+        if not path.is_dir() or (path / "meta").is_dir() or is_dataset(path):
+            yield path
+            continue
+        datasets = sorted({file.parent.parent for file in path.rglob("meta/info.json")})
+        logs = [log for log in logs_in(path, below=True) if not any(root in log.parents for root in datasets)]
+        if not logs and not datasets:
+            raise InputError(f"No recording (.mcap) and no dataset in this folder: {path}")
+        yield from (*logs, *datasets)
+
+
+def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[StoredEpisode]:
+    """Finds every episode of ``.mcap`` files, datasets, single episodes (``ds#3``), and folders of all of these.
+
+    What cannot be opened is in the list too: reading it fails.
+
+    Raises:
+        InputError: there is no such path, or nothing below it.
+    """
+    stored: list[StoredEpisode] = []
+    for path in map(place, paths):
+        if not path.is_dir():
+            stored.append(stored_log(path))
+        elif is_dataset(path):
+            stored += _of_dataset(path)
+        else:
+            for source in find_sources([path]):
+                stored += _of_dataset(source) if source.is_dir() else [stored_log(source)]
+    return stored
+
+
+def stored_log(path: AnyPath) -> StoredEpisode:
+    """The episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
+    return StoredEpisode(str(path), path, lambda: _read(path), lambda: _read_facts(path))
+
+
+def _read(path: AnyPath) -> Recording:
+    opened = open_recording(path)
+    if isinstance(opened, Dataset):
+        raise InputError(f"Expected a recording (.mcap), this is a dataset: {path}")
+    return opened
+
+
+def _read_facts(path: AnyPath) -> Mapping[str, Any]:
+    root, sign, number = str(path).rpartition("#")
+    if sign and number.isdecimal() and not path.exists():
+        return Dataset(root).row(int(number))
+    with open_steps(path) as steps:
+        facts = episode_to_dict(steps.recording(0, 0).episode)
+        facts["info"].pop("window")
+        return {**facts, "length": len(steps)}
+
+
+def _of_dataset(root: AnyPath) -> list[StoredEpisode]:
+    try:
+        return list(Dataset(root).all().stored)
+    except H3DataError as fault:
+        return [_broken(root, fault)]
+
+
+def _broken(root: AnyPath, fault: H3DataError) -> StoredEpisode:
+    def fail() -> Any:
+        raise fault
+
+    return StoredEpisode(str(root), root, fail, fail)

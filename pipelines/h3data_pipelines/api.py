@@ -1,0 +1,175 @@
+"""Jobs from Python, with the options of the commands: ``h3data.generate``, ``h3data.report``, and others.
+
+Each function runs the command of its name, so both do the same; results come back as objects instead of text.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from h3data_pipelines.command import Command
+
+if TYPE_CHECKING:
+    from h3data_pipelines.jobs.generated import Generated
+    from h3data_pipelines.jobs.imports import ImportResult
+    from h3data_pipelines.pictures.rerender import Rendered
+
+AnyPath = str | os.PathLike[str]
+
+
+def generate(
+    task: str,
+    out: AnyPath,
+    *,
+    episodes: int | None = None,
+    seed: int = 0,
+    scenes: str = "small",
+    episodes_file: AnyPath | None = None,
+    assets: Sequence[AnyPath] = (),
+    allow_missing: bool = False,
+    homes: int = 4,
+    policy: str | None = None,
+    partner: str | None = None,
+    agents: str | None = None,
+    robot: str | None = None,
+    human: str | None = None,
+    human_speed: float | None = None,
+    max_steps: int | None = None,
+    spawn_distance: float | None = None,
+    rule: Sequence[str] = (),
+    workers: int = 1,
+    mcap: bool = False,
+    resume: bool = False,
+    force: bool = False,
+) -> Generated:
+    """Simulates episodes of a task into a dataset; options as of ``h3data generate``.
+
+    With ``workers`` above 1 call it under ``if __name__ == "__main__":``, as Python's own `multiprocessing` asks for.
+
+    Returns:
+        The dataset, the episodes that failed and the metrics.
+
+    Raises:
+        InputError: an option is wrong, or the folder holds something.
+    """
+    from h3data_pipelines.commands.generate import Generate
+
+    return _result(Generate, locals())
+
+
+def import_(
+    paths: AnyPath | Sequence[AnyPath],
+    out: AnyPath,
+    *,
+    assets: Sequence[AnyPath] = (),
+    manifest: AnyPath | None = None,
+    fps: float = 30.0,
+    strict: bool = False,
+    force: bool = False,
+) -> ImportResult:
+    """Turns recordings of other programs into MCAP recordings in the folder ``out``; options as of ``h3data import``.
+
+    Returns:
+        What became of every file.
+
+    Raises:
+        InputError: there is nothing to import.
+        FormatError: the only file is of another kind or damaged.
+    """
+    from h3data_pipelines.commands.importing import Import
+
+    return _result(Import, locals(), several=("paths",))
+
+
+def export(
+    recording: AnyPath,
+    out: AnyPath,
+    *,
+    to: str,
+    agent: str | None = None,
+    assets: Sequence[AnyPath] = (),
+    light: bool = False,
+    camera: Sequence[str] = (),
+    force: bool = False,
+) -> Path:
+    """Writes recordings as files of other programs; options as of ``h3data export``.
+
+    Returns:
+        The file or folder.
+
+    Raises:
+        InputError: the format or an option is wrong, or the output exists.
+    """
+    from h3data_pipelines.commands.exporting import Export
+
+    return _result(Export, locals())
+
+
+def rerender(
+    recordings: AnyPath | Sequence[AnyPath],
+    out: AnyPath,
+    *,
+    camera: Sequence[str] = (),
+    outputs: str = "rgb",
+    assets: Sequence[AnyPath] = (),
+    steps: str = "",
+    format: Literal["mp4", "av1", "png", "data"] = "mp4",
+    workers: int | None = None,
+    force: bool = False,
+) -> Rendered:
+    """Renders recordings from any number of cameras into the folder ``out``; options as of ``h3data rerender``.
+
+    Returns:
+        The video files and folders of images, and which recordings failed.
+
+    Raises:
+        InputError: an option is wrong, a file exists, or no recording can be rendered.
+    """
+    from h3data_pipelines.pictures.rerender import Rerender
+
+    return _result(Rerender, locals(), several=("recordings",))
+
+
+def view(
+    recording: AnyPath,
+    *,
+    compare: AnyPath | None = None,
+    out: AnyPath | None = None,
+    camera: Sequence[str] = (),
+    assets: Sequence[AnyPath] = (),
+    force: bool = False,
+) -> Path:
+    """Writes a recording, or two side by side, as a Rerun file; options as of ``h3data view``.
+
+    Returns:
+        The .rrd file.
+
+    Raises:
+        InputError: an option is wrong, or the file exists.
+    """
+    from h3data_pipelines.pictures.viewing import View
+
+    return _result(View, locals())
+
+
+def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
+    """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
+    from h3data_pipelines.options import options_of
+
+    values: dict[str, Any] = {}
+    for option in options_of(command):
+        if option.field not in options:
+            continue
+        value = options[option.field]
+        if option.field in several and (isinstance(value, str) or hasattr(value, "__fspath__")):
+            value = [value]
+        if value is None:
+            continue
+        if option.count == 1:
+            values[option.field] = Path(str(value)) if option.kind is Path else value
+        else:
+            values[option.field] = tuple(map(Path, map(str, value)) if option.kind is Path else value)
+    return command(**values).run().result

@@ -1,0 +1,57 @@
+"""How an environment was made: enough to make it again, in another process or from Gymnasium's own specification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from h3data.errors import H3DataError
+
+if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
+
+
+@dataclass(frozen=True)
+class EnvRecipe:
+    """Arguments of `sim_kinematic.envs.make.make`."""
+
+    task: Any
+    """Name, ``module:Class``, or a `Task`."""
+    scenes: Any
+    options: Mapping[str, Any]
+
+    def make(self) -> Any:
+        """Makes the environment anew; it has not been reset."""
+        from h3data.api import make
+
+        return make(self.task, self.scenes, **self.options)
+
+    def gymnasium_spec(self) -> EnvSpec:
+        """The specification by which ``gymnasium.make(env.spec)`` makes the environment again."""
+        from gymnasium.envs.registration import EnvSpec
+
+        from h3data.envs import IDS
+
+        name = self.task if isinstance(self.task, str) else self.task.name
+        ids = {task: id for id, task in IDS.items()}
+        kwargs = {"task": self.task, "scenes": self.scenes, **self.options}
+        kwargs.pop("num_envs", None)
+        kwargs.pop("render_mode", None)
+        return EnvSpec(
+            id=ids.get(name, f"h3data/{''.join(c if c.isalnum() else '_' for c in name)}-v0"),
+            entry_point="h3data.api:make",
+            vector_entry_point="h3data.api:make",
+            kwargs=kwargs,
+        )
+
+
+class Remade:
+    """An environment that is pickled as its recipe, like Gymnasium's ``EzPickle``: the copy begins with a reset."""
+
+    recipe: EnvRecipe | None = None
+
+    def __reduce__(self) -> tuple[Callable[[], Any], tuple[()]]:
+        if self.recipe is None:
+            raise H3DataError("Only environments made by h3data.make can be pickled.")
+        return self.recipe.make, ()

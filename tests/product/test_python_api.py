@@ -1,0 +1,169 @@
+"""What `import h3data` offers: jobs with the options of the commands, everything opened by the names commands take."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import pickle
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import h3data
+from h3data.errors import InputError
+from h3data.recording import write_mcap
+from h3data_pipelines import api
+from h3data_pipelines.command import Command
+from h3data_pipelines.commands.exporting import Export
+from h3data_pipelines.commands.generate import Generate
+from h3data_pipelines.commands.importing import Import
+from h3data_pipelines.options import options_of
+from h3data_pipelines.pictures.rerender import Rerender
+from h3data_pipelines.pictures.viewing import View
+
+COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
+    (api.generate, Generate),
+    (api.import_, Import),
+    (api.export, Export),
+    (api.rerender, Rerender),
+    (api.view, View),
+]
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    out = tmp_path_factory.mktemp("api") / "ds"
+    return h3data.generate("wander", out, episodes=4, homes=2, max_steps=20)
+
+
+@pytest.mark.parametrize(("function", "command"), COMMANDS, ids=lambda x: getattr(x, "__name__", ""))
+def test_functions_have_the_options_of_their_commands(function: Callable[..., Any], command: type[Command]) -> None:
+    parameters = inspect.signature(function).parameters
+    options = {o.field: o for o in options_of(command)}
+    missing = set(options) - set(parameters) - {"json", "dry_run"}
+    assert not missing, f"{function.__name__} lacks options of the command: {missing}"
+    assert set(parameters) <= set(options)
+    instance = inspect.signature(command).parameters
+    for name, parameter in parameters.items():
+        if parameter.default is not inspect.Parameter.empty:
+            assert parameter.default == instance[name].default, name
+
+
+def test_generate_returns_the_dataset(generated: Any) -> None:
+    assert (len(generated.dataset), generated.new, generated.failed) == (4, 4, ())
+    assert generated.metrics.to_dict()["episodes"]
+    with pytest.raises(InputError, match="not empty"):
+        h3data.generate("wander", generated.dataset.root, episodes=1)
+
+
+def test_view_rerender_and_export_return_files(generated: Any, tmp_path: Path) -> None:
+    episode = f"{generated.dataset.root}#1"
+    assert h3data.view(episode, out=tmp_path / "a.rrd").stat().st_size > 1000
+    rendered = h3data.rerender(episode, tmp_path / "pictures", steps="0:2", format="png", camera=["top_down"])
+    assert rendered.failed == {}
+    assert [path.name for path in rendered.files] == ["ds#1.top_down.rgb"]
+    assert h3data.export(episode, tmp_path / "tables", to="csv").is_dir()
+
+
+# --- open --------------------------------------------------------------------------------------------------------------
+def test_open_takes_what_commands_take(generated: Any, tmp_path: Path) -> None:
+    dataset = h3data.open(generated.dataset.root, h3data.Dataset)
+    recording = h3data.open(f"{dataset.root}#2", h3data.Recording)
+    for name in ("a", "b"):
+        write_mcap(recording, tmp_path / f"{name}.mcap")
+    assert len(h3data.open(tmp_path / "*.mcap", h3data.Episodes)) == 2
+    assert len(h3data.open(tmp_path)) == 2
+    assert h3data.open("small:3", h3data.Scene).name == "home_small_3"
+    assert h3data.open("h3-homes/test#0").name == h3data.open("h3-homes/test#test_00").name
+    with pytest.raises(InputError, match=re.escape("several scenes. Expected one, such as small:0")):
+        h3data.open("small")
+    with pytest.raises(InputError, match="Expected a Dataset, this is a Recording"):
+        h3data.open(tmp_path / "a.mcap", h3data.Dataset)
+    with pytest.raises(InputError, match="No file has such a name"):
+        h3data.open(tmp_path / "*.nothing")
+
+
+# --- episodes ----------------------------------------------------------------------------------------------------------
+def test_slices_filters_and_splits_choose_episodes(generated: Any) -> None:
+    dataset = generated.dataset
+    uids = [row["uid"] for row in dataset.rows]
+    assert [r.episode.uid for r in dataset] == uids
+    assert [r.episode.uid for r in dataset[1:3]] == uids[1:3]
+    assert [r.episode.uid for r in dataset[::-1]] == uids[::-1]
+    scene = dataset.rows[0]["scene"]
+    assert len(dataset.filter(scene=scene)) == 2
+    assert len(dataset.filter(lambda facts: facts["length"] > 20)) == 0
+    with pytest.raises(InputError, match=re.escape("No episode has a 'scen'. Did you mean 'scene'?")):
+        dataset.filter(scen=scene)
+    train, test = dataset.split(0.5, by="scene")
+    assert {f["scene"] for f in train.facts}.isdisjoint(f["scene"] for f in test.facts)
+    assert sorted(f["uid"] for part in (train, test) for f in part.facts) == sorted(uids)
+    assert [f["uid"] for f in dataset.split(0.5, by="scene")[0].facts] == [f["uid"] for f in train.facts]
+    with pytest.raises(InputError, match="Expected shares above 0"):
+        dataset.split(0.8, 0.5)
+
+
+def test_merged_episodes_are_saved_as_a_dataset(generated: Any, tmp_path: Path) -> None:
+    dataset = generated.dataset
+    write_mcap(dataset[3], tmp_path / "a.mcap")
+    both = dataset[:2].merge(h3data.open(tmp_path), dataset[:1])
+    assert [f["uid"] for f in both.facts] == [dataset.rows[k]["uid"] for k in (0, 1, 3)]
+    both.save(tmp_path / "both")
+    saved = h3data.open(tmp_path / "both", h3data.Dataset)
+    for index, recording in enumerate(both):
+        np.testing.assert_array_equal(saved[index].columns["state_hash"], recording.columns["state_hash"])
+
+
+def test_measure_takes_recordings_datasets_episodes_and_paths(generated: Any) -> None:
+    dataset = generated.dataset
+    whole = h3data.measure(dataset).to_dict()
+    assert h3data.measure(str(dataset.root)).to_dict() == whole
+    assert h3data.measure(dataset[0:4]).to_dict() == whole
+    assert h3data.measure(dataset[0]).to_dict()["values"].keys() == {m["name"] for m in whole["metrics"]}
+
+
+# --- environments ------------------------------------------------------------------------------------------------------
+def test_the_version() -> None:
+    assert h3data.__version__
+
+
+def test_gymnasium_finds_the_environments_after_both_imports() -> None:
+    script = "import gymnasium, h3data; print(gymnasium.make('h3data/SocialNav-v0', scenes='small:1').spec.id)"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "h3data/SocialNav-v0"
+
+
+@pytest.mark.parametrize("options", [{}, {"num_envs": 2}, {"agents": ("robot", "human")}], ids=str)
+def test_environments_are_pickled_as_their_recipe(options: dict[str, Any]) -> None:
+    env = h3data.make("social_nav", "small:1", **options)
+    for twin in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        first, again = env.reset(seed=3)[0], twin.reset(seed=3)[0]
+        for left, right in zip(_leaves(first), _leaves(again), strict=True):
+            np.testing.assert_array_equal(left, right)
+
+
+def test_the_specification_makes_the_environment_again() -> None:
+    import gymnasium
+
+    env = h3data.make("social_nav", "small:1")
+    assert env.spec.id == "h3data/SocialNav-v0"
+    assert repr(gymnasium.make(env.spec).unwrapped) == repr(env)
+
+
+def test_wrong_options_of_make_say_what_was_meant() -> None:
+    with pytest.raises(InputError, match=re.escape("Unknown option 'nenvs' of social_nav. Did you mean 'num_envs'?")):
+        h3data.make("social_nav", "small:1", nenvs=3)
+    with pytest.raises(
+        InputError, match=re.escape("Only social_nav runs on a torch device, not rearrange. Hint: leave out device")
+    ):
+        h3data.make("rearrange", "small:1", device="cpu")
+
+
+def _leaves(value: Any) -> list[Any]:
+    return [leaf for each in value.values() for leaf in _leaves(each)] if isinstance(value, dict) else [value]
