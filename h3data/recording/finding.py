@@ -66,9 +66,9 @@ def _read_facts(path: AnyPath) -> Mapping[str, Any]:
     if sign and number.isdecimal() and not path.exists():
         return Dataset(root).row(int(number))
     with open_steps(path) as steps:
-        facts = episode_to_dict(steps.recording(0, 0).episode)
-        facts["info"].pop("window")
-        return {**facts, "length": len(steps)}
+        episode = steps.recording(0, 0).episode
+        info = {name: value for name, value in episode.info.items() if name != "window"}
+        return {**episode_to_dict(episode), "info": info, "length": len(steps)}
 
 
 def _of_dataset(root: AnyPath) -> list[StoredEpisode]:
