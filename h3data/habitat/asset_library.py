@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from h3data.errors import SceneError
 from h3data.habitat.asset_folders import CONFIG_ENDING, AssetFolders, clean_path
 from h3data.habitat.placeholders import placeholder_mesh
 from h3data.habitat.scenes.object_handles import HANDLE, file_of_template, template_mesh
 from h3data.habitat.skinned_meshes import SkinnedMesh, load_skinned_mesh
-from h3data.mesh.loading import load_mesh
+from h3data.mesh.loading import is_file, load_mesh
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import painted
 from h3data.mesh.primitives import box_mesh, is_primitive, primitive_mesh
@@ -21,6 +21,8 @@ from h3data.scene.records import Scene
 
 _log = logging.getLogger(__name__)
 
+OWN_FOLDER_ENDING = ".assets"
+"""Ending of the folder of GLB files that `h3data export --to gfx-replay` writes beside a replay of the same name."""
 EMPTY_URI = "primitive:empty"
 """An instance that the recording shows as nothing (Habitat's ``invalid_filepath``)."""
 
@@ -32,7 +34,15 @@ class AssetLibrary:
     What was asked for and not found collects in `missing`, files that cannot be read in `unreadable`.
     """
 
-    def __init__(self, roots: Sequence[str | Path] | AssetFolders | None = None, *, scene: Scene | None = None) -> None:
+    def __init__(
+        self,
+        roots: Sequence[str | Path] | AssetFolders | None = None,
+        *,
+        scene: Scene | None = None,
+        own_folder: Path | None = None,
+    ) -> None:
+        """Takes the user's roots, a scene that answers ``scene:<asset>``, and the folder that came with a replay file."""
+        self.own_folder = own_folder
         self.folders = roots if isinstance(roots, AssetFolders) else AssetFolders(roots)
         self.scene = scene
         self.missing: list[str] = []
@@ -45,7 +55,17 @@ class AssetLibrary:
 
     def with_scene(self, scene: Scene) -> AssetLibrary:
         """The same roots with a scene that answers ``scene:<asset>``."""
-        return AssetLibrary(self.folders, scene=scene)
+        return AssetLibrary(self.folders, scene=scene, own_folder=self.own_folder)
+
+    def with_own_folder(self, recorded: object) -> AssetLibrary:
+        """The same with the folder that a replay brought along (``info["source"]["assets"]``), if it still exists.
+
+        It answers paths that begin with its name, after the roots; nothing else beside it is read.
+        """
+        folder = Path(recorded) if isinstance(recorded, str) and recorded.endswith(OWN_FOLDER_ENDING) else None
+        if folder is None or not folder.is_dir():
+            return self
+        return AssetLibrary(self.folders, scene=self.scene, own_folder=folder)
 
     @property
     def roots(self) -> tuple[Path, ...]:
@@ -54,7 +74,7 @@ class AssetLibrary:
 
     def resolve(self, uri: str) -> Path | None:
         """The file that a recorded path means, or None; see `AssetFolders.resolve`."""
-        return self.folders.resolve(uri)
+        return self.folders.resolve(uri) or self._beside(uri)
 
     def mesh(self, ref: AssetRef) -> Mesh | None:
         """The mesh of an asset in our frame and metres; None if it is missing or unreadable."""
@@ -79,6 +99,14 @@ class AssetLibrary:
         """A clearly marked stand-in for a missing asset, of a plausible size once ``body.scale`` is applied."""
         del body  # its scale is applied by whoever draws it; nothing else of it is known to bear on the size
         return placeholder_mesh(clean_path(ref if isinstance(ref, str) else ref.uri))
+
+    def _beside(self, uri: str) -> Path | None:
+        """A file in the folder that came with the replay."""
+        path = PurePosixPath(clean_path(uri))
+        if self.own_folder is None or path.parts[:1] != (self.own_folder.name,):
+            return None
+        file = self.own_folder.parent / path
+        return file if is_file(file) else None
 
     def _mesh(self, ref: AssetRef) -> Mesh | None:
         kind, _, name = ref.uri.partition(":")

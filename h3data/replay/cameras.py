@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from h3data.bodies import Robot
 from h3data.errors import InputError, did_you_mean
-from h3data.geometry import pose_to_matrix
+from h3data.geometry import pose_to_matrix, transform_points
 from h3data.render import OPENGL_TO_OPENCV, Camera, look_at, orthographic, pinhole
 from h3data.replay.camera_files import Orbit, link_frames, orbit_poses, track_of_file
 from h3data.replay.records import CameraTrack, forward_fill
@@ -97,6 +97,8 @@ def _user(replay: Replay, column: str) -> CameraTrack:
 
 # --- from above ---------------------------------------------------------------------------------------------------------
 TOP_DOWN_PIXELS = 480_000
+CUT_M = 2.2
+"""Height above the floor at which views from above cut a home that has no layer ``ceiling``, such as a stage of one mesh [m]."""
 
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
@@ -113,7 +115,10 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     middle = (lo + hi) / 2
     eye = np.array([middle[0], hi[1] + distance, middle[2]])
     pose = look_at(eye, np.array([middle[0], lo[1], middle[2]]), up=(0.0, 0.0, -1.0))
-    camera = pinhole(width, height, hfov_deg=hfov_deg, name="top_down", pose=pose, hidden_layers=("ceiling",))
+    near = _ceiling_cut(replay, float(eye[1]), lo)
+    camera = pinhole(
+        width, height, hfov_deg=hfov_deg, name="top_down", pose=pose, hidden_layers=("ceiling",), near=near
+    )
     return CameraTrack(camera=camera, poses=pose[None])
 
 
@@ -127,9 +132,26 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
     eye = np.array([(lo[0] + hi[0]) / 2, hi[1] + 1.0, (lo[2] + hi[2]) / 2])
     pose = look_at(eye, eye - (0.0, 1.0, 0.0), up=(0.0, 0.0, -1.0))
     camera = orthographic(
-        width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",)
-    )
+        width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",),
+        near=_ceiling_cut(replay, float(eye[1]), lo),
+    )  # fmt: skip
     return CameraTrack(camera=camera, poses=pose[None])
+
+
+def _ceiling_cut(replay: Replay, eye_y: float, lo: NDArray[np.float64]) -> float:
+    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked on [m].
+
+    0 if ceilings can be hidden by their layer, or nothing that stands still is as high.
+    """
+    if any(drawable.layer == "ceiling" for drawable in replay.drawables):
+        return 0.0
+    agents = range(len(replay.recording.agents))
+    heights = np.concatenate([[-np.inf], *(replay.recording.agent_column(i, "base_pose")[:, 1] for i in agents)])
+    floor = float(np.max(heights[~np.isnan(heights)]))
+    cut = (floor if np.isfinite(floor) else float(lo[1])) + CUT_M
+    static = [d for d in replay.drawables if not d.moving and not d.placeholder and len(d.mesh.vertices)]
+    tops = (transform_points(d.matrix, d.mesh.vertices)[:, 1].max() for d in static)
+    return max(eye_y - cut, 0.0) if max(tops, default=-np.inf) > cut else 0.0
 
 
 def orbit(replay: Replay) -> CameraTrack:

@@ -54,6 +54,8 @@ class PosedRecording:
         self.detail = detail
         self.stepping = stepping
         self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
+        if isinstance(source := recording.episode.info.get("source"), Mapping):
+            self.library = self.library.with_own_folder(source.get("assets"))
         self.scene: Scene | None = None
         if "scene.glb" in recording.attachments:
             self.scene = load_scene(recording.attachments["scene.glb"])

@@ -28,7 +28,18 @@ from h3data.geometry import pose_to_matrix, quat_from_heading, quat_to_matrix
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.mesh.accessors import GltfArrays
 from h3data.mesh.glb import unpack_glb
-from h3data.recording import Agent, AssetRef, Body, Dataset, Episode, Event, InputEvent, Recording, write_mcap
+from h3data.recording import (
+    Agent,
+    AssetRef,
+    Body,
+    Dataset,
+    Episode,
+    Event,
+    InputEvent,
+    Recording,
+    read_mcap,
+    write_mcap,
+)
 from h3data.replay import Replay
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
@@ -552,3 +563,41 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
     ):
         assert words in run_json(capsys, "export", log, *more, code=2)["error"]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", [".gfx_replay.json", ".gfx_replay.json.gz"])
+def test_an_exported_replay_is_imported_with_its_own_assets(
+    recording: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    ending: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.delenv("H3DATA_ASSETS", raising=False)
+    write_mcap(recording, tmp_path / "walk.mcap")
+    folder = tmp_path / "replay"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    assert main(["export", str(tmp_path / "walk.mcap"), "--to", "gfx-replay", "--light", "-o", f"walk{ending}"]) == 0
+    capsys.readouterr()
+    assert main(["import", f"walk{ending}", "-o", str(tmp_path / "out"), "--json"]) == 0
+    assert "not found" not in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    back = read_mcap(tmp_path / "out" / "walk.mcap")
+    assert Replay(back).missing == {}
+    folder.rename(tmp_path / "moved")
+    assert Replay(back).missing
+    assert Replay(back, assets=[tmp_path / "moved"]).missing == {}
+
+
+def test_a_recording_cannot_name_any_folder_of_assets(recording: Recording, tmp_path: Path) -> None:
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "a.glb").write_bytes(b"")
+    info = {"source": {"assets": str(tmp_path / "secret")}}
+    asset = AssetRef(name="x", uri="secret/a.glb")
+    body = Body(name="x", asset="x", pose=np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
+    changed = replace(
+        recording, episode=replace(recording.episode, info=info), assets=(*recording.assets, asset),
+        bodies=(*recording.bodies, body),
+    )  # fmt: skip
+    assert list(Replay(changed).missing) == ["secret/a.glb"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,16 @@ def test_recordings_and_datasets_are_told(tmp_path: Path, capsys: pytest.Capture
     (dataset,) = info(capsys, tmp_path / "ds")["found"]
     assert (dataset["kind"], dataset["episodes"], dataset["steps"]) == ("dataset", 1, len(recording))
     assert dataset["scenes"] == {recording.episode.scene: 1}
+    ended = replace(recording, episode=replace(recording.episode, info={"ended": "success"}))
+    write_mcap(ended, tmp_path / "logs" / "b.mcap")
+    outcomes = info(capsys, tmp_path / "logs" / "b.mcap")["found"][0]
+    assert (log["ended"], outcomes["ended"]) == (None, "success")
+    assert outcomes["skill_outcomes"] == {"done": len(recording.skills)}
     assert main(["info", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert f"{tmp_path / 'logs' / 'a.mcap'}\nRecording" in out
     assert "ds#0" in out
+    assert f"  ended    success\n  skills   {len(recording.skills)} done" in out
 
 
 def test_what_cannot_be_read_is_told_beside_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import h3data
 from h3data.bodies import load_robot
 from h3data.errors import InputError
+from h3data.geometry import transform_points
 from h3data.recording import Agent, AssetRef, Body, Episode, Recording
 from h3data.replay import Replay, camera_names, camera_track, link_poses
-from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.replay.cameras import CUT_M
+from h3data.scene import Asset, FreeSpace, HomeSpec, Instance, Mesh, build_home
+from h3data.scene.records import instance_matrix
+from h3data.scene.scene_file import scene_bytes
 from sim_kinematic.motion.spec import SocialNavSpec, WalkerSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
@@ -184,3 +190,45 @@ def test_things_of_one_mesh_share_it() -> None:
     stage = Replay(boxes()).stage
     meshes = [instance.mesh for instance in stage.scene.instances]
     assert meshes[0] == meshes[1] != meshes[2]
+
+
+def one_mesh_home() -> Recording:
+    """A person in a home whose walls, floor, furniture and ceiling are one mesh, as scans and HSSD's stages are."""
+    home = build_home(HomeSpec(seed=1))
+    recording = simulate_social_nav(social_nav_episode(home, seed=5, spec=SocialNavSpec(max_steps=10)))
+    meshes = []
+    for instance in home.instances:
+        mesh, matrix = home.assets[instance.asset].mesh, instance_matrix(instance)
+        meshes.append(
+            Mesh(
+                vertices=transform_points(matrix, mesh.vertices).astype(np.float32),
+                faces=mesh.faces,
+                colors=mesh.colors,
+            )
+        )
+    offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    stage = Mesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + k for m, k in zip(meshes, offsets, strict=False)]).astype(np.int32),
+        colors=np.concatenate([m.colors for m in meshes]),
+    )
+    scene = replace(
+        home, assets={"stage": Asset(name="stage", mesh=stage)}, rooms=(),
+        instances=(Instance(name="stage", asset="stage", pose=np.array([0, 0, 0, 0, 0, 0, 1.0])),),
+    )  # fmt: skip
+    body = Body(name="stage", asset="stage", pose=np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
+    return replace(
+        recording, assets=(AssetRef(name="stage", uri="scene:stage"),), bodies=(body,),
+        attachments={"scene.glb": scene_bytes(scene)},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["top_down", "top_down_orthographic"])
+def test_views_from_above_cut_the_ceiling_of_a_stage_of_one_mesh(name: str) -> None:
+    replay = Replay(one_mesh_home(), detail=False)
+    track = camera_track(replay, name)
+    ((_, (picture,)),) = replay.frames([track], [5], outputs=("depth", "instance"))
+    eye = track.poses[0][1, 3]
+    assert (eye - picture["depth"][picture["depth"] > 0]).max() <= CUT_M + 0.05
+    agents = {k for k, drawable in enumerate(replay.drawables) if drawable.agent >= 0}
+    assert agents & set(np.unique(picture["instance"]).tolist()), "people and robots are seen from above"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from h3data.errors import FormatError, InputError, SceneError
 from h3data.formats import SourceFile
 from h3data.habitat.asset_folders import clean_path
-from h3data.habitat.asset_library import EMPTY_URI
+from h3data.habitat.asset_library import EMPTY_URI, OWN_FOLDER_ENDING
 from h3data.habitat.gfx.gfx_agents import PERSON_ROOT_PREFIX, add_agents
 from h3data.habitat.gfx.gfx_fold import Fold, Life, Loaded, Updates, filled, fold_keyframes, fold_tracks
 from h3data.habitat.gfx.gfx_keyframes import Load, read_keyframes
@@ -84,6 +84,9 @@ def read_gfx_replay(path: str | os.PathLike[str], *, fps: float | None = None) -
     if rigs:
         info["rigs"] = rigs
     name = path.name.removesuffix(".gz").removesuffix(".json").removesuffix(".gfx_replay")
+    own = path.with_name(name + OWN_FOLDER_ENDING)
+    if own.is_dir() and any(ref.uri.startswith(f"{own.name}/") for ref in assets):
+        info["source"]["assets"] = str(own.absolute())
     return Recording(
         episode=Episode(
             uid=str(uuid.uuid5(uuid.NAMESPACE_URL, "gfx_replay:" + info["source"]["sha256"])),

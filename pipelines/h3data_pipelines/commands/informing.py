@@ -61,7 +61,8 @@ def _described(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
         except H3DataError as error:
             described.append((f"{source.name}: {error}", {"path": source.name, "error": str(error)}))
         else:
-            described.append((f"{source.name}\n{recording!r}", {"path": source.name, **_of_recording(recording)}))
+            text = "\n".join([f"{source.name}\n{recording!r}", *_outcome(recording)])
+            described.append((text, {"path": source.name, **_of_recording(recording)}))
     return described
 
 
@@ -84,6 +85,13 @@ def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
     }
 
 
+def _outcome(recording: Recording) -> list[str]:
+    """Lines about how the episode and its skills ended, as far as they are recorded."""
+    ended, skills = recording.episode.info.get("ended"), Counter(span.outcome for span in recording.skills)
+    lines = [f"  ended    {ended}"] if ended else []
+    return lines + ([f"  skills   {', '.join(f'{count} {name}' for name, count in skills.items())}"] if skills else [])
+
+
 def _of_recording(recording: Recording) -> dict[str, Any]:
     return {
         "kind": "recording",
@@ -95,6 +103,8 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
         "moving_bodies": len(recording.moving_bodies),
         "events": len(recording.events),
         "skills": len(recording.skills),
+        "skill_outcomes": dict(Counter(span.outcome for span in recording.skills)),
+        "ended": recording.episode.info.get("ended"),
         "columns": {name: {"dtype": str(a.dtype), "shape": list(a.shape)} for name, a in recording.columns.items()},
         "attachments": {name: len(data) for name, data in recording.attachments.items()},
     }

@@ -134,12 +134,13 @@ class AgentRun:
         self.begun, self._driven_since = self._driven_since, -1
         self.write(step, "done", "")
 
-    def finish(self, step: int) -> None:
-        """Reports what is still running in the last step."""
+    def finish(self, step: int, *, completed: bool) -> None:
+        """Reports what is still running in the last step: as done if it ``completed`` the task, which ends the episode before
+        the skill itself does."""
         if self._driven_since >= 0:
             self._end_drive(step)
         elif self.skill is not None:
-            self.write(step, "running", "")
+            self.write(step, "done" if completed else "running", "")
         self.skill = None
 
     def write(self, step: int, outcome: str, reason: str) -> None:
@@ -172,6 +173,8 @@ class RearrangePlay:
     ended: str = "max_steps"
     events: list[Event] = field(default_factory=list)
     spans: list[SkillSpan] = field(default_factory=list)
+    finishers: frozenset[int] = frozenset()
+    """Agents that placed an object at its goal in the step that completed the task."""
 
     def __post_init__(self) -> None:
         world = self.episode
@@ -250,6 +253,9 @@ class RearrangePlay:
             self.reward = self._reward(success)
             self._tell(held, success)
             self.steps += 1
+            if success:
+                released = (held != NOBODY) & (self.objects.held_by == NOBODY) & self.at_goal
+                self.finishers = frozenset(held[released].tolist())
             if success or (self.collision and spec.end_on_collision):
                 self.ended = "success" if success else "collision"
                 yield None
@@ -263,7 +269,7 @@ class RearrangePlay:
     def finish(self) -> None:
         """Reports the skills that are still running."""
         for runner in self.runners:
-            runner.finish(self.step)
+            runner.finish(self.step, completed=runner.number in self.finishers)
 
     def runner(self, number: int) -> AgentRun:
         """The run of an agent."""

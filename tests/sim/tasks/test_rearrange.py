@@ -215,6 +215,11 @@ def test_skills_and_events_tell_the_story(pair: Recording) -> None:
         for s in spans:
             if s.end_step > s.start_step:
                 assert (codes[s.start_step : s.end_step] == SKILLS.index(s.name)).all()
+    last = next(e for e in reversed(pair.events) if e.kind == "place")
+    ends = {s.agent: s for s in pair.skills if s.end_step == len(pair) - 1}
+    assert (ends[last.agent].name, ends[last.agent].outcome) == ("place", "done"), "the skill that completes the task"
+    assert ends[1 - last.agent].outcome == "running"
+    assert pair.episode.info["ended"] == "success"
     kinds = [(e.kind, e.agent) for e in pair.events]
     assert sorted(k for k, _ in kinds) == ["pick", "pick", "place", "place", "success"]
     for e in pair.events:
