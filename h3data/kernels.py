@@ -4,29 +4,51 @@ numba recompiles a cached kernel when the kernel's own file changes. But a kerne
 the constants it reads from other files; when only those change, numba would keep running the stale machine code. The
 stamp of the cache therefore covers all of our modules that the kernel's module imports, directly or indirectly.
 
-The first compilation of a process is announced in the log (``h3data.kernels``, INFO): on a fresh machine, the first
-command spends about twenty seconds on it, once.
+Processes share the work: each kernel is compiled under a lock of its own in the cache folder, so that of several workers
+one compiles it and the others load it. The first compilation is announced on stderr, once for a process and its workers.
+``H3DATA_QUIET=1`` (`h3data.progress`) silences it, and so does ``logging.getLogger("h3data.kernels").setLevel("WARNING")``.
 """
 
 from __future__ import annotations
 
+import errno
 import functools
+import gc
 import hashlib
 import logging
+import os
 import re
+import socket
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import event
+from numba.core import sigutils
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
+
+from h3data.progress import is_quiet
+
+try:
+    import fcntl
+except ImportError:  # not POSIX: every process compiles for itself
+    fcntl = None
 
 _log = logging.getLogger(__name__)
+if _log.level == logging.NOTSET:
+    _log.setLevel(logging.INFO)
+_kernels: list[Any] = []
+_COMMON: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True}  # nobody takes the address of a kernel
+_PART: dict[str, Any] = {**_COMMON, "no_cpython_wrapper": True}
 
 OURS = ("h3data", "sim_kinematic")
 """Packages whose sources are part of the stamp."""
+ANNOUNCEMENT = "Compiling kernels, once per machine: up to a minute in all; `h3data warmup` does it ahead."
 _IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
 """Top-level imports; indented ones are for type checkers or run too late to reach a kernel."""
 
@@ -34,41 +56,132 @@ _IMPORT = re.compile(r"^(?:from|import)\s+([\w.]+)", re.MULTILINE)
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: ``njit(cache=True, nogil=True)`` with further ``options``.
 
-    Functions that are only called by other kernels, and compiled into them, may use a plain ``njit(nogil=True)``.
+    Functions that only kernels call are better a `kernel_part`.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
         try:
-            dispatcher: Any = njit(cache=True, nogil=True, **options)(function)
+            dispatcher: Any = njit(cache=True, **_COMMON, **options)(function)
         except RuntimeError:  # numba finds no writable folder for its cache
             _warn_once()
-            return njit(nogil=True, **options)(function)
-        if hasattr(dispatcher, "_cache"):  # absent with NUMBA_DISABLE_JIT
-            file = (
-                dispatcher._cache._cache_file
-            )  # numba has no public hook; tests/test_kernels.py fails if this changes
+            dispatcher = njit(**_COMMON, **options)(function)
+        cache: Any = getattr(dispatcher, "_cache", None)
+        if hasattr(cache, "_cache_file"):  # absent with NUMBA_DISABLE_JIT
+            file = cache._cache_file  # numba has no public hook; tests/test_kernels.py fails if this changes
             file._source_stamp = (file._source_stamp, source_digest(function.__module__))
+        if isinstance(dispatcher, Dispatcher):
+            vars(dispatcher)["compile"] = functools.partial(_compile, dispatcher)
+            _kernels.append(dispatcher)
         return dispatcher
 
     return compiled
 
 
+def kernel_part(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator: ``njit(nogil=True)`` with further ``options``, for functions that only kernels call.
+
+    Leaving out the wrapper for calls from Python makes them compile about a tenth faster; such a call raises TypeError.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        part: Any = njit(**_PART, **options)(function)
+        if isinstance(part, Dispatcher):
+            part.__class__ = _part_type(type(part))
+        return part
+
+    return compiled
+
+
+@functools.cache
+def _part_type(dispatcher_type: type) -> type:
+    def refuse(self: Any, *_: Any, **__: Any) -> None:
+        raise TypeError(
+            f"{self.__name__} is part of a kernel and has no entry point for Python; call it from a kernel."
+        )
+
+    return type("KernelPart", (dispatcher_type,), {"__call__": refuse})  # without it, numba would call a null pointer
+
+
+# --- compiling ------------------------------------------------------------------------------------------------------
+def compiled_count() -> int:
+    """Number of kernels that this process has compiled itself."""
+    return sum(sum(kernel.stats.cache_misses.values()) for kernel in _kernels)
+
+
+def compiled_files() -> dict[str, int]:
+    """Size [bytes] of each file of machine code, one for each type of arguments, of the kernels imported so far."""
+    files = [kernel._cache._cache_file for kernel in _kernels if hasattr(kernel._cache, "_cache_file")]
+    paths = [Path(file._data_path(name)) for file in files for name in file._load_index().values()]
+    return {str(path): path.stat().st_size for path in paths}
+
+
+def _compile(dispatcher: Any, signature: Any) -> Any:
+    """numba's `Dispatcher.compile`, once per machine."""
+    compile_here = functools.partial(type(dispatcher).compile, dispatcher, signature)
+    with global_compiler_lock:  # taken before the file lock by everybody, so that threads cannot block each other
+        if tuple(sigutils.normalize_signature(signature)[0]) in dispatcher.overloads:
+            return compile_here()
+        file = getattr(dispatcher._cache, "_cache_file", None)
+        if file is None:
+            _announce()
+            with _garbage_kept():
+                return compile_here()
+        key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+        if key in file._load_index():
+            return compile_here()
+        _announce()
+        with _locked(Path(file._index_path + ".lock")), _garbage_kept():
+            return compile_here()  # looks into the cache again: another process may have just filled it
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Waits for other processes that hold the lock file ``path``; it is released even when this process is killed."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("ab")
+        if fcntl:
+            fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:  # a read-only folder or a file system without locks: compile all the same
+        yield
+        return
+    try:
+        yield
+    finally:
+        if fcntl:
+            fcntl.flock(file, fcntl.LOCK_UN)  # closing would not do while a forked process holds the file open
+        file.close()
+
+
+@contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Pauses the garbage collector: numba allocates millions of objects, and scanning them takes a sixth of its time."""
+    paused = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if paused:
+            gc.enable()
+
+
 @functools.cache
 def _announce() -> None:
-    _log.info("Compiling kernels for this machine, once: up to half a minute in all.")
-
-
-class _Announcer(event.Listener):
-    """Listens for compilations; kernels loaded from the cache raise no event."""
-
-    def on_start(self, event: event.Event) -> None:
-        _announce()
-
-    def on_end(self, event: event.Event) -> None:
-        pass
-
-
-event.register("numba:compile", _Announcer())
+    """Says on stderr, or in the log if there is one, that compiling takes a while: once for a process and its workers."""
+    if is_quiet() or not _log.isEnabledFor(logging.INFO):
+        return
+    parent = parent_process()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as announcer:
+        try:  # an abstract address of Linux: one process at a time can take it, and it is free again when that one ends
+            announcer.bind(f"\0h3data-kernels-{os.getpid() if parent is None else parent.pid}")
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                return
+        announcer.detach()  # open until the process ends
+    if _log.hasHandlers():
+        _log.info(ANNOUNCEMENT)
+    else:
+        sys.stderr.write(ANNOUNCEMENT + "\n")
 
 
 @functools.cache

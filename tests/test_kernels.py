@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import subprocess
 import sys
@@ -58,7 +59,7 @@ def test_a_kernel_follows_changes_in_the_files_it_imports(tmp_path: Path):
 def test_compiling_is_announced_once(tmp_path: Path):
     script = "import logging, sys\nlogging.basicConfig(level='INFO', format='%(message)s', stream=sys.stdout)" + SCRIPT
     announced, result = _run(tmp_path, factor=2, size=3, script=script).splitlines()
-    assert announced.startswith("Compiling kernels")
+    assert announced.startswith("Compiling kernels, once per machine")
     assert result == "6.0 0"
     assert _run(tmp_path, factor=2, size=3, script=script) == "6.0 1"  # nothing was compiled, nothing is said
 
@@ -104,3 +105,31 @@ def test_kernels_work_where_no_cache_can_be_written(monkeypatch):
     with pytest.warns(RuntimeWarning, match="NUMBA_CACHE_DIR"):
         assert kernels.kernel()(abs)(-2) == 2
     assert kernels.kernel()(abs)(-3) == 3, "and it says so only once"
+
+
+def test_a_part_of_a_kernel_refuses_to_be_called_from_python():
+    @kernels.kernel_part()
+    def part(x):
+        return x + 1
+
+    @kernels.kernel()
+    def whole(x):
+        return part(x) + 1
+
+    assert whole(1) == 3
+    with pytest.raises(TypeError, match="part is part of a kernel and has no entry point for Python"):
+        part(1)
+
+
+def test_garbage_is_collected_again_after_compiling():
+    enabled = []
+
+    @kernels.kernel()
+    def grown(x):
+        return x + 2
+
+    with kernels._garbage_kept():
+        enabled.append(gc.isenabled())
+    assert grown(1) == 3
+    assert enabled == [False]
+    assert gc.isenabled()

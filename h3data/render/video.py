@@ -10,12 +10,11 @@ from types import TracebackType
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
 from h3data.files import part_file
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 Codec = Literal["h264", "av1", "ffv1"]
 
@@ -175,12 +174,12 @@ def _to_yuv(rgb, y, u, v):
             v_line[c] = np.uint8(_weighted(112, r, -94, g, -18, b, 131584) >> np.int32(10))
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _weighted(of_r, r, of_g, g, of_b, b, more):
     return np.int32(of_r) * r + np.int32(of_g) * g + np.int32(of_b) * b + np.int32(more)
 
 
-@njit(nogil=True, forceinline=True, boundscheck=False)
+@kernel_part(forceinline=True, boundscheck=False)
 def _four(upper, lower, k):
     """Sum of a channel over 2x2 pixels."""
     return np.int32(upper[k]) + np.int32(upper[k + 3]) + np.int32(lower[k]) + np.int32(lower[k + 3])

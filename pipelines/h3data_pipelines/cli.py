@@ -51,7 +51,6 @@ def _run(args: list[str]) -> int:
     from h3data_pipelines.parsing import parse
 
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
-    logging.getLogger("h3data.kernels").setLevel(logging.INFO)  # says that the first command compiles
     try:
         invocation = parse(args, COMMANDS, about=ABOUT)
         command = invocation.command

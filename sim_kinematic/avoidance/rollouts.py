@@ -66,7 +66,8 @@ def _roll_out(
         then = min(max(commands[n, 3], -limits[3]), 1.0) * limits[0]
         alike = n > 0 and commands[n, 0] == commands[n - 1, 0] and commands[n, 1] == commands[n - 1, 1]
         if alike and commands[n, 2] >= branch:  # begin where the one before went on straight
-            ends[n, :3] = ends[n - 1, :3]
+            for k in range(3):  # by element: to copy slices, numba compiles an error text for 2 s
+                ends[n, k] = ends[n - 1, k]
         else:
             branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
         first, x, z, heading, gap = branch, branch_x, branch_z, branch_heading, branch_gap

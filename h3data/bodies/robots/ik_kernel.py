@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from h3data.bodies.robots.kinematics import SLIDES, TURNS
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 MAX_STEP = 0.6
 """Longest move of a joint in one step [rad or m]."""
@@ -22,7 +21,7 @@ FREE_RANGE = math.pi
 """A joint without a limit begins again up to this far from 0."""
 
 
-@njit(nogil=True)
+@kernel_part()
 def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains, offsets, q, ends, jacobian, error):
     """Errors [2] of posture ``q`` into ``ends``; their vector [6] into ``error``, its derivative [6, J] into ``jacobian``."""
     links = len(kinds)
@@ -84,7 +83,7 @@ def _walk(target, oriented, weight, point, origins, kinds, axes, columns, gains,
                     jacobian[3 + i, column] += weight * gain * lines[k, i]
 
 
-@njit(nogil=True)
+@kernel_part()
 def _rotation_vector(r):
     """Axis times angle [3] of a rotation matrix."""
     v = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
@@ -103,7 +102,7 @@ def _rotation_vector(r):
     return axis * (math.pi / math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2))
 
 
-@njit(nogil=True)
+@kernel_part()
 def _solve(a, b, size):
     """x with ``a x = b`` for a positive definite matrix; both arguments are overwritten, ``b`` with x."""
     for i in range(size):
@@ -122,7 +121,7 @@ def _solve(a, b, size):
         b[i] /= a[i, i]
 
 
-@njit(nogil=True)
+@kernel_part()
 def _step(jacobian, error, size, damping, q, free, lower, upper, move):
     """The damped step of all joints into ``move``; those at a limit that push outwards stay."""
     move[:] = 0
@@ -156,7 +155,7 @@ def _step(jacobian, error, size, damping, q, free, lower, upper, move):
         move *= MAX_STEP / longest
 
 
-@njit(nogil=True)
+@kernel_part()
 def _noise(restart, column):
     """A number in [0, 1) that depends on its arguments alone (the finaliser of splitmix64)."""
     value = np.uint64(restart) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(column) * np.uint64(0xD1B54A32D192ED03)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 CLUSTER_TRIANGLES, CLUSTER_VERTICES, GROUP_CLUSTERS = 64, 128, 32
 GROUP_TRIANGLES = 1792
@@ -75,26 +74,26 @@ def _triangle_boxes(vertices, faces):
     return low, high
 
 
-@njit(nogil=True)
+@kernel_part()
 def _clear(box):
     box[:3] = np.inf
     box[3:] = -np.inf
 
 
-@njit(nogil=True)
+@kernel_part()
 def _grow(box, low, high):
     for axis in range(3):
         box[axis] = min(box[axis], low[axis])
         box[3 + axis] = max(box[3 + axis], high[axis])
 
 
-@njit(nogil=True)
+@kernel_part()
 def _surface(box):
     x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
     return x * y + y * z + z * x
 
 
-@njit(nogil=True)
+@kernel_part()
 def _binned_split(order, low, high, start, end):
     """Reorders ``order[start:end]`` at the cheapest boundary between bins; returns the index of the split."""
     centers = np.empty(6)
@@ -146,7 +145,7 @@ def _binned_split(order, low, high, start, end):
     return i
 
 
-@njit(nogil=True)
+@kernel_part()
 def _sorted_split(order, low, high, start, end):
     """Sorts ``order[start:end]`` along the axis of the cheapest split at whole clusters; returns the index of the split."""
     count = end - start
@@ -171,7 +170,7 @@ def _sorted_split(order, low, high, start, end):
     return start + split
 
 
-@njit(nogil=True)
+@kernel_part()
 def _vertex_count(order, faces, start, end, seen):
     """Number of distinct vertices of triangles ``order[start:end]``; ``seen`` is scratch for 3 * 64 vertices."""
     count = 0

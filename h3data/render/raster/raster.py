@@ -20,10 +20,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster_cutouts import draw_cutouts
 from h3data.render.raster.raster_draw import (
     CLUSTER,
@@ -175,7 +174,7 @@ def _clear(target, width, height):
     target.tile_stale[:] = 0
 
 
-@njit(nogil=True)
+@kernel_part()
 def _cut_far(view, target):
     limit = nearness_of(view.far, view)
     for y in range(view.height):
@@ -186,7 +185,7 @@ def _cut_far(view, target):
 
 
 # --- frustum --------------------------------------------------------------------------------------------------------
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _outside(planes, center, half, box):
     """Whether a box lies entirely behind one of the 5 planes [5, 4]; NaN counts as outside."""
     for k in range(5):
@@ -198,7 +197,7 @@ def _outside(planes, center, half, box):
     return False
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _pixel_span(middle, extent, near, far, focal, principal, size):
     """Range of pixel coordinates covered by a camera-space interval at depths near..far, clipped to the image."""
     low, high = middle - extent, middle + extent
@@ -207,7 +206,7 @@ def _pixel_span(middle, extent, near, far, focal, principal, size):
     return max(low - SPAN_MARGIN_PX, 0.0), min(high + SPAN_MARGIN_PX, size - 0.5)
 
 
-@njit(nogil=True)
+@kernel_part()
 def _place(i, matrix, view, target, planes):
     """Fills an instance's matrices to camera space and to pixels, and the frustum planes in its mesh's frame."""
     fx, fy, cx, cy = view.intrinsics
@@ -228,7 +227,7 @@ def _place(i, matrix, view, target, planes):
     planes[0, 3] -= view.near
 
 
-@njit(nogil=True)
+@kernel_part()
 def _place_parallel(i, view, target, planes):
     """Adapts the result of `_place` to an orthographic camera, whose pixels do not depend on z.
 
@@ -243,7 +242,7 @@ def _place_parallel(i, view, target, planes):
         planes[3, c], planes[4, c] = y + cy * one, (view.height - cy) * one - y
 
 
-@njit(nogil=True)
+@kernel_part()
 def _collect(geometry, placement, view, target):
     """Fills the draws with the clusters inside the frustum, their tiles and smallest z; returns their number."""
     fx, fy, cx, cy = view.intrinsics
@@ -288,7 +287,7 @@ def _collect(geometry, placement, view, target):
     return count
 
 
-@njit(nogil=True)
+@kernel_part()
 def _front_to_back(near, count):
     """Indices of the draws by smallest z (counting sort, which is stable, so that images are reproducible)."""
     furthest = np.float32(1e-6)

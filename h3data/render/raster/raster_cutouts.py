@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from h3data.kernels import kernel_part
 from h3data.render.raster.raster_draw import (
     CLUSTER,
     INSTANCE,
@@ -35,7 +35,7 @@ from h3data.render.raster.raster_simd import (
 from h3data.render.shade.cutouts import is_solid
 
 
-@njit(nogil=True)
+@kernel_part()
 def draw_cutouts(geometry, cutouts, view, target, order):
     """Draws the clusters with holes in the given order, clipped at the near plane."""
     row_bytes = np.uintp(target.inv_z.shape[1] * 4)
@@ -88,7 +88,7 @@ def draw_cutouts(geometry, cutouts, view, target, order):
                 stale[ty, tx] = 1
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def fill_cutout(p, view, is_near, box, target, word, cutouts, place, lane):
     """Like `raster_fill.fill_large`, but only where the texture is solid and behind the near plane. Modifies ``p``."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])

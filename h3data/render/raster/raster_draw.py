@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from h3data.kernels import kernel_part
 from h3data.render.raster.raster_fill import camera_corners, clip_near, fill_large, fill_medium, fill_small
 from h3data.render.raster.raster_simd import (
     CENTER_X,
@@ -34,13 +34,13 @@ OCCLUSION_MARGIN = np.float32(1.00001)
 INSTANCE, CLUSTER, TILE_X0, TILE_X1, TILE_Y0, TILE_Y1 = range(6)
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
+@kernel_part(forceinline=True, error_model="numpy")
 def nearness_of(z, view):
     """Nearness at depth ``z``."""
     return view.reach - z if view.parallel else 1 / z
 
 
-@njit(nogil=True)
+@kernel_part()
 def screen_words(view):
     """The camera's parameters for `setup_triangles`."""
     screen = np.empty(SCREEN_WORDS, np.float32)
@@ -49,7 +49,7 @@ def screen_words(view):
     return screen
 
 
-@njit(nogil=True)
+@kernel_part()
 def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, row_bytes):
     """Whether all pixels in a range of tiles are nearer than ``inv_z``; updates stale bounds as needed."""
     for ty in range(tile_y0, tile_y1 + 1):
@@ -65,7 +65,7 @@ def hidden(tile_x0, tile_x1, tile_y0, tile_y1, inv_z, bounds, stale, inv_z_at, r
     return True
 
 
-@njit(nogil=True)
+@kernel_part()
 def draw_clusters(geometry, cut_first, view, target, order):
     """Draws the clusters in the given order, without those that cross the near plane or have holes (``cut_first`` >= 0)."""
     stride = target.inv_z.shape[1]
@@ -134,13 +134,13 @@ def draw_clusters(geometry, cut_first, view, target, order):
                 stale[ty, tx] = 1
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def has_near_plane(view):
     """Whether triangles are clipped; perspective cameras without a near plane see everything up to the eye."""
     return view.near > 0 or view.parallel
 
 
-@njit(nogil=True)
+@kernel_part()
 def draw_cut(geometry, cut_first, view, target, order):
     """Draws the clusters that cross the near plane, which `draw_clusters` skips: clipped and filled one by one."""
     stride = target.inv_z.shape[1]
@@ -163,7 +163,7 @@ def draw_cut(geometry, cut_first, view, target, order):
                     fill_large(pieces[k], view, True, no_box, inv_z_at, words_at, stride, word)
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def lane_hidden(table, boxes, lane, bounds, stale, inv_z_at, row_bytes):
     """`hidden` for one triangle of a packet after set-up."""
     nearest = table[INV_Z_MAX, lane] * OCCLUSION_MARGIN

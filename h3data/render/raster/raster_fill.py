@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from h3data.kernels import kernel_part
 from h3data.render.raster.raster_simd import (
     E0,
     E0_DX,
@@ -26,7 +26,7 @@ from h3data.render.raster.raster_simd import (
 )
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
     """Fills a triangle at most 8 pixels wide with one block per row."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
@@ -44,7 +44,7 @@ def fill_small(table, boxes, lane, inv_z_at, words_at, stride, word):
         offset += np.uintp(stride * 4)
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
+@kernel_part(forceinline=True, error_model="numpy")
 def _cut(low, high, edge, step, minus_inverse):
     """The part of the span low..high where ``edge + step * x >= 0``.
 
@@ -59,7 +59,7 @@ def _cut(low, high, edge, step, minus_inverse):
     return low, high
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
+@kernel_part(forceinline=True, error_model="numpy")
 def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
     """Fills a triangle up to 64 pixels wide and high: float32 spans per row, then blocks, which test each pixel."""
     e0, e1, e2, inv_z = table[E0, lane], table[E1, lane], table[E2, lane], table[INV_Z, lane]
@@ -99,7 +99,7 @@ def fill_medium(table, boxes, lane, inv_z_at, words_at, stride, word):
         row += np.uintp(stride * 4)
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def camera_corners(soup, to_camera, corners):
     """Fills the triangle's corners in camera space [9]; returns the smallest z."""
     nearest = np.inf
@@ -115,14 +115,15 @@ def camera_corners(soup, to_camera, corners):
     return nearest
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def clip_near(pieces, near):
     """Clips the triangle pieces[0] in camera space at z = near to 0 to 2 triangles [2, 9]; returns their number."""
     polygon, count, corners = np.empty((4, 3)), 0, pieces[0]
     for v in range(3):
         a, b = corners[3 * v : 3 * v + 3], corners[3 * ((v + 1) % 3) : 3 * ((v + 1) % 3) + 3]
         if a[2] >= near:
-            polygon[count] = a
+            for axis in range(3):  # by element: to copy slices, numba compiles an error text for 2 s
+                polygon[count, axis] = a[axis]
             count += 1
         if (a[2] >= near) != (b[2] >= near):
             s = (near - a[2]) / (b[2] - a[2])
@@ -135,7 +136,7 @@ def clip_near(pieces, near):
     return max(count - 2, 0)
 
 
-@njit(nogil=True)
+@kernel_part()
 def visible_box(p, view):
     """Pixel box (x0, x1, y0, y1; inclusive, empty if x1 < x0) of the part of a triangle in front of the eye plane."""
     fx, fy, cx, cy = view.intrinsics
@@ -162,7 +163,7 @@ def visible_box(p, view):
     return x0, x1, y0, y1
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def cut_exact(low, high, edge, step, minus_inverse):
     """Like `_cut`, in double; a zero step keeps the whole span or nothing."""
     crossing = edge * minus_inverse
@@ -173,7 +174,7 @@ def cut_exact(low, high, edge, step, minus_inverse):
     return low, (high if edge >= 0 else -1.0)
 
 
-@njit(nogil=True, inline="always", error_model="numpy")
+@kernel_part(inline="always", error_model="numpy")
 def edge_functions(p, view, x0, y0):
     """Homogeneous edge functions (Olano & Greer 1997) and nearness of a triangle [9] in camera space, in double.
 
@@ -213,7 +214,7 @@ def edge_functions(p, view, x0, y0):
     return determinant != 0, (e0, e1, e2, inv_z), (d0, d1, d2, dw), (c0, c1, c2, cw)
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def fill_large(p, view, is_near, box, inv_z_at, words_at, stride, word):
     """Fills any triangle [9] in camera space by `edge_functions`, which need no clipping. Modifies ``p``."""
     x0, x1, y0, y1 = np.int64(box[X0]), np.int64(box[X1]), np.int64(box[Y0]), np.int64(box[Y1])

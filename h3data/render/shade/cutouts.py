@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 from h3data.mesh.mesh import Texture
 from h3data.render.shade.surface import Surface
 
@@ -112,7 +111,7 @@ def has_holes(opacity: NDArray[np.uint8]) -> bool:
     return bool(clear.any() and not clear.all())
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _texel_before(coordinate, size):
     """The texel whose centre lies just before a coordinate [repeats], and the fraction beyond it.
 
@@ -126,7 +125,7 @@ def _texel_before(coordinate, size):
     return int(place), place - int(place)
 
 
-@njit(nogil=True)
+@kernel_part()
 def is_solid(maps, opacity, texture, s, t):
     """Whether a texture with holes is at least half opaque at (s, t) [repeats]."""
     first, width, height = maps[texture, 0], maps[texture, 1], maps[texture, 2]

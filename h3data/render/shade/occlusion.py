@@ -11,10 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import FAR_PADDING, Target, View
 from h3data.render.shade.occlusion_simd import (
     BIAS_PER_Z,
@@ -148,7 +147,7 @@ def _occlude(source, factor, height, width, table, inv_z, planes, scratch):
     _clear_edges(planes, height, width)
 
 
-@njit(nogil=True)
+@kernel_part()
 def _clear_edges(planes, height, width):
     """Sets the padding to no occlusion, on planes that match no pixel."""
     for k in range(4):
@@ -159,7 +158,7 @@ def _clear_edges(planes, height, width):
         planes[k, :, EDGE + width :] = value
 
 
-@njit(nogil=True)
+@kernel_part()
 def dim_row(occlusion, strength, y, near, strip):
     """Dims an image row of linear levels (the first three rows of ``strip`` [.., W + 8]), given its 1/z ``near`` [W + 8]."""
     inv_z, planes = occlusion
@@ -185,7 +184,7 @@ def dim_row(occlusion, strength, y, near, strip):
         )
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def light_left(occlusion, strength, x, y, near):
     """Share of the light that `dim_row` leaves at image pixel (x, y), for one sample at 1/z ``near``."""
     inv_z, planes = occlusion

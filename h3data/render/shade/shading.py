@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from h3data.geometry import normalized
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 from h3data.render.raster.raster import FAR_PADDING, Geometry, Placement, Target, View
 from h3data.render.shade.borrowed import borrowed
 from h3data.render.shade.occlusion import Occlusion, dim_row, light_left, occlude, receded
@@ -209,11 +208,12 @@ def _shade_image(
                     normal[y, x, a] = normals[3 + a, x]
 
 
-@njit(nogil=True)
+@kernel_part()
 def _row_words(words, y, fine, row):
     """Fills the words of an image row [W]; `_MIXED` where the four samples of a pixel differ."""
     if not fine:
-        row[:] = words[y, : len(row)]
+        for x in range(len(row)):  # by element: to copy slices, numba compiles an error text for 2 s
+            row[x] = words[y, x]
         return
     upper, lower = words[2 * y], words[2 * y + 1]
     for x in range(len(row)):
@@ -222,7 +222,7 @@ def _row_words(words, y, fine, row):
         row[x] = word if same else _MIXED
 
 
-@njit(nogil=True)
+@kernel_part()
 def _normal_matrices(matrices):
     """Cofactors [I, 3, 3] of the 3x3 parts, which transform normals correctly under any scale, up to length and sign."""
     out = np.empty((len(matrices), 3, 3))
@@ -237,7 +237,7 @@ def _normal_matrices(matrices):
 
 
 # --- runs of pixels -------------------------------------------------------------------------------------------------
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, block, coordinates, strip):
     """Lights pixels begin..end of a strip, which see one triangle; the first pixel's ray is (u, v, 1)."""
     _, planes, attributes, levels = cache
@@ -271,7 +271,7 @@ def _light_run(slot, cache, texture_at, u, v, step, begin, end, axes, light, blo
             texture_block(at, row_bytes, uv_at, coordinates_bytes, base, blended, levels_at, words_at)
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _sky_run(u, v, step, begin, end, axes, light, block, strip):
     """Fills background pixels begin..end of a strip; the first pixel's ray is (u, v, 1)."""
     row_bytes = np.uintp(strip.shape[1] * 4)

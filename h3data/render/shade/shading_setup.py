@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from h3data.kernels import kernel_part
 from h3data.render.raster.raster import CLUSTER, INSTANCE
 from h3data.render.shade.shading_simd import (
     ATTRIBUTES,
@@ -58,13 +58,13 @@ def new_cache() -> Cache:
     )
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def slot_of(word):
     """Slot of the triangle of a pixel's word."""
     return (word ^ (word >> 10)) & (CACHE_SIZE - 1)
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear, pixel):
     """Caches the triangle of a pixel's word; ``pixel`` is the size (x, y) of a pixel at z = 1."""
     instance, cluster = target.draws[word >> 7, INSTANCE], target.draws[word >> 7, CLUSTER]
@@ -86,7 +86,7 @@ def set_up(word, slot, cache, geometry, surface, cofactors, view, target, linear
         _set_up_texture(surface, face, cache.levels[slot], planes, pixel, attributes)
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _camera_point(soup, packet, lane, corner, m):
     x, y, z = soup[packet, 3 * corner, lane], soup[packet, 3 * corner + 1, lane], soup[packet, 3 * corner + 2, lane]
     return (
@@ -96,12 +96,12 @@ def _camera_point(soup, packet, lane, corner, m):
     )
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
     """Fills the planes over the ray (u, v, 1) of 1/z and of the barycentrics of vertices 1 and 2 over z [3, 3].
 
@@ -126,7 +126,7 @@ def _set_up_planes(soup, packet, lane, to_camera, view, planes, attributes):
         planes[0, a], planes[1, a], planes[2, a] = n[a], s[a], t[a]
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _set_up_attributes(surface, face, cofactor, linear, attributes):
     """Fills colours and, if the mesh has them, vertex normals on the side of the geometric normal."""
     faces, colors, normals = surface.faces, surface.colors, surface.normals
@@ -156,7 +156,7 @@ def _set_up_attributes(surface, face, cofactor, linear, attributes):
         attributes[NORMAL_2 + a] = sign * (n2[a] - n0[a])
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _world_normal(normals, vertex, cofactor):
     x, y, z = normals[vertex, 0], normals[vertex, 1], normals[vertex, 2]
     nx = cofactor[0, 0] * x + cofactor[0, 1] * y + cofactor[0, 2] * z
@@ -167,7 +167,7 @@ def _world_normal(normals, vertex, cofactor):
     return nx * scale, ny * scale, nz * scale
 
 
-@njit(nogil=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _set_up_texture(surface, face, level, planes, pixel, attributes):
     """Fills texture coordinates (shifted close to 0, for float32) and their derivatives; scales colours for `WORD_SCALE`."""
     faces, uv, levels = surface.faces, surface.uv, surface.textures.levels

@@ -80,6 +80,7 @@ def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap
     points[corners + 1, 0], points[corners + 1, 1] = bx, bz
     node = leave
     for k in range(corners, 0, -1):
-        points[k] = graph.nodes[node]
+        x, z = graph.nodes[node]
+        points[k, 0], points[k, 1] = x, z  # by element: to copy slices, numba compiles an error text for 2 s
         node = graph.previous[enter, node] if node != enter else -1
     return points

@@ -59,10 +59,11 @@ def _block(low: float, high: float, spans: NDArray, count: int) -> int:
         last += 1
     if last == first:
         for k in range(count, first, -1):
-            spans[k] = spans[k - 1]
+            spans[k, 0], spans[k, 1] = spans[k - 1, 0], spans[k - 1, 1]
     elif last > first + 1:
         for k in range(last, count):
-            spans[first + 1 + k - last] = spans[k]
+            to = first + 1 + k - last
+            spans[to, 0], spans[to, 1] = spans[k, 0], spans[k, 1]
     spans[first, 0], spans[first, 1] = low, high
     return count + 1 - (last - first)
 
@@ -96,7 +97,7 @@ def _seen_in_wedge(
             continue
         if ax * lz - az * lx < 0.0 and bx * lz - bz * lx < 0.0:
             continue
-        ends[0], ends[1] = pieces[k, :2], pieces[k, 2:]
+        ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = pieces[k]
         low, high = _interval(x, z, dx, dz, ends)
         if low <= half and high >= -half:
             near[n] = max(ax * ax + az * az, bx * bx + bz * bz)
@@ -164,7 +165,8 @@ def potentially_visible(
     for k in range(len(cells)):
         boxes[k, 0] = origin[0] + cells[k, 0] * size - INFLATE_M
         boxes[k, 1] = origin[1] + cells[k, 1] * size - INFLATE_M
-        boxes[k, 2:] = boxes[k, :2] + size + 2 * INFLATE_M
+        boxes[k, 2] = boxes[k, 0] + size + 2 * INFLATE_M
+        boxes[k, 3] = boxes[k, 1] + size + 2 * INFLATE_M
         box_of[k] = cells[k, 0] * nz + cells[k, 1]
     parts = np.empty(
         len(edges), np.int64
@@ -177,14 +179,18 @@ def potentially_visible(
     total = 0
     seen = np.empty(nx * nz, np.bool_)
     for island in range(len(first) - 1):
-        pieces = np.empty((parts[edge_island == island].sum(), 4))
+        n = 0
+        for e in range(len(edges)):
+            n += parts[e] if edge_island[e] == island else 0
+        pieces = np.empty((n, 4))
         n = 0
         for e in range(len(edges)):
             if edge_island[e] == island:
-                step = (edges[e, 2:] - edges[e, :2]) / parts[e]
+                x, z = edges[e, 0], edges[e, 1]  # not by slices: numba takes 4 s to compile their copies
+                dx, dz = (edges[e, 2] - x) / parts[e], (edges[e, 3] - z) / parts[e]
                 for k in range(parts[e]):
-                    pieces[n, :2] = edges[e, :2] + k * step
-                    pieces[n, 2:] = edges[e, :2] + (k + 1) * step
+                    pieces[n, 0], pieces[n, 1] = x + k * dx, z + k * dz
+                    pieces[n, 2], pieces[n, 3] = x + (k + 1) * dx, z + (k + 1) * dz
                     n += 1
         for node in range(first[island], first[island + 1]):
             x, z = nodes[node]
@@ -192,14 +198,17 @@ def potentially_visible(
             seen[:] = False
             _seen_in_wedge(x, z, dx, dz, half, pieces, boxes, box_of, seen)
             _seen_in_wedge(x, z, -dx, -dz, half, pieces, boxes, box_of, seen)
-            for b in np.flatnonzero(seen):
+            for b in range(nx * nz):
+                if not seen[b]:
+                    continue
                 if total == len(node_of):
                     node_of = np.concatenate((node_of, np.empty_like(node_of)))
                     bucket_of = np.concatenate((bucket_of, np.empty_like(bucket_of)))
                 node_of[total], bucket_of[total] = node, b
                 start[b + 1] += 1
                 total += 1
-    start = np.cumsum(start)
+    for b in range(nx * nz):
+        start[b + 1] += start[b]
     at = start.copy()
     corners = np.empty(total, np.int32)
     for k in range(total):

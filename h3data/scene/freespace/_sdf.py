@@ -8,10 +8,9 @@ floor, positive on free floor, negative off it. They are not inflated: a disc of
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 MIN_STEP_M = 0.02
 """Shortest stride of sphere tracing: without it a ray along a wall would creep."""
@@ -20,7 +19,7 @@ SLACK_M = 0.004
 surface (p99 6 mm, research/navigation-and-stepping.md 1.3)."""
 
 
-@njit(nogil=True, inline="always")
+@kernel_part(inline="always")
 def _clipped(value: float, most: float) -> float:
     """The value in 0..most; as `min` and `max` of numba, which look for NaN too, but a tenth of a look-up faster."""
     value = value if value > 0.0 else 0.0

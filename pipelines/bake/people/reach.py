@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from numba import njit
 
 from bake.people.humanoid import write_npz
 from h3data.bodies import humanoid_names, load_humanoid
@@ -19,7 +18,7 @@ from h3data.bodies.people.kernels.reach import ReachBody, pose_for
 from h3data.bodies.people.reach import TABLE_FILE, TABLE_FORMAT, Reacher, Table, reach_body
 from h3data.builtin import builtin_root
 from h3data.geometry import Array
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 log = logging.getLogger(__name__)
 
@@ -46,12 +45,12 @@ NATURAL_POLE = (-0.45, -0.6, -0.65)
 PER_BODY = 14
 
 
-@njit(nogil=True)
+@kernel_part()
 def _beyond(value, limit, weight):
     return weight * max(value - limit, 0.0)
 
 
-@njit(nogil=True)
+@kernel_part()
 def _residuals(bodies, x, u, mean, likeness, effort, lower, upper, shoulder_effort, quats, pelvis, m, r):
     n = len(effort)
     for j in range(n):

@@ -25,6 +25,7 @@ from h3data_pipelines.command import (
     remove_dataset,
     write_text,
 )
+from h3data_pipelines.machine.warmup import compiled_aside
 from h3data_pipelines.outputs import Target
 from h3data_pipelines.pictures.rendering import core_count, render_files
 
@@ -74,15 +75,16 @@ class Demo:
             for name in FILES:
                 (out / name).unlink(missing_ok=True)
         clock = _Clock()
-        with clock.part("simulate"):
-            recording = self._simulate(out / "episode.mcap")
-        with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:
-            writer.add(recording)
-        with clock.part("metrics"):
-            table = measure_many([recording])
-            write_text(out / "metrics.json", table.to_json() + "\n")
-        with clock.part("render"):
-            videos = _videos(recording, out)
+        with compiled_aside(["pictures"]):
+            with clock.part("simulate"):
+                recording = self._simulate(out / "episode.mcap")
+            with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:
+                writer.add(recording)
+            with clock.part("metrics"):
+                table = measure_many([recording])
+                write_text(out / "metrics.json", table.to_json() + "\n")
+            with clock.part("render"):
+                videos = _videos(recording, out)
         with clock.part("rerun"):
             write_rrd(recording, out / "episode.rrd", replay=Replay(recording, detail=False), videos=videos)
         summary: dict[str, Any] = {

@@ -22,6 +22,7 @@ from h3data_pipelines.commands.validating import Validate
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
+from h3data_pipelines.machine.warmup import Warmup
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
@@ -49,6 +50,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,
+    "warmup": Warmup,
     "bench": Bench,
     "completion": Completion,
 }

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
@@ -273,7 +274,7 @@ def test_padding_never_looks_empty_to_the_occlusion_test(size):
     for depth, covered in ((3.1, True), (2.9, False)):
         bounds, stale = target.tile_inv_z, target.tile_stale
         inv_z = np.float32(1 / depth)
-        assert hidden(0, columns - 1, 0, rows - 1, inv_z, bounds, stale, address, row_bytes) == covered
+        assert njit(hidden.py_func)(0, columns - 1, 0, rows - 1, inv_z, bounds, stale, address, row_bytes) == covered
 
 
 def test_degenerate_triangles_and_cluster_padding_are_never_drawn():

@@ -6,13 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from h3data.bodies.people.kernels.legs import LegMeasures, settle, stand_on, write_legs
 from h3data.bodies.people.kernels.tuple_math import inverse, multiply, nlerp, normalized, put, row3, row4, turned
 from h3data.geometry import Array
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 
 class ClipArrays(NamedTuple):
@@ -31,7 +30,7 @@ class ClipArrays(NamedTuple):
     """Rotation from the body frame to the agent root frame, shape [4]."""
 
 
-@njit(nogil=True)
+@kernel_part()
 def _mix(low, high, share):
     return low + share * (high - low)
 
@@ -84,7 +83,7 @@ def tuck_all(quats, shares, shoulders, tucked):
                 put(quats[t], shoulders[k], nlerp(row4(quats[t], shoulders[k]), row4(tucked, k), shares[t, k]))
 
 
-@njit(nogil=True)
+@kernel_part()
 def write_frame(parent, q, x, y, z, frame):
     """The frame [4, 4] of a joint from its parent's, its local rotation and its place there."""
     i, j, k, w = q
@@ -99,7 +98,7 @@ def write_frame(parent, q, x, y, z, frame):
     frame[3, 3] = 1.0
 
 
-@njit(nogil=True)
+@kernel_part()
 def _write_tree(quats, offsets, parents, frames):
     """Frames [55, 4, 4] of all joints below the pelvis, whose frame is there; ``quats`` [54, 4] are theirs."""
     for j in range(1, len(parents)):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from h3data.bodies.people.kernels.reach import PARAMETER_COUNT, POLE, look_up, pose_arm
 from h3data.bodies.people.kernels.tuple_math import (
@@ -26,7 +25,7 @@ from h3data.bodies.people.kernels.tuple_math import (
     unit,
 )
 from h3data.bodies.people.skeleton import JOINT_INDEX
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 WRIST_MAX = math.radians(70.0)
 """A wrist turns this far from the direction of the forearm at most."""
@@ -40,7 +39,7 @@ _SPINE = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 
 
-@njit(nogil=True)
+@kernel_part()
 def _chest(offsets, quats, pelvis):
     """Rotation and place of the uppermost joint of the spine."""
     turn, at = row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2])
@@ -50,7 +49,7 @@ def _chest(offsets, quats, pelvis):
     return turn, at
 
 
-@njit(nogil=True)
+@kernel_part()
 def _clipped_turn(q, most):
     """The same rotation, by at most ``most`` [rad]."""
     x, y, z = to_vector(q)

@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from h3data.bodies.people.kernels.tuple_math import (
     cross,
@@ -30,7 +29,7 @@ from h3data.bodies.people.kernels.tuple_math import (
 )
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 LEG_JOINTS = np.array(
     [[JOINT_INDEX[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")]
@@ -52,7 +51,7 @@ class LegMeasures(NamedTuple):
     feet: Array
 
 
-@njit(nogil=True)
+@kernel_part()
 def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
     """One leg from its hip to its ankle; the knee points where the foot does and ``knee_out`` to the body's left.
 
@@ -81,7 +80,7 @@ def solve_leg(thigh, shank, knee_out, pelvis_turn, hip, ankle, pitch, yaw):
     return flexion, bone, thigh_turn, hip_turn, knee_turn, ankle_turn, distance
 
 
-@njit(nogil=True)
+@kernel_part()
 def sinking(hips, longest, pelvis_turn, pelvis, ankles):
     """How far the pelvis must sink [m] for both ankles [2, 3] to be within ``longest`` of their hips."""
     sink = 0.0
@@ -93,7 +92,7 @@ def sinking(hips, longest, pelvis_turn, pelvis, ankles):
     return sink
 
 
-@njit(nogil=True)
+@kernel_part()
 def lowest(feet, height, pitch, bend):
     """Height of a sole's lowest point [m], heel or toe tip, of a foot with its ankle at ``height``; ``feet`` [3, 3]."""
     turn, toes = math.radians(-pitch), math.radians(-pitch - bend)
@@ -119,7 +118,7 @@ def sink_pelvis(legs, quats, pelvis, ankle):
         pelvis[t, 1] -= sinking(legs.hips, legs.longest, row4(quats[t], 0), row3(pelvis, t), ankle[t])
 
 
-@njit(nogil=True)
+@kernel_part()
 def write_legs(legs, quats, pelvis, ankle, foot, angles):
     """Local rotations of the leg joints of one pose, in place; ``angles`` [2, 3] take lean of the thigh, flexion of the knee
     [rad] and the distance from hip to ankle [m]."""
@@ -146,7 +145,7 @@ def write_all_legs(legs, quats, pelvis, ankle, foot, angles):
         write_legs(legs, quats[t], pelvis[t], ankle[t], foot[t], angles[t])
 
 
-@njit(nogil=True)
+@kernel_part()
 def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
     """Lead one pose from moving (``blend`` 1) at its ``phase`` to standing (0), in place, by steps instead of sliding.
 
@@ -175,7 +174,7 @@ def settle(legs, stand, quats, pelvis, ankle, foot, phase, blend):
     pelvis[1] -= sinking(legs.hips, legs.longest, row4(quats, 0), (pelvis[0], pelvis[1], pelvis[2]), ankle)
 
 
-@njit(nogil=True)
+@kernel_part()
 def stand_on(legs, quats, pelvis, ankle, ground):
     """Raise one pose, in place, to the heights of the floor ``ground`` [2] [m] under its left and right foot."""
     for k in range(2):

@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from h3data.bodies.people.kernels.legs import KNEES_OUT, solve_leg
@@ -33,7 +32,7 @@ from h3data.bodies.people.kernels.tuple_math import (
 from h3data.bodies.people.legs import LEG_MAX
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
-from h3data.kernels import kernel
+from h3data.kernels import kernel, kernel_part
 
 # --- the parameters of a posture, in units of `ReachBody.scale` and radians, relative to standing -----------------------
 SHIFT, PELVIS, SPINE, COLLAR, POLE, PARAMETER_COUNT = 0, 3, 6, 9, 11, 14
@@ -96,7 +95,7 @@ class ReachBody(NamedTuple):
     """Of the forearm [m]; the hand's is as large."""
 
 
-@njit(nogil=True)
+@kernel_part()
 def _solve_leg(body, k, pelvis_turn, hip, quats):
     """One leg from its hip to its ankle, the foot flat; returns knee flexion, lean of the shank and the knee."""
     ankle, out = row3(body.ankles, k), KNEES_OUT if k == 0 else -KNEES_OUT
@@ -110,7 +109,7 @@ def _solve_leg(body, k, pelvis_turn, hip, quats):
     return flexion, math.atan2(knee[2] - ankle[2], knee[1] - ankle[1]), knee, thigh_turn
 
 
-@njit(nogil=True)
+@kernel_part()
 def _bend(body, x, trunk, k, turn, at, quats):
     """One joint of the spine: frame and place from those of the one below."""
     share, m, joint = trunk * _SPINE_SHARE[k], -body.sign, _SPINE[k]
@@ -121,7 +120,7 @@ def _bend(body, x, trunk, k, turn, at, quats):
     return multiply(turn, local), plus(at, turned(turn, row3(body.offsets, joint)), 1.0)
 
 
-@njit(nogil=True)
+@kernel_part()
 def pose_arm(body, palm, collar, shoulder, target, pole, quats):
     """Shoulder and elbow so that the ``palm``, given in the forearm's frame from the wrist, is at ``target``, the elbow
     towards ``pole``: all three in one frame, that of ``collar`` and ``shoulder``.
@@ -160,7 +159,7 @@ def pose_arm(body, palm, collar, shoulder, target, pole, quats):
     return miss, flexion, turn, spread
 
 
-@njit(nogil=True)
+@kernel_part()
 def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     """Write the posture with parameters ``x`` whose palm is at ``target``: local ``quats`` [55, 4], ``pelvis`` [3].
 
@@ -270,7 +269,7 @@ def pose_for(body, x, target, trunk, arm, quats, pelvis, measures):
     measures[SHOULDER], measures[SHOULDER + 1], measures[SHOULDER + 2] = to_vector(hanging)
 
 
-@njit(nogil=True)
+@kernel_part()
 def look_up(table, low, step, u, x):
     """Trilinear interpolation of ``table`` [X, Y, Z, P] at ``u`` into ``x`` [P]; False where that is outside (clamped)."""
     inside = True
@@ -292,7 +291,7 @@ def look_up(table, low, step, u, x):
     return inside
 
 
-@njit(nogil=True)
+@kernel_part()
 def fault(measures):
     """What is wrong with a posture: `REACHED` when nothing, `TOO_FAR`, or `INVALID_POSTURE`."""
     if abs(measures[MISS]) > 1e-6:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from h3data.kernels import kernel_part
 
 
-@njit(nogil=True)
+@kernel_part()
 def multiply(a, b):
     return (
         a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
@@ -17,27 +17,27 @@ def multiply(a, b):
     )
 
 
-@njit(nogil=True)
+@kernel_part()
 def inverse(q):
     return (-q[0], -q[1], -q[2], q[3])
 
 
-@njit(nogil=True)
+@kernel_part()
 def cross(a, b):
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@njit(nogil=True)
+@kernel_part()
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(nogil=True)
+@kernel_part()
 def plus(a, b, share):
     return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2])
 
 
-@njit(nogil=True)
+@kernel_part()
 def unit(a):
     length = math.sqrt(dot(a, a))
     if length < 1e-12:
@@ -45,7 +45,7 @@ def unit(a):
     return (a[0] / length, a[1] / length, a[2] / length)
 
 
-@njit(nogil=True)
+@kernel_part()
 def turned(q, v):
     axis = (q[0], q[1], q[2])
     t = cross(axis, v)
@@ -53,19 +53,19 @@ def turned(q, v):
     return plus(plus(v, t, q[3]), cross(axis, t), 1.0)
 
 
-@njit(nogil=True)
+@kernel_part()
 def positive(q):
     """The same rotation with w >= 0."""
     return (-q[0], -q[1], -q[2], -q[3]) if q[3] < 0 else q
 
 
-@njit(nogil=True)
+@kernel_part()
 def normalized(q):
     length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length) if length > 0.0 else q
 
 
-@njit(nogil=True)
+@kernel_part()
 def nlerp(a, b, weight):
     """Normalised linear blend along the shorter arc; weight 0 gives a, 1 gives b."""
     dot4 = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
@@ -81,7 +81,7 @@ def nlerp(a, b, weight):
     )
 
 
-@njit(nogil=True)
+@kernel_part()
 def from_vector(x, y, z):
     """Quaternion of a rotation vector."""
     angle = math.sqrt(x * x + y * y + z * z)
@@ -89,7 +89,7 @@ def from_vector(x, y, z):
     return (s * x, s * y, s * z, math.cos(angle / 2))
 
 
-@njit(nogil=True)
+@kernel_part()
 def to_vector(q):
     """Rotation vector of a quaternion, of at most half a turn."""
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
@@ -101,7 +101,7 @@ def to_vector(q):
     return (q[0] * angle, q[1] * angle, q[2] * angle)
 
 
-@njit(nogil=True)
+@kernel_part()
 def from_axes(a, b, c):
     """Quaternion of the rotation whose columns are a, b, c (Shepperd's method)."""
     trace = a[0] + b[1] + c[2]
@@ -117,22 +117,22 @@ def from_axes(a, b, c):
     return (q[0] / n, q[1] / n, q[2] / n, q[3] / n)
 
 
-@njit(nogil=True)
+@kernel_part()
 def row3(array, k):
     return (array[k, 0], array[k, 1], array[k, 2])
 
 
-@njit(nogil=True)
+@kernel_part()
 def row4(array, k):
     return (array[k, 0], array[k, 1], array[k, 2], array[k, 3])
 
 
-@njit(nogil=True)
+@kernel_part()
 def put(quats, joint, q):
     quats[joint, 0], quats[joint, 1], quats[joint, 2], quats[joint, 3] = q
 
 
-@njit(nogil=True)
+@kernel_part()
 def segments_apart(p, q, a, b):
     """Distance of the segments p-q and a-b (Ericson, Real-Time Collision Detection, 5.1.9)."""
     d1, d2, r = plus(q, p, -1.0), plus(b, a, -1.0), plus(p, a, -1.0)

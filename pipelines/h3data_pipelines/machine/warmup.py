@@ -1,0 +1,163 @@
+"""``h3data warmup``: compiles all kernels ahead, in parallel."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from h3data.errors import H3DataError
+from h3data.kernels import compiled_count, compiled_files
+from h3data.progress import QUIET, is_quiet
+from h3data_pipelines.command import JsonFlag, Outcome, counted
+from h3data_pipelines.pictures.rendering import core_count
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """Compile all kernels now, on all cores, so that later commands start at once. Needed once per machine and version.
+
+    Examples:
+        h3data warmup
+        h3data warmup --json
+    """
+
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        start, parts, files, compiled = time.perf_counter(), {}, {}, 0
+        _say(f"Compiling kernels on {counted(core_count(), 'core')}: about half a minute on two, once.\n")
+        with ThreadPoolExecutor(core_count()) as pool:
+            jobs = {pool.submit(_run_apart, name): name for name in WORK}
+            for job in as_completed(jobs):
+                report = job.result()
+                parts[jobs[job]] = report
+                compiled += report["compiled"]
+                files |= report["files"]
+                _say(f"  {jobs[job]:<11} {report['wall_s']:5.1f} s, {counted(report['compiled'], 'kernel')}\n")
+        data: dict[str, Any] = {
+            "compiled": compiled,
+            "kernels": len(files),
+            "megabytes": round(sum(files.values()) / 1e6, 1),
+            "folder": os.path.commonpath(files) if files else None,
+            "wall_s": round(time.perf_counter() - start, 1),
+            "parts": {name: {key: parts[name][key] for key in ("wall_s", "compiled")} for name in WORK},
+        }
+        made = f"Compiled {counted(compiled, 'kernel')}" if compiled else "All kernels had been compiled before"
+        kept = f"{data['kernels']} kernels take {data['megabytes']} MB in {data['folder']}"
+        return Outcome(text=f"{made} ({data['wall_s']} s). {kept if files else 'They cannot be kept here.'}", data=data)
+
+
+def _say(line: str) -> None:
+    if not is_quiet():
+        sys.stderr.write(line)
+
+
+@contextmanager
+def compiled_aside(names: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+    """Compiles the kernels of some of `WORK` in a process of its own while the block runs.
+
+    numba compiles in one thread of a process at a time. When this process needs a kernel that the other one is compiling,
+    it waits for it (`h3data.kernels`). When all is compiled, the other process takes a second of one core.
+    """
+    aside = _start(names, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield aside
+    finally:
+        aside.terminate()
+        aside.wait()
+
+
+def _start(names: Sequence[str], **options: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", f"from {__name__} import run; run({list(names)!r})"]
+    paths = os.pathsep.join(path for path in sys.path if path)  # the same packages, also where they are not installed
+    return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": paths, QUIET: "1"}, text=True, **options)
+
+
+def _run_apart(name: str) -> dict[str, Any]:
+    start = time.perf_counter()
+    process = _start([name], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    report, errors = process.communicate()
+    if process.returncode:
+        raise H3DataError(f"Compiling the kernels of {name} failed: {(errors.strip().splitlines() or ['killed'])[-1]}")
+    return jsonlib.loads(report) | {"wall_s": round(time.perf_counter() - start, 1)}
+
+
+def run(names: Sequence[str]) -> None:
+    """Does some of `WORK` in this process; prints the kernels that it has compiled and those that are there."""
+    with TemporaryDirectory() as folder:
+        os.environ["H3DATA_CACHE"] = folder  # so that what others have cached is computed here too
+        for name in names:
+            WORK[name]()
+    sys.stdout.write(jsonlib.dumps({"compiled": compiled_count(), "files": compiled_files()}))
+
+
+# --- work that needs every kernel once --------------------------------------------------------------------------------
+def _pictures() -> None:
+    from h3data.mesh.mesh import Mesh, Texture
+    from h3data.render import Renderer, RenderInstance, RenderScene, VideoWriter, look_at, orthographic, pinhole
+    from h3data.render.colors import depth_to_rgb, instance_to_rgb
+    from h3data.render.image_files import depth_to_mm, stored_ids
+
+    texture = Texture(pixels=np.full((2, 2, 4), 255, np.uint8))
+    triangle = Mesh(
+        vertices=np.array([[-1, 0, -1], [1, 0, -1], [0, 0, 1]], np.float32),
+        faces=np.array([[0, 1, 2]], np.int32),
+        colors=np.full((3, 3), 200, np.uint8),
+        normals=np.tile(np.array([0, 1, 0], np.float32), (3, 1)),
+        uv=np.zeros((3, 2), np.float32),
+        textures=(texture,),
+    )
+    renderer = Renderer(RenderScene([triangle], [RenderInstance(0, np.eye(4))], deformable=[0]))
+    renderer.set_vertices(0, triangle.vertices)
+    above = look_at(np.array([0.0, 2.0, 0.1]), np.zeros(3))
+    outputs = ("depth", "instance", "semantic", "triangle", "rgb", "normal")
+    with TemporaryDirectory() as folder, VideoWriter(Path(folder) / "video.mp4", 16, 16) as video:
+        for camera in (pinhole(16, 16, hfov_deg=60, pose=above), orthographic(16, 16, width_m=2.0, pose=above)):
+            for samples in (1, 4):
+                images = renderer.render(camera, outputs=outputs, samples=samples)
+            video.write(images["rgb"])
+            for convert in (depth_to_mm, lambda depth: depth_to_rgb(depth, 0.0, 10.0)):
+                convert(images["depth"])
+            for convert in (instance_to_rgb, stored_ids):
+                convert(images["instance"])
+
+
+def _task(name: str, steps: int | None = None) -> Callable[[], None]:
+    def play() -> None:
+        from h3data.metrics import measure_many
+        from h3data.replay import Replay, camera_track
+        from h3data.scene import HomeSpec, build_home
+        from sim_kinematic.tasks.episode import with_options
+        from sim_kinematic.tasks.registry import find_task
+        from sim_kinematic.tasks.runner import simulate
+
+        task = find_task(name)
+        spec = with_options(task.default_spec(), max_steps=steps)  # None: those of the task
+        recording = simulate(task, task.episode(build_home(HomeSpec(preset="small", seed=15)), spec=spec))
+        measure_many([recording])
+        replay = Replay(recording)
+        stage = replay.stage
+        stage.render(stage.renderer(), 0, [camera_track(replay, "top_down").at(0)], outputs=("rgb",))
+
+    return play
+
+
+WORK: dict[str, Callable[[], None]] = {
+    "pictures": _pictures,  # the longest first
+    "rearrange": _task("rearrange"),
+    "social_nav": _task("social_nav", 60),
+    "wander": _task("wander", 60),
+}
+"""What needs every kernel, by the name under which progress is reported; each part runs in a process of its own."""
