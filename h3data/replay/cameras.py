@@ -115,7 +115,7 @@ def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
     middle = (lo + hi) / 2
     eye = np.array([middle[0], hi[1] + distance, middle[2]])
     pose = look_at(eye, np.array([middle[0], lo[1], middle[2]]), up=(0.0, 0.0, -1.0))
-    near = _ceiling_cut(replay, float(eye[1]), lo)
+    near = _ceiling_cut(replay, float(eye[1]), lowest=float(lo[1]) + margin_m)
     camera = pinhole(
         width, height, hfov_deg=hfov_deg, name="top_down", pose=pose, hidden_layers=("ceiling",), near=near
     )
@@ -133,13 +133,14 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
     pose = look_at(eye, eye - (0.0, 1.0, 0.0), up=(0.0, 0.0, -1.0))
     camera = orthographic(
         width, height, width_m=width / scale, name="top_down_orthographic", pose=pose, hidden_layers=("ceiling",),
-        near=_ceiling_cut(replay, float(eye[1]), lo),
+        near=_ceiling_cut(replay, float(eye[1]), lowest=float(lo[1]) + margin_m),
     )  # fmt: skip
     return CameraTrack(camera=camera, poses=pose[None])
 
 
-def _ceiling_cut(replay: Replay, eye_y: float, lo: NDArray[np.float64]) -> float:
-    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked on [m].
+def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
+    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked on, or above
+    ``lowest`` if there are no agents [m].
 
     0 if ceilings can be hidden by their layer, or nothing that stands still is as high.
     """
@@ -148,7 +149,7 @@ def _ceiling_cut(replay: Replay, eye_y: float, lo: NDArray[np.float64]) -> float
     agents = range(len(replay.recording.agents))
     heights = np.concatenate([[-np.inf], *(replay.recording.agent_column(i, "base_pose")[:, 1] for i in agents)])
     floor = float(np.max(heights[~np.isnan(heights)]))
-    cut = (floor if np.isfinite(floor) else float(lo[1])) + CUT_M
+    cut = (floor if np.isfinite(floor) else lowest) + CUT_M
     static = [d for d in replay.drawables if not d.moving and not d.placeholder and len(d.mesh.vertices)]
     tops = (transform_points(d.matrix, d.mesh.vertices)[:, 1].max() for d in static)
     return max(eye_y - cut, 0.0) if max(tops, default=-np.inf) > cut else 0.0
