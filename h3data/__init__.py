@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
-    from h3data_pipelines.api import export, generate, import_, rerender, view
+    from h3data_pipelines.api import evaluate, export, generate, import_, report, rerender, view
 
 _HOMES = {
     "make": "h3data.api",
@@ -35,9 +35,11 @@ _HOMES = {
     "session": "h3data.api",
     "simulate": "h3data.api",
     "measure": "h3data.api",
+    "evaluate": "h3data_pipelines.api",
     "export": "h3data_pipelines.api",
     "generate": "h3data_pipelines.api",
     "import_": "h3data_pipelines.api",
+    "report": "h3data_pipelines.api",
     "rerender": "h3data_pipelines.api",
     "view": "h3data_pipelines.api",
     "H3DataError": "h3data.errors",
@@ -59,6 +61,7 @@ __all__ = [
     "Replay",
     "Scene",
     "build_home",
+    "evaluate",
     "export",
     "generate",
     "import_",
@@ -66,6 +69,7 @@ __all__ = [
     "measure",
     "open",
     "render_frame",
+    "report",
     "rerender",
     "session",
     "simulate",

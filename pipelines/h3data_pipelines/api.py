@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from h3data_pipelines.command import Command
 
 if TYPE_CHECKING:
+    from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
     from h3data_pipelines.jobs.generated import Generated
     from h3data_pipelines.jobs.imports import ImportResult
     from h3data_pipelines.pictures.rerender import Rendered
+    from h3data_viewers.html_report.report import Report
 
 AnyPath = str | os.PathLike[str]
 
@@ -42,6 +44,7 @@ def generate(
     rule: Sequence[str] = (),
     workers: int = 1,
     mcap: bool = False,
+    share_scenes: bool = False,
     resume: bool = False,
     force: bool = False,
 ) -> Generated:
@@ -58,6 +61,65 @@ def generate(
     from h3data_pipelines.commands.generate import Generate
 
     return _result(Generate, locals())
+
+
+def evaluate(
+    task: str,
+    out: AnyPath,
+    *,
+    policies: str = "all",
+    partners: str = "all",
+    zsc: Sequence[str] = (),
+    scenes: str = "h3-homes/test",
+    episodes: int | None = None,
+    homes: int = 4,
+    seed: int = 0,
+    human: str | None = None,
+    human_speed: float | None = None,
+    max_steps: int | None = None,
+    workers: int = 1,
+    keep: bool = False,
+    resume: bool = False,
+    force: bool = False,
+) -> EvaluationResult:
+    """Plays policies in the same episodes and measures them; options as of ``h3data evaluate``.
+
+    Returns:
+        The table of policies (and partners) with 95% intervals, and the episodes that failed.
+
+    Raises:
+        InputError: an option is wrong, or the folder holds results with other options.
+    """
+    from h3data_pipelines.commands.evaluating import Evaluate
+
+    return _result(Evaluate, locals())
+
+
+def report(
+    datasets: AnyPath | Sequence[AnyPath],
+    out: AnyPath = Path("report.html"),
+    *,
+    title: str = "",
+    markdown: AnyPath | None = None,
+    latex: AnyPath | None = None,
+    pictures: int = 6,
+    assets: Sequence[AnyPath] = (),
+    zsc: Sequence[str] = (),
+    study_model: Literal["auto", "poisson", "observation"] = "auto",
+    failed: Literal["leave-out", "limit"] = "leave-out",
+    force: bool = False,
+) -> Report:
+    """Writes a self-contained HTML report on datasets and recordings; options as of ``h3data report``.
+
+    Returns:
+        The report: its runs, tables, and what could not be measured.
+
+    Raises:
+        InputError: there is nothing to report on, an option is wrong, or a file exists.
+    """
+    from h3data_pipelines.pictures.report import ReportCommand
+
+    return _result(ReportCommand, locals(), several=("datasets",))
 
 
 def import_(

@@ -20,15 +20,19 @@ from h3data.errors import InputError
 from h3data.recording import write_mcap
 from h3data_pipelines import api
 from h3data_pipelines.command import Command
+from h3data_pipelines.commands.evaluating import Evaluate
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.options import options_of
+from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
 from h3data_pipelines.pictures.viewing import View
 
 COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.generate, Generate),
+    (api.evaluate, Evaluate),
+    (api.report, ReportCommand),
     (api.import_, Import),
     (api.export, Export),
     (api.rerender, Rerender),
@@ -68,6 +72,8 @@ def test_view_rerender_and_export_return_files(generated: Any, tmp_path: Path) -
     rendered = h3data.rerender(episode, tmp_path / "pictures", steps="0:2", format="png", camera=["top_down"])
     assert rendered.failed == {}
     assert [path.name for path in rendered.files] == ["ds#1.top_down.rgb"]
+    report = h3data.report(generated.dataset.root, tmp_path / "report.html", pictures=0)
+    assert [len(run.episodes) for run in report.data.runs] == [4]
     assert h3data.export(episode, tmp_path / "tables", to="csv").is_dir()
 
 

@@ -91,7 +91,7 @@ class BodiesBake:
     Examples:
         h3data bodies bake -o me.npz --gender 0.3 --stature 1.82 --weight 0.6 --age 0.8
         h3data bodies bake -o short.npz --gender 1 --stature 1.58 --skin 150,100,74 --shirt 60,120,90 --shorts
-        h3data bodies bake -o smplx.npz --smplx SMPLX_NEUTRAL.npz --betas 0.5 -1.2 0.3
+        h3data bodies bake -o smplx.npz --smplx SMPLX_NEUTRAL.npz --betas 0.5 --betas -1.2
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]

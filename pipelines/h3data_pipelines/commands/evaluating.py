@@ -33,7 +33,7 @@ class Evaluate:
     """
 
     task: tyro.conf.Positional[str]
-    """social_nav: find a walking person and follow her; rearrange: help her to bring two objects to their goals."""
+    """social_nav: find a walking person and follow them; rearrange: help them to bring two objects to their goals."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table (table.txt, table.json) and the results of each episode (episodes/)."""
     policies: str = ALL
@@ -77,4 +77,4 @@ class Evaluate:
             request, self.out, keep=self.keep, resume=self.resume, force=self.force, workers=self.workers,
             progress=progress,
         )  # fmt: skip
-        return Outcome(text=result.to_text(), data=result.to_dict(), exit_code=1 if result.failed else 0)
+        return Outcome(text=result.to_text(), data=result.to_dict(), result=result, exit_code=1 if result.failed else 0)

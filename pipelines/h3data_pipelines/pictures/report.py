@@ -75,9 +75,8 @@ class ReportCommand:
             write_text(self.markdown, report.to_markdown())
         if self.latex is not None:
             write_text(self.latex, report.to_latex())
-        return Outcome(
-            text=_text(report, targets), data=self._data(report), exit_code=int(bool(report.data.unmeasured))
-        )
+        exit_code = int(bool(report.data.unmeasured))
+        return Outcome(text=_text(report, targets), data=self._data(report), result=report, exit_code=exit_code)
 
     def _data(self, report: Report) -> dict[str, Any]:
         return {
