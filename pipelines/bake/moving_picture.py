@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ def _pictures(video: Path) -> list[NDArray[np.uint8]]:
     import av
 
     with av.open(str(video)) as container:
-        every = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        every: list[NDArray[Any]] = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     first = max((len(every) - EVERY * FRAMES) // 2, 0)
     return every[first : first + EVERY * FRAMES : EVERY]
 
