@@ -1,4 +1,5 @@
-"""Formats of installed packages: detected, imported, exported to, listed; broken ones are named and the rest goes on working."""
+"""Formats of installed packages: detected, imported, exported to, listed; broken ones are named and the rest goes on
+working."""
 
 import json
 import re

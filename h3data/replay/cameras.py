@@ -98,7 +98,8 @@ def _user(replay: Replay, column: str) -> CameraTrack:
 # --- from above ---------------------------------------------------------------------------------------------------------
 TOP_DOWN_PIXELS = 480_000
 CUT_M = 2.2
-"""Height above the floor at which views from above cut a home that has no layer ``ceiling``, such as a stage of one mesh [m]."""
+"""Height above the floor at which views from above cut a home that has no layer ``ceiling``, such as a stage of one mesh
+[m]."""
 
 
 def top_down(replay: Replay, *, margin_m: float = 0.4) -> CameraTrack:
@@ -139,8 +140,8 @@ def top_down_orthographic(replay: Replay, *, margin_m: float = 0.4) -> CameraTra
 
 
 def _ceiling_cut(replay: Replay, eye_y: float, *, lowest: float) -> float:
-    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked on, or above
-    ``lowest`` if there are no agents [m].
+    """Near plane of a camera at ``eye_y`` that looks straight down, which cuts `CUT_M` above the highest floor walked
+    on, or above ``lowest`` if there are no agents [m].
 
     0 if ceilings can be hidden by their layer, or nothing that stands still is as high.
     """

@@ -1,7 +1,7 @@
 """Paired comparison of one value per episode in two runs: test, interval of the difference, effect size."""
 
-# The permutation test is written out so that a seed gives the same p value with every version of scipy. tests/stats/test_paired_tests.py
-# compares the p values of all four with scipy.stats.
+# The permutation test is written out so that a seed gives the same p value with every version of scipy.
+# tests/stats/test_paired_tests.py compares the p values of all four with scipy.stats.
 
 from __future__ import annotations
 

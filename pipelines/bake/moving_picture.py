@@ -1,4 +1,5 @@
-"""Makes ``docs/pictures/demo.webp``, the moving picture of the README, from the demo: ``python -m pipelines.bake.moving_picture``."""
+"""Makes ``docs/pictures/demo.webp``, the moving picture of the README, from the demo: ``python -m
+pipelines.bake.moving_picture``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Arms and grips: joints that move by small steps within their limits, objects that a hand takes, carries and lets go.
 
 Kinematic, as in Habitat: a held object is rigid with the hand, a released one stays where it is, in the air if need be
-(spec/habitat.md 2.4). Scalar definitions, looped over worlds, as in `sim_kinematic.motion.step`. The order of a step: base, arm,
-grip, then `carry_objects` with the hand's new place.
+(spec/habitat.md 2.4). Scalar definitions, looped over worlds, as in `sim_kinematic.motion.step`. The order of a step:
+base, arm, grip, then `carry_objects` with the hand's new place.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Ways for a robot's arm: whether its hand gets from a stand to a point without a wall or furniture between them.
 
-Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the point, seen
-at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
+Two questions, both of FCL against the static scene. `ArmClearance.is_open`: nothing stands between the shoulder and the
+point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself touches nothing on its way there and back.
 """
 
 from __future__ import annotations

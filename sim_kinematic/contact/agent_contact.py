@@ -22,7 +22,8 @@ class AgentContacts:
     """Which agents touch, step after step.
 
     An agent is its collision shapes, one world transform each: those of a robot's links, or the capsules of a person's
-    bones (`sim_kinematic.contact.clearance.body_shapes`). Poses are only stored by `update`: FCL is touched when somebody asks and
+    bones (`sim_kinematic.contact.clearance.body_shapes`). Poses are only stored by `update`: FCL is touched when
+    somebody asks and
     two agents are near each other. The gate is conservative: the capsules hold every shape, so it never hides a contact.
     """
 

@@ -1,6 +1,7 @@
 """Sliding as Habitat's base action does it, disc by disc on the navmesh (``BaseSpec(slide="habitat")``).
 
-The rules are ``BaseVelNonCylinderAction``'s (spec/habitat.md 1.3); against recorded steps of it: tests/sim/motion/test_habitat_slide.py.
+The rules are ``BaseVelNonCylinderAction``'s (spec/habitat.md 1.3); against recorded steps of it:
+tests/sim/motion/test_habitat_slide.py.
 Each disc steps on its own over the navmesh, which is shrunk by the disc's radius. If one does not get where the command
 takes it, the base moves by the way of the disc that is worst off, and turns all the same. Nobody looks again at the
 others, which is why it may get into walls.

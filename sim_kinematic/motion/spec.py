@@ -57,8 +57,8 @@ class BaseSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRoomSpec:
-    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond her half width with both arms in, which
-    is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
+    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond her half width with both
+    arms in, which is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
 
     free_m: float = 0.08
     """An arm swings freely where so much more room than that is at her side,"""

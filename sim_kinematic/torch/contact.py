@@ -1,6 +1,7 @@
 """Does the resting robot touch the walking person? By tensors alone: her capsules as balls in the robot's distance field.
 
-`sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only where the two are
+`sim_kinematic.contact.clearance.RobotHumanContact` (FCL on the exact shapes) is the truth; this differs from it only
+where the two are
 within `TOLERANCE_M` of touching (tests/sim/torch/test_social_nav.py), and where she draws her arms in: here they always swing.
 """
 

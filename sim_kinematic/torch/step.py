@@ -106,7 +106,8 @@ class Sample(NamedTuple):
 
 
 def sample_sdf(grids: Grids, xz: Tensor) -> Sample:
-    """Signed distance and gradient, bilinear; off the grid the border value minus the way to it (`h3data.scene.freespace._sdf`)."""
+    """Signed distance and gradient, bilinear; off the grid the border value minus the way to it
+    (`h3data.scene.freespace._sdf`)."""
     f = torch.addcmul(grids.shift, grids.scale, xz)
     c = torch.clamp(f, grids.zero, grids.top)
     low = torch.minimum(c.floor(), grids.last)

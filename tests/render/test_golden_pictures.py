@@ -1,4 +1,5 @@
-"""Small pictures of a built-in home, kept as PNG and compared by tolerance. Renew: python -m tests.render.test_golden_pictures"""
+"""Small pictures of a built-in home, kept as PNG and compared by tolerance.
+Renew: python -m tests.render.test_golden_pictures"""
 
 from __future__ import annotations
 

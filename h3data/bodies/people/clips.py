@@ -239,8 +239,8 @@ def sample_clips(
 
     ``motion_id`` [T] picks clips, ``phase`` [T] is the place in the cycle (any real number, its fraction counts) and
     ``blend`` [T] leads from the standing pose (0) to the clip (1), with steps instead of sliding feet (see
-    `h3data.bodies.people.kernels.legs.settle`). ``ground`` [T, 2] is the height of the floor under the left and the right foot [m],
-    relative to the root. Frames are interpolated: the motion is continuous.
+    `h3data.bodies.people.kernels.legs.settle`). ``ground`` [T, 2] is the height of the floor under the left and the
+    right foot [m], relative to the root. Frames are interpolated: the motion is continuous.
     """
     from h3data.bodies.people.kernels.clips import sample_all
 

@@ -1,4 +1,5 @@
-"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision shapes. `h3data.bodies.people.humanoid_file` reads them.
+"""People: a skinned mesh on the 55-joint skeleton, its walk, its collision shapes. `h3data.bodies.people.humanoid_file`
+reads them.
 
 Frames. The body frame has +Z forward, +Y up, +X left (SMPL-X). The agent root frame has x forward, y up, z right and lies
 on the floor below the pelvis; the body frame is turned into it by R_y(+90 deg), which the clips' pelvis rotation contains.
@@ -134,8 +135,8 @@ class Humanoid:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame.
 
-        ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is the clip.
-        ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.people.arms`).
+        ``motion_id``, ``phase`` and ``blend`` [T] as in `h3data.bodies.people.clips.sample_clips`: blend 0 stands, 1 is
+        the clip. ``arms`` [T, 2]: how far the left and the right arm are drawn in, 0..1 (`h3data.bodies.people.arms`).
         ``ground`` [T, 2]: height of the floor under the left and the right foot, relative to the root [m].
         """
         quats, pelvis = sample_clips(self._clip_table, motion_id, phase, blend, ground)

@@ -1,6 +1,7 @@
 """Feet of a person who turns on the spot: recordings hold her root, which turns rigidly; here her feet step round with it.
 
-Her motion columns say when she comes from walking to standing (`h3data.bodies.people.kernels.legs.settle`): each foot goes to its standing
+Her motion columns say when she comes from walking to standing (`h3data.bodies.people.kernels.legs.settle`): each foot
+goes to its standing
 place, one after the other. The foot that stands meanwhile is kept where it is in the world, and one that lands does so turned
 towards where she will look. Then they go on by turns, until she stands straight again. As in `h3data.bodies.robots.trot` whole
 recordings are looked at, so any step can be posed alone.
@@ -92,7 +93,8 @@ def turning_feet(base: ArrayLike, phase: ArrayLike, blend: ArrayLike) -> Turning
 
 
 def _settling(phase: Array, blend: Array, before: int, last: int) -> list[_Swing]:
-    """The swings by which she comes from walking to standing between two steps, as `h3data.bodies.people.kernels.legs.settle` has them."""
+    """The swings by which she comes from walking to standing between two steps, as
+    `h3data.bodies.people.kernels.legs.settle` has them."""
     b = blend[before : last + 1]
     swings = []
     for foot, (_, _, start) in enumerate(SIDES):

@@ -25,7 +25,8 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def logged_outcomes(columns: Columns) -> dict[str, NDArray[np.bool_]]:
-    """Returns ``metrics.success`` and ``metrics.collision`` [T], as far as the logged columns tell; unlogged steps are False."""
+    """Returns ``metrics.success`` and ``metrics.collision`` [T], as far as the logged columns tell; unlogged steps are
+    False."""
     outcomes: dict[str, NDArray[np.bool_]] = {}
     if "metrics.pddl_success" in columns:
         outcomes["metrics.success"] = columns["metrics.pddl_success"] > 0

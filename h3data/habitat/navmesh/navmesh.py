@@ -172,7 +172,8 @@ def free_space_from_navmesh(navmesh: NavMesh, *, island: int | None = None, cell
         outlines = [Polygon(navmesh.corners(int(p))[:, [0, 2]]) for p in np.flatnonzero(navmesh.enabled)]
         crossed = sum(not outline.is_valid for outline in outlines)
         raise SceneError(
-            f"Expected polygons that do not cross themselves, {crossed} of {len(outlines)} do: the navmesh is damaged ({error})."
+            f"Expected polygons that do not cross themselves, {crossed} of {len(outlines)} do: "
+            f"the navmesh is damaged ({error})."
         ) from None
 
 

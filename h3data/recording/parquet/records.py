@@ -32,7 +32,10 @@ DAMAGE = (
     RecursionError,
 )
 """Exceptions that reading a damaged file can raise."""
-_RESTORE = "copy the file of this name from a backup or from another dataset with the same scene; or convert the original logs again"
+_RESTORE = (
+    "copy the file of this name from a backup or from another dataset with the same scene; "
+    "or convert the original logs again"
+)
 
 
 class DatasetRecords:

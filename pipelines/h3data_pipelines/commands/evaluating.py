@@ -63,7 +63,8 @@ class Evaluate:
     keep: bool = False
     """Keep the recordings, as datasets in OUT/recordings, for h3data report, view and rerender."""
     resume: bool = False
-    """Go on with an evaluation of the same options, which must be there. Without this, one that is there is gone on with too."""
+    """Go on with an evaluation of the same options, which must be there. Without this, one that is there is gone on with
+    too."""
     force: ForceFlag = False
     json: JsonFlag = False
 

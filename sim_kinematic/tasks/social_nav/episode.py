@@ -83,7 +83,10 @@ def sample_pair_starts(
                 human_heading=float(human_heading),
             )
         misfits += 1
-    narrow = f" At {misfits} of these pairs the robot did not fit: base_discs_m and base_radius_m of its robot.toml say its size."
+    narrow = (
+        f" At {misfits} of these pairs the robot did not fit: "
+        "base_discs_m and base_radius_m of its robot.toml say its size."
+    )
     raise SceneError(
         f"Found no start poses {spec.spawn_distance_m} m apart with a free base in 200 attempts (the farthest pair was "
         f"{farthest:.1f} m apart).{narrow if misfits else ''} Hint: a smaller --spawn-distance, or a larger home."

@@ -10,7 +10,10 @@ import h3data
 from h3data_pipelines.cli import main
 from tests.bodies.robots.cart_robot import write_cart
 
-NO_ARM = '<robot name="crate"><link name="base"><collision><geometry><box size="0.4 0.3 0.2"/></geometry></collision></link></robot>'
+NO_ARM = (
+    '<robot name="crate"><link name="base"><collision><geometry><box size="0.4 0.3 0.2"/></geometry></collision></link>'
+    "</robot>"
+)
 
 
 def _generate(task: str, robot: Path, out: Path) -> int:

@@ -2,7 +2,8 @@
 together.
 
 What recordings say about themselves (`Episode.info`) decides how they are grouped: ``policy``, ``partner`` (else the
-human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition`` (which names the run where no policy does).
+human's body), ``population`` (``train-pop`` or ``zsc-pop``), ``participant`` and ``condition`` (which names the run
+where no policy does).
 """
 
 from __future__ import annotations
@@ -236,7 +237,8 @@ def _runs(
     profiles: Mapping[tuple[int, str, str], Profile],
     roots: Sequence[Path],
 ) -> tuple[Run, ...]:
-    """One run for each policy. Datasets of a policy with the same episodes or other rules stay apart, named by dataset as well."""
+    """One run for each policy. Datasets of a policy with the same episodes or other rules stay apart, named by dataset
+    as well."""
     places: dict[tuple[str, str], list[int]] = {}
     for place, task, policy in grouped:
         places.setdefault((task, policy), []).append(place)

@@ -139,8 +139,8 @@ def meanings(data: ReportData) -> str:
     said = "".join(f"<li>{escape(line)}</li>" for line in notes)
     return (
         f"<p>Computed from the recordings alone by the metrics profile{'s' * (len(profiles) > 1)} {named}. Intervals hold "
-        "95 %: Wilson's for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. An episode that does not "
-        "define a metric is left out of its mean.</p>"
+        "95 %: Wilson's for shares, percentile bootstrap over episodes (10,000 resamples, seeded) for means. "
+        "An episode that does not define a metric is left out of its mean.</p>"
         f'<dl class="definitions-list">{"".join(map(_definition, terms))}</dl>'
         + (f'<h3>Notes of the measurement</h3><ul class="notes">{said}</ul>' if said else "")
     )

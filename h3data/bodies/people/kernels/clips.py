@@ -119,7 +119,8 @@ def joint_frames(base, quats, pelvis, offsets, parents, frames):
 
 @kernel(error_model="numpy")
 def free_joint_frames(root, quats, offsets, parents, frames):
-    """Frames [T, 55, 4, 4] of all joints from those of the pelvis in the world [T, 7] and rotations of the others [T, 54, 4]."""
+    """Frames [T, 55, 4, 4] of all joints from those of the pelvis in the world [T, 7] and rotations of the others
+    [T, 54, 4]."""
     world = np.eye(4)
     for t in range(len(quats)):
         p = root[t]
