@@ -226,6 +226,14 @@ def test_rearrangement_by_hand():
     assert values == {"SR": 0, "RE": 80.0, "CR": 1, "RC": 1.0}
 
 
+def test_a_person_alone_who_did_not_finish_makes_a_lower_bound():
+    done = [[0, 0], [0, 0], [1, 1]]
+    assert "RE" not in measure(tidy(done, solo_steps=9)).notes
+    censored = measure(tidy(done, solo_steps=10))
+    assert "censored" in censored.notes["RE"]
+    assert "lower bound" in censored.notes["RE"]
+
+
 def test_the_last_holder_gets_the_credit():
     carried_twice = [[0, 0], [1, 0], [0, 0], [1, 0]]  # the robot places 7, the human takes it up and puts it back
     assert measure(tidy(carried_twice, [7, -1, -1, -1], [-1, -1, 7, -1])).values["RC"] == 0

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -30,7 +32,7 @@ def test_estimates_and_standard_errors_as_lme4(name):
     fit, expected = stored_fit(name), reference(name, "coefficient")
     assert [r_name(n) for n in fit.fixed.names] == list(expected)
     assert fit.converged
-    assert fit.coefficients == pytest.approx([row["value"] for row in expected.values()], rel=2e-4)
+    assert fit.coefficients == pytest.approx([row["value"] for row in expected.values()], rel=1e-4)
     assert fit.standard_errors == pytest.approx([row["se"] for row in expected.values()], rel=1e-3)
 
 
@@ -55,13 +57,14 @@ def test_what_a_reader_has_to_know_is_said():
     assert "NOT" not in text
 
 
+@pytest.mark.parametrize("nested", [False, True])
 @pytest.mark.parametrize("observation", [False, True])
-def test_the_eliminated_form_equals_a_dense_one(observation):
+def test_the_eliminated_form_equals_a_dense_one(observation, nested):
     """log-likelihood by plain optimisation of u and a determinant of the whole matrix."""
     random = np.random.default_rng(5)
     table = {
         "y": random.poisson(4, 40),
-        "a": random.choice(["p", "q", "r"], 40),
+        "a": np.array(list("ppqqrrr"))[np.arange(40) % 7] if nested else random.choice(["p", "q", "r"], 40),
         "b": np.arange(40) % 7,
         "x": random.normal(size=40),
     }
@@ -85,6 +88,30 @@ def test_the_eliminated_form_equals_a_dense_one(observation):
     assert model.mode(theta, beta).deviance == pytest.approx(expected, abs=1e-7)
     free = model.mode(theta)
     assert model.mode(theta, free.coefficients).deviance == pytest.approx(free.deviance, abs=1e-7)
+
+
+def test_many_levels_and_an_observation_effect_take_less_than_a_few_seconds():
+    """The shape of lme4's grouseticks: 403 chicks in 118 broods in 63 locations, which took 50 CPU-seconds."""
+    random = np.random.default_rng(1)
+    place = np.sort(random.integers(0, 63, 118))
+    place[:63] = np.arange(63)
+    brood = np.concatenate([np.arange(118), random.integers(0, 118, 403 - 118)])
+    location = place[brood]
+    year, height = random.integers(95, 98, 63)[location], random.normal(0, 0.35, 63)[location]
+    eta = 0.5 + (year == 96) - (year == 97) - 2 * height + random.normal(0, 0.55, 403)
+    eta += random.normal(0, 0.53, 63)[location] + random.normal(0, 0.75, 118)[brood]
+    table = {
+        "ticks": random.poisson(np.exp(eta)), "year": year.astype(str), "height": height,
+        "brood": brood.astype(str), "location": location.astype(str),
+    }  # fmt: skip
+    start = time.process_time()
+    fit = fit_glmm(
+        table, "ticks", "poisson", fixed=["year", "height"], random=["brood", "location"], observation_effect=True
+    )
+    assert time.process_time() - start < 4, "0.6 s on an idle core; a dense factor of the broods takes 20"
+    assert fit.sound
+    assert fit.deviations["brood"] == pytest.approx(0.75, abs=0.25)
+    assert fit.deviations["observation"] == pytest.approx(0.55, abs=0.1)
 
 
 def test_laplace_is_near_the_integral():

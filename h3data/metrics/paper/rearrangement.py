@@ -59,7 +59,8 @@ REARRANGEMENT: tuple[Metric, ...] = (
         series=("done",),
         reading=(
             "The paper prints L_human / max(L_joint, E), which never exceeds 100%, while its tables hold 159%. Read as "
-            "min: L_joint is the number of steps until success; an episode without success counts E."
+            "min: L_joint is the number of steps until success; an episode without success counts E. Where L_human is E, the "
+            "person alone did not finish: a note says that RE is a lower bound."
         ),
         habitat="Not computed in either repository.",
     ),
@@ -153,7 +154,7 @@ def compute_rearrangement(recording: Recording, notes: Notes) -> Computed:
         if not solved:
             notes.add(("TS",), "the task is not completed")
         if "RE" not in missing:
-            values["RE"] = _efficiency(recording, steps if solved else limit, notes)
+            values["RE"] = _efficiency(recording, steps if solved else limit, limit, notes)
         elif recording.episode.info.get("participant"):
             notes.add(("RE",), "for people it follows from the estimated means of TS, see h3data report")
     if "RC" not in missing:
@@ -177,11 +178,13 @@ def _steps(recording: Recording, done: NDArray[np.bool_], notes: Notes) -> tuple
     return (int(np.argmax(in_time)) + 1 if solved else len(in_time)), solved, limit
 
 
-def _efficiency(recording: Recording, joint_steps: int, notes: Notes) -> float:
+def _efficiency(recording: Recording, joint_steps: int, limit: int, notes: Notes) -> float:
     solo = recording.episode.info["solo_steps"]
     if isinstance(solo, bool) or not isinstance(solo, int | float) or not solo >= 1:
         notes.add(("RE",), f"info solo_steps must be a number of at least 1, is {solo!r}")
         return NAN
+    if solo >= limit:
+        notes.add(("RE",), f"censored: the person alone did not finish before E = {limit}, so RE is a lower bound")
     return 100.0 * float(solo) / joint_steps
 
 
