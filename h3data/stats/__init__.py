@@ -6,6 +6,7 @@ Knows neither recordings nor metrics. Everything random is seeded, and NaN stand
 intervals         `wilson_interval` (rates), `bootstrap_interval` (means over episodes), `t_interval` and `over_seeds`
                   (means over a few training seeds)
 paired tests      `compare_paired`: permutation, Student's t, Wilcoxon, McNemar, with effect sizes
+ranks             `rank_agreement`: Kendall's tau and Spearman's rho of two evaluations of the same methods
 many tests        `adjust_p_values`: Holm, Bonferroni, Benjamini-Hochberg
 mixed models      `fit_glmm`: Poisson and binomial models with crossed random intercepts, as lme4's ``glmer``
 after the fit     `marginal_means`, `contrasts` (with `contrasts_text`), `relative_efficiency`, as R's emmeans
@@ -32,6 +33,7 @@ from h3data.stats.posthoc import (
     marginal_means,
     relative_efficiency,
 )
+from h3data.stats.rank_agreement import RankAgreement, rank_agreement
 
 __all__ = [
     "Adjustment",
@@ -43,6 +45,7 @@ __all__ = [
     "PAdjustment",
     "PairedComparison",
     "PairedMethod",
+    "RankAgreement",
     "RelativeEfficiency",
     "SeedSummary",
     "SeparationError",
@@ -54,6 +57,7 @@ __all__ = [
     "fit_glmm",
     "marginal_means",
     "over_seeds",
+    "rank_agreement",
     "relative_efficiency",
     "t_interval",
     "wilson_interval",

@@ -10,7 +10,7 @@ computational notes of lme4. The random intercepts are b = theta * u with u ~ N(
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -66,7 +66,7 @@ class LaplaceModel:
         else:
             self._constant = (gammaln(y + 1) + gammaln(n - y + 1) - gammaln(n + 1)).sum()
             start = np.log((y + 0.5) / (n - y + 0.5))
-        self._effects = [np.zeros(count) for count in self.level_counts]
+        self._effects: Sequence[Array] = [np.zeros(count) for count in self.level_counts]
         self._beta = np.linalg.lstsq(x, start, rcond=None)[0]
 
     def mode(self, theta: Array, coefficients: Array | None = None) -> Mode:
@@ -76,10 +76,10 @@ class LaplaceModel:
         """
         free = coefficients is None
         normal = self._free if free else self._bound
-        u = self._effects
+        u: Sequence[Array] = self._effects
         beta = self._beta if coefficients is None else coefficients
 
-        def predict(u: list[Array], beta: Array) -> tuple[Array, float]:
+        def predict(u: Sequence[Array], beta: Array) -> tuple[Array, float]:
             eta = self._x @ beta + normal.effect(theta, u)
             return eta, self._fit(eta) + sum(float(effects @ effects) for effects in u)
 

@@ -315,6 +315,29 @@ def test_no_p_value_of_an_unsound_model_stands_alone(tmp_path: Path, capsys: pyt
     assert "Poisson with an observation effect" in capsys.readouterr().out
 
 
+def test_automatic_and_human_orders_stand_beside_each_other(tmp_path: Path) -> None:
+    people = write(
+        tmp_path / "people",
+        [
+            tidy(steps + k, condition=condition, participant=f"P{k}", hit=condition == "plan_pop3")
+            for condition, steps in {"solo": 90, "learn_single": 50, "plan_pop3": 70}.items()
+            for k in range(6)
+        ],
+    )
+    automatic = write(
+        tmp_path / "auto",
+        [tidy(steps + k, policy=policy, partner="a") for policy, steps in {"Learn-Single": 30, "Plan-Pop 3": 55}.items()
+         for k in range(4)],
+    )  # fmt: skip
+    report = make_report([people, automatic], pictures=0)
+    ranks = next(t for t in report.tables if t.key == "ranks_rearrange")
+    rows = {row.name: row.cells for row in ranks.sections[0].rows}
+    assert rows["TS"][0].value == rows["RE"][1].value == 1
+    assert rows["RE"][2].text.startswith("learn_single")
+    assert "Automatic and human evaluation" in report.html
+    assert "ranks_rearrange" not in {t.key for t in make_report([people], pictures=0).tables}
+
+
 def test_any_task_can_be_studied(tmp_path: Path) -> None:
     ds = write(tmp_path / "ds", dispersed_study(task="juggling"))
     report = make_report([ds], pictures=0)

@@ -42,6 +42,7 @@ from h3data_viewers.html_report.report_pictures import (
     ranked_by,
     trajectory_figures,
 )
+from h3data_viewers.html_report.report_ranks import rank_table
 from h3data_viewers.html_report.report_study import key_of, studied, study_tables
 from h3data_viewers.html_report.report_tables import Table, to_html, to_latex, to_markdown
 from h3data_viewers.html_report.report_text import TASKS, beginning, episode_list, meanings, task_name
@@ -181,7 +182,8 @@ def _study_tables(data: ReportData, missing: list[str], study: StudyModel) -> li
         runs = [run for run in data.of_task(task) if any(map(studied, run.episodes))]
         if runs:
             found, why = study_tables(runs, study)
-            tables += found
+            ranks = rank_table(data.of_task(task))
+            tables += found if ranks is None else [*found, ranks]
             if why:
                 missing.append(f"Human-in-the-loop study in {task_name(task)}: {why}.")
     return tables
@@ -196,7 +198,7 @@ def _task_sections(
     if table := next((t for t in tables if t.key == task), None):
         beside = f"<h3>Beside the paper</h3>{names}{_panels(estimate_charts(runs))}" if task == "social_nav" else ""
         parts.append(_section(task, table.title, to_html(table) + beside))
-    keys = [key_of(name, task) for name in ("hitl", "contrasts")]
+    keys = [*(key_of(name, task) for name in ("hitl", "contrasts")), f"ranks_{task}"]
     parts += [_section(t.key, t.title + tail, to_html(t)) for t in tables if t.key in keys]
     partners = [t for t in tables if t.key.startswith(f"partners_{task}_")]
     if partners:

@@ -1,0 +1,82 @@
+"""Automatic evaluation beside the one with people: do both put the robots' policies in the same order?"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from h3data.errors import InputError
+from h3data.metrics.studies.analysis import study_layout
+from h3data.stats import RankAgreement, rank_agreement
+from h3data_viewers.html_report.report_data import Run
+from h3data_viewers.html_report.report_episode import ReportEpisode
+from h3data_viewers.html_report.report_study import studied
+from h3data_viewers.html_report.report_tables import Cell, Column, Row, Section, Table, mean_cell, number
+
+
+def rank_table(runs: Sequence[Run]) -> Table | None:
+    """Rank correlations over the policies that are also conditions of the study; None with fewer than two of them.
+
+    Names agree but for case and punctuation: ``plan_pop_3`` and ``Plan-Pop3``.
+    """
+    human: dict[str, list[ReportEpisode]] = {}
+    automatic: dict[str, list[ReportEpisode]] = {}
+    shown: dict[str, str] = {}
+    for run in runs:
+        for episode in run.episodes:
+            name = episode.condition if studied(episode) else episode.policy or run.name
+            (human if studied(episode) else automatic).setdefault(_key(name), []).append(episode)
+            shown.setdefault(_key(name), name)
+    shared = [key for key in automatic if key in human]
+    if len(shared) < 2:
+        return None
+    layout = study_layout(runs[0].profile)
+    rows = []
+    for name in layout.columns:
+        measured, sign = (layout.steps, -1.0) if name == layout.efficiency else (name, 1.0)
+        try:
+            agreement = rank_agreement(
+                {shown[k]: [e.metrics.values[name] for e in automatic[k]] for k in shared},
+                {shown[k]: [sign * e.metrics.values[measured] for e in human[k]] for k in shared},
+            )
+        except InputError:  # a policy without a defined value
+            continue
+        rows.append(_row(name, agreement, f"by people's {measured}, reversed" if measured != name else ""))
+    if not rows:
+        return None
+    return Table(
+        key=f"ranks_{runs[0].task}",
+        title="Automatic and human evaluation",
+        caption=f"Agreement of the order of {', '.join(shown[k] for k in shared)} by their means in automatic episodes and in "
+        "those of participants: 1 same order, −1 reversed; 95 % bootstrap interval over episodes.",
+        name_head="Metric",
+        columns=tuple(
+            Column(head=head) for head in ("Kendall's τ", "Spearman's ρ", "Order, automatic", "Order, with people")
+        ),
+        sections=(Section(title="", rows=tuple(rows)),),
+        notes=("With few policies the coefficients take few values: of two, only 1 and −1.",),
+    )
+
+
+def _row(name: str, found: RankAgreement, small: str) -> Row:
+    return Row(
+        name=name,
+        small=small,
+        cells=(
+            mean_cell(found.kendall, found.kendall_low, found.kendall_high, digits=2),
+            mean_cell(found.spearman, found.spearman_low, found.spearman_high, digits=2),
+            Cell(text=_order(found.names, found.first_means, sign=1.0)),
+            Cell(text=_order(found.names, found.second_means, sign=-1.0 if small else 1.0)),
+        ),
+    )
+
+
+def _order(names: Sequence[str], means: Sequence[float], *, sign: float) -> str:
+    """``a 0.36, b 0.44``, largest value of the ranked quantity first."""
+    return ", ".join(f"{names[k]} {number(sign * means[k])}" for k in np.argsort(-np.asarray(means), kind="stable"))
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
