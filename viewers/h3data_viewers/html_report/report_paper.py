@@ -102,6 +102,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
     shown = ("SR", "RE", "CR", "RC")
     there = {episode.population for run in runs for episode in run.episodes}
     populations = ["train", "zsc"] + ([""] if "" in there else [])
+    heads = _POPULATIONS | ({"": "Other partners"} if len(there) > 1 else {})
     ours = []
     for run in runs:
         cells = []
@@ -136,7 +137,7 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         "Mean over episodes with 95 % interval.",
         name_head="Method",
         columns=tuple(
-            metric_column(metrics[name], group=_POPULATIONS[population]) for population in populations for name in shown
+            metric_column(metrics[name], group=heads[population]) for population in populations for name in shown
         ),
         sections=(
             Section(title="These recordings", rows=tuple(ours)),
