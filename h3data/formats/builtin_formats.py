@@ -69,7 +69,7 @@ BUILT_IN = (
         suffixes=(".json", ".json.gz"),
         read="h3data.habitat.gfx.gfx_replay:read_gfx_replay",
         read_options=("fps",),
-        write="h3data.export.gfx_replay_export:export_gfx_replay",
+        write="h3data.exporters.gfx_replay_export:export_gfx_replay",
         write_options=("assets", "light"),
     ),
     Format(
@@ -173,19 +173,19 @@ BUILT_IN = (
     Format(
         name="gltf",
         title="an animated glTF model",
-        write="h3data.export.gltf_animation:export_gltf",
+        write="h3data.exporters.gltf_animation:export_gltf",
         write_options=("assets", "light"),
     ),
     Format(
         name="foxglove",
         title="a log for Foxglove and Lichtblick",
-        write="h3data.export.foxglove.foxglove_file:export_foxglove",
+        write="h3data.exporters.foxglove.foxglove_file:export_foxglove",
         write_options=("assets", "camera"),
     ),
     Format(
         name="lerobot",
         title="a LeRobot dataset",
-        write="h3data.export.lerobot_export:export_lerobot",
+        write="h3data.exporters.lerobot_export:export_lerobot",
         write_options=("agent",),
         target="dataset",
         many=True,
@@ -193,11 +193,11 @@ BUILT_IN = (
     Format(
         name="robomimic",
         title="demonstrations for robomimic",
-        write="h3data.export.robomimic:export_robomimic",
+        write="h3data.exporters.robomimic:export_robomimic",
         write_options=("agent",),
         many=True,
     ),
-    Format(name="csv", title="CSV tables", write="h3data.export.csv_tables:export_csv", target="folder"),
+    Format(name="csv", title="CSV tables", write="h3data.exporters.csv_tables:export_csv", target="folder"),
 )
 JSON = Format(name="json", title="JSON of an unknown kind")
 UNKNOWN = Format(name="unknown", title="a file of an unknown kind")

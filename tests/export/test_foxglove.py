@@ -25,9 +25,9 @@ pytest.importorskip("foxglove_schemas_protobuf", reason='needs the extra: pip in
 
 from h3data.bodies.people.skeleton import JOINT_NAMES
 from h3data.errors import InputError, MissingExtraError
-from h3data.export.foxglove import foxglove_file
-from h3data.export.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
-from h3data.export.posing import posed_parts
+from h3data.exporters.foxglove import foxglove_file
+from h3data.exporters.foxglove.foxglove_file import FoxgloveCamera, write_foxglove
+from h3data.exporters.posing import posed_parts
 from h3data.geometry import pose_to_matrix, quat_from_heading
 from h3data.habitat.gfx.gfx_replay import read_gfx_replay
 from h3data.recording import AssetRef, Body, Episode, Event, InputEvent, Recording, SkillSpan
@@ -293,7 +293,7 @@ def test_recorded_rigs_are_cut_into_pieces(real: Path, tmp_path: Path) -> None:
     turn=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
 )
 def test_a_model_undoes_the_viewers_turn(scale: tuple[float, ...], turn: tuple[float, ...]) -> None:
-    from h3data.export.foxglove.messages import model
+    from h3data.exporters.foxglove.messages import model
 
     pose = np.array([1.0, 2, 3, *(np.array(turn) / np.linalg.norm(turn))])
     made = model(b"", pose, np.array(scale))

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial import ConvexHull, cKDTree
 
 from h3data.errors import InputError, SceneError
-from h3data.export import habitat_scenes as export_module
-from h3data.export.habitat_scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data.exporters import habitat_scenes as export_module
+from h3data.exporters.habitat_scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
 from h3data.habitat.navmesh.navmesh import NavMeshSettings
 from h3data.habitat.navmesh.navmesh_file import read_navmesh

@@ -94,7 +94,11 @@ def test_all_are_drawn_by_the_command(
         cameras = ["top_down", "third_person"] if row["agents"] else ["top_down"]
         stride, folder = max(row["steps"] // 2, 1), tmp_path / str(number)
         options = [word for camera in cameras for word in ("--camera", camera)] + ["--format", "png", "-o", str(folder)]
-        options += ["--steps", f"0:{row['steps']}:{stride}", "--assets", *map(str, assets)]
+        options += [
+            "--steps",
+            f"0:{row['steps']}:{stride}",
+            *(word for folder in assets for word in ("--assets", str(folder))),
+        ]
         assert main(["rerender", row["recording"], *options]) == 0
         assert len(list(folder.rglob("*.png"))) == len(cameras) * len(range(0, row["steps"], stride))
     capsys.readouterr()

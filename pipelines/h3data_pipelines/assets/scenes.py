@@ -212,7 +212,7 @@ class ScenesExport:
         return Outcome(text=text, data=data)
 
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
-        from h3data.export.habitat_scenes import export_habitat_dataset
+        from h3data.exporters.habitat_scenes import export_habitat_dataset
         from h3data.habitat.episodes.episode_files import write_episodes
 
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]

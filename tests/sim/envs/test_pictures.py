@@ -13,15 +13,17 @@ import pytest
 
 import h3data
 from h3data.errors import InputError
+from h3data.progress import progress
 from h3data.render import look_at, pinhole
 from h3data.scene import HomeSpec, build_home
+from sim_kinematic.envs import stepper
 from sim_kinematic.envs.single import TaskEnv
 from sim_kinematic.policies.rearrange_observations import HABITAT_SENSES, PAPER_SENSES, SENSES
 from sim_kinematic.sensing import watching
 from sim_kinematic.sensing.agent_pictures import DETECTORS, picture_names
 from sim_kinematic.sensing.sensor import depth_with_noise, with_noise
 from sim_kinematic.sensing.table import SENSORS
-from sim_kinematic.tasks import describe as environment_words
+from sim_kinematic.tasks import sources
 from tests.sim.steppers import PAIR, Batch, rearrange_env, social_nav_env
 
 HOME = "small:1"
@@ -357,8 +359,12 @@ def test_a_bar_tells_how_far_a_first_reset_is(task: str, monkeypatch: pytest.Mon
         h3data.make(task, scenes=scenes, num_envs=4).reset(seed=3)
         return stderr.getvalue()
 
+    def set_delay(seconds: float) -> None:
+        for module in (sources, stepper):
+            monkeypatch.setattr(module, "progress", lambda **options: progress(**{**options, "delay": seconds}))
+
     assert told(terminal=False) == ""
-    monkeypatch.setattr(environment_words, "SILENT_S", 1e9)
+    set_delay(1e9)
     assert told(terminal=True) == ""
-    monkeypatch.setattr(environment_words, "SILENT_S", 0.0)
+    set_delay(0.0)
     assert {"social_nav": "homes", "rearrange": "episodes"}[task] in told(terminal=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.export.foxglove import messages as messages
-from h3data.export.foxglove.frames import WORLD, FrameTree
-from h3data.export.posed_parts import PosedPart
-from h3data.export.rigid_pieces import rigid_pieces
+from h3data.exporters.foxglove import messages as messages
+from h3data.exporters.foxglove.frames import WORLD, FrameTree
+from h3data.exporters.posed_parts import PosedPart
+from h3data.exporters.rigid_pieces import rigid_pieces
 from h3data.geometry import IDENTITY_POSE, Array
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.mesh import Mesh

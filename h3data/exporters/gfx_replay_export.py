@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.export.gltf_skin import skinned_glb_bytes
-from h3data.export.habitat_lights import replay_lights
-from h3data.export.posed_parts import PosedCamera, PosedPart, spans
-from h3data.export.posing import missing_note, posed_cameras, posed_parts
+from h3data.exporters.gltf_skin import skinned_glb_bytes
+from h3data.exporters.habitat_lights import replay_lights
+from h3data.exporters.posed_parts import PosedCamera, PosedPart, spans
+from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array
@@ -93,7 +93,7 @@ def write_gfx_replay(
       it. The user transform `PERSON_ROOT_PREFIX` and the rig's number says where the person stands, for our importer.
     - Cameras become user transforms, ``sensor_<name>``; ``user.<name>`` columns keep their names.
 
-    Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data.export.posing`.
+    Poses are rounded to `DECIMALS`. ``parts`` and ``cameras`` come from `h3data.exporters.posing`.
 
     Raises:
         InputError: there is no row to write, or the name does not end in .json or .json.gz.

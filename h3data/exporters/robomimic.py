@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.export.transitions import Transitions, transitions_of
+from h3data.exporters.transitions import Transitions, transitions_of
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.records import Recording

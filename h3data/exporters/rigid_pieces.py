@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.export.posed_parts import Skeleton
+from h3data.exporters.posed_parts import Skeleton
 from h3data.geometry import Array, normalized, pose_inverse, pose_to_matrix, transform_points
 from h3data.mesh.mesh import Mesh
 from h3data.mesh.mesh_operations import face_texture_indices

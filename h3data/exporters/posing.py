@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid
 from h3data.bodies.people.humanoid import SkinnedMesh as PersonMesh
 from h3data.errors import SceneError
-from h3data.export.posed_parts import PosedCamera, PosedPart, Skeleton
+from h3data.exporters.posed_parts import PosedCamera, PosedPart, Skeleton
 from h3data.geometry import (
     Array,
     pose_from_matrix,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
-from h3data.export.gltf_skin import Node, add_joints, local_poses, skin_record, trs
-from h3data.export.posed_parts import PosedCamera, PosedPart
-from h3data.export.posing import missing_note, posed_cameras, posed_parts
+from h3data.exporters.gltf_skin import Node, add_joints, local_poses, skin_record, trs
+from h3data.exporters.posed_parts import PosedCamera, PosedPart
+from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, quat_sign_continuous
@@ -52,7 +52,7 @@ def write_gltf_animation(
     - Cameras are glTF cameras; one that is absent at times stays where it was.
 
     ``extras`` of the file hold uid, task and scene of the episode; those of a node its semantic id and whether its file
-    was missing (it is drawn as a placeholder). ``parts`` and ``cameras`` come from `h3data.export.posing`.
+    was missing (it is drawn as a placeholder). ``parts`` and ``cameras`` come from `h3data.exporters.posing`.
 
     Raises:
         InputError: there is no row to write, or the name does not end in .glb.

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, MissingExtraError
-from h3data.export.posed_parts import PosedPart
-from h3data.export.posing import missing_note, posed_parts
+from h3data.exporters.posed_parts import PosedPart
+from h3data.exporters.posing import missing_note, posed_parts
 from h3data.files import part_file, size_text
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import Array, pose_from_matrix
@@ -127,10 +127,10 @@ class _Export:
     """One file while it is written; messages come in the order of their times."""
 
     def __init__(self, recording: Recording, posed: Posed, mcap: Writer, cameras: Sequence[FoxgloveCamera]) -> None:
-        from h3data.export.foxglove import messages as foxglove_messages
-        from h3data.export.foxglove.frames import WORLD
-        from h3data.export.foxglove.scene import FoxgloveScene
-        from h3data.export.foxglove.video import PictureStream
+        from h3data.exporters.foxglove import messages as foxglove_messages
+        from h3data.exporters.foxglove.frames import WORLD
+        from h3data.exporters.foxglove.scene import FoxgloveScene
+        from h3data.exporters.foxglove.video import PictureStream
 
         self._messages, self._world = foxglove_messages, WORLD
         self._recording, self._posed, self._mcap, self._cameras = recording, posed, mcap, cameras

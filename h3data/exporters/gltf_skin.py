@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from h3data.export.posed_parts import Skeleton
+from h3data.exporters.posed_parts import Skeleton
 from h3data.geometry import Array, pose_from_matrix, pose_to_matrix
 from h3data.mesh.glb import FLOAT32, GlbChunk, gltf_document, pack_glb, placement
 from h3data.mesh.glb_write import mesh_lists

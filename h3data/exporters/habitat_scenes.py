@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, SceneError
-from h3data.export.habitat_lights import SHADER, light_setup
+from h3data.exporters.habitat_lights import SHADER, light_setup
 from h3data.geometry import normalized, transform_points
 from h3data.habitat.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
 from h3data.habitat.navmesh.navmesh_file import navmesh_bytes

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.export.transitions import transitions_of
+from h3data.exporters.transitions import transitions_of
 from h3data.formats import Exported, ExportRequest
 from h3data.recording.parquet.writer import DatasetWriter
 from h3data.recording.records import Recording
