@@ -27,6 +27,7 @@ from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, recorded_commands
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec
 from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
 if TYPE_CHECKING:
     from h3data.scene.scene_sets import SceneSet
@@ -152,6 +153,11 @@ class Task:
 
     def check_env_options(self, options: Mapping[str, Any]) -> None:
         """Raises an `InputError` if the value of one of `env_options` is not allowed; by default all are."""
+
+    # --- episode files ------------------------------------------------------------------------------------------------
+    def storage(self) -> EpisodeStorage[Any]:
+        """How its episodes are stored in files; by default starts, agents, rules and `Episode.extra`."""
+        return TaskStorage(self.name, self.Spec, self.check_roster)
 
     # --- datasets and evaluations -------------------------------------------------------------------------------------
     bodies_in_agents: ClassVar[bool] = False

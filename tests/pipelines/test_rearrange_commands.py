@@ -78,7 +78,7 @@ def test_an_episode_that_raises_is_marked_and_the_job_goes_on(
         (("--agents", "human,human", "--policy", "complement"), "is for a robot, but there is none"),
         (("--agents", "robot,robot", "--partner", "both"), "is for a human, but there is none"),
         (("--agents", "robot", "--policy", "solo"), "Expected a person in --agents"),
-        (("--episodes-file", "x.json.gz"), "drawn from --scenes"),
+        (("--episodes-file", "x.json.gz"), "no such file"),
     ],
 )
 def test_bad_options_are_refused(

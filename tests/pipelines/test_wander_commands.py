@@ -115,7 +115,7 @@ def test_an_episode_that_raises_is_listed_and_the_others_are_played(
         (("--human", "femal_1"), "Did you mean 'female_1'?"),
         (("--scenes", "smal"), "Did you mean 'small'?"),
         (("--episodes", "0"), "at least 1"),
-        (("--episodes-file", "x.json.gz"), "drawn from --scenes"),
+        (("--episodes-file", "x.json.gz"), "leave out --seed"),
         (("--spawn-distance", "-1"), "must not be negative"),
     ],
 )

@@ -2,51 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from h3data.errors import H3DataError, SceneError
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
-from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+from h3data.habitat.episodes.stored_episodes import StoredEpisode
+from h3data.habitat.scene_files import dataset_at, find_scene_file, folders_of
 from h3data.habitat.scene_names import open_scene
 from h3data.habitat.scenes.scene_dataset import DATASET_ENDING
 from h3data.scene import HomeSpec, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSource
 
 
-def scene_of_episode(episode: RearrangeEpisode, nav: SocialNavEpisode, folder: Path) -> SceneSource:
-    """How to get the scene of an episode that was read from a file in ``folder``.
+def scene_of_episode(
+    episode: RearrangeEpisode,
+    stored: StoredEpisode | None,
+    folder: Path,
+    *,
+    assets: Sequence[str | Path] = (),
+    allow_missing: bool = False,
+) -> SceneSource:
+    """How to get the scene of an episode that was read from a file in ``folder``; ``stored`` is its record, if it has one.
 
     A home is built again and must have the same content; if it has not, since the generator has changed, or if it is no
-    home, the file is taken that the episode names: below ``folder``, the folder above it or the working directory; or the
-    dataset that lies there, when the folder of an export has been moved.
+    home, the file is taken that the episode names: below ``folder``, the folder above it, the working directory or the
+    asset folders (default: H3DATA_ASSETS); or the dataset that lies there, when the folder of an export has been moved.
+    The other options are those of `load_habitat_scene`.
 
     Raises:
         SceneError: neither is there; the message says why.
     """
-    home = _home(nav.scene_source)
-    if home is not None and nav.scene_sha256 in ("", _digest(home)):
+    source = {} if stored is None else stored.scene_source
+    home = _home(source)
+    if stored is not None and home is not None and stored.scene_sha256 in ("", _digest(home)):
         return home
+    found = _named_file(episode, folder, tuple(map(str, assets)))
+    if found is None:
+        config, scene = source.get("config"), source.get("scene")
+        if isinstance(config, str) and Path(config).is_file():
+            of_dataset = config.endswith(DATASET_ENDING) and isinstance(scene, str)
+            found = config, str(scene) if of_dataset else ""
+    if found is not None:
+        options = {"assets": tuple(map(str, assets)), "allow_missing": allow_missing}
+        return SceneFile(path=found[0], scene=found[1], **options)
+    why = "" if stored is None else "it is no home, and "
+    why = "this version of h3data makes another home from its specification, and " if home is not None else why
+    named = " or ".join(
+        name for name in (episode.scene_id, episode.scene_dataset_config) if name not in ("", "default")
+    )
+    raise SceneError(
+        f"Cannot find the scene {episode.scene_id!r} of episode {episode.episode_id!r}: {why}there is no file {named} in "
+        f"{folder} or above it, in the working directory, or below --assets (H3DATA_ASSETS)."
+    )
+
+
+def _named_file(episode: RearrangeEpisode, folder: Path, assets: tuple[str, ...]) -> tuple[str, str] | None:
+    """Path of the dataset and name of its scene, or path of a scene and nothing."""
+    scene = Path(episode.scene_id).name.split(".")[0]
     for root in (folder, folder.parent, Path()):
         for config, file in (
             (root / episode.scene_dataset_config, root / episode.scene_id),
             (root / Path(episode.scene_dataset_config).name, root / "scenes" / Path(episode.scene_id).name),
         ):
-            if config.name.endswith(DATASET_ENDING) and config.is_file():
-                return SceneFile(path=str(config), scene=Path(episode.scene_id).name.split(".")[0])
+            if config.name.endswith(DATASET_ENDING) and config.is_file() and _has_scene(config, scene):
+                return str(config), scene
             if file.is_file():
-                return SceneFile(path=str(file))
-    config, scene = nav.scene_source.get("config"), nav.scene_source.get("scene")
-    if isinstance(config, str) and Path(config).is_file():
-        of_dataset = config.endswith(DATASET_ENDING) and isinstance(scene, str)
-        return SceneFile(path=config, scene=str(scene) if of_dataset else "")
-    why = "this version of h3data makes another home from its specification" if home is not None else "it is no home"
-    raise SceneError(
-        f"Cannot find the scene {episode.scene_id!r} of episode {episode.episode_id!r}: {why}, and there is no file "
-        f"{episode.scene_id} or {episode.scene_dataset_config} in {folder} or above it."
-    )
+                return str(file), ""
+    folders = folders_of(assets)
+    config = find_scene_file(episode.scene_dataset_config, folders)
+    if config is not None and _has_scene(config, scene):
+        return str(config), scene
+    file = find_scene_file(episode.scene_id, folders)
+    return None if file is None else (str(file), "")
+
+
+@lru_cache(maxsize=4096)
+def _has_scene(config: Path, scene: str) -> bool:
+    found, _ = dataset_at(str(config)).find("scene_instances", scene)
+    return found is not None and found.handle == scene
 
 
 def _home(source: Mapping[str, Any]) -> HomeSpec | None:

@@ -6,7 +6,6 @@ Habitat stores neither where the two agents begin nor where the person walks (sp
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -15,23 +14,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from h3data.errors import FormatError, InputError
+from h3data.errors import InputError
 from h3data.geometry import quat_from_heading
 from h3data.habitat.episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
+from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block
 from h3data.recording import Recording
 
-KEY = "h3data"
-VERSION = 1
-"""A reader refuses a higher one; added fields do not raise it."""
-
-Start = tuple[float, float, float]
+TASK = "social_nav"
 
 
 class SocialNavEpisode(msgspec.Struct, frozen=True, kw_only=True):
     """Who begins where and where the person walks: all that a simulator needs besides the scene."""
 
     robot_start: Start
-    """``(x, z, heading)``: the root on the floor [m], heading [rad] as in `h3data.geometry`."""
     human_start: Start
     human_goals: tuple[tuple[float, float], ...]
     """Floor points ``(x, z)`` that the person walks to one after the other, on shortest paths [m]."""
@@ -82,7 +77,7 @@ def social_nav_episode(
         start_rotation=(float(rotation[0]), float(rotation[1]), float(rotation[2]), float(rotation[3])),
         rigid_objects=tuple(sorted(rigid_objects, key=lambda thing: thing.config)),
         targets=targets or {},
-        info={KEY: {"task": "social_nav", "version": VERSION, **_plain(msgspec.to_builtins(nav))}},
+        info=info_block(TASK, nav),
     )
 
 
@@ -92,17 +87,7 @@ def read_social_nav(episode: RearrangeEpisode) -> SocialNavEpisode | None:
     Raises:
         FormatError: ours, but damaged or from a newer version.
     """
-    block = episode.info.get(KEY)
-    if not isinstance(block, dict) or block.get("task") != "social_nav":
-        return None
-    where = f"episode {episode.episode_id!r}: info.{KEY}"
-    version = block.get("version")
-    if type(version) is not int or version > VERSION:
-        raise FormatError(f"{where}: Expected version {VERSION}, got {version!r}. Hint: a newer h3data reads it.")
-    try:
-        return msgspec.convert(block, SocialNavEpisode)
-    except msgspec.ValidationError as fault:
-        raise FormatError(f"{where}: {str(fault).replace('`', '')}") from None
+    return read_info_block(episode, TASK, SocialNavEpisode)
 
 
 def social_nav_of(recording: Recording) -> SocialNavEpisode:
@@ -116,7 +101,7 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
     """
     info = recording.episode.info
     name = recording.episode.episode_id
-    if recording.episode.task != "social_nav":
+    if recording.episode.task != TASK:
         raise InputError(f"Expected a recording of social_nav, {name!r} is one of {recording.episode.task!r}.")
     robots = [k for k, agent in enumerate(recording.agents) if agent.kind == "robot"]
     humans = [k for k, agent in enumerate(recording.agents) if agent.kind == "human"]
@@ -140,8 +125,8 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
                 "robot": recording.agents[robots[0]].model,
                 "human": recording.agents[humans[0]].model,
                 "scene_sha256": info.get("scene_sha256", ""),
-                "scene_source": _plain(info.get("scene_source", {})),
-                "rules": _plain(info.get("spec", {})),
+                "scene_source": plain(info.get("scene_source", {})),
+                "rules": plain(info.get("spec", {})),
                 "recording": recording.episode.uid,
             },
             SocialNavEpisode,
@@ -150,14 +135,6 @@ def social_nav_of(recording: Recording) -> SocialNavEpisode:
         raise InputError(f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}") from None
     _require_finite(nav)
     return nav
-
-
-def _plain(value: Any) -> Any:
-    """As it will come back from a file: lists for tuples."""
-    try:
-        return json.loads(json.dumps(value, allow_nan=False))
-    except (TypeError, ValueError) as fault:
-        raise InputError(f"Expected rules and a scene source that JSON can hold: {fault}") from None
 
 
 _POINT = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*)\)")

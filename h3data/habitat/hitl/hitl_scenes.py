@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import functools
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 
 from h3data.errors import H3DataError
 from h3data.habitat.asset_folders import clean_path
 from h3data.habitat.asset_library import AssetLibrary
-from h3data.habitat.scenes.scene_instance import HABITAT_ENDINGS, load_habitat_scene
+from h3data.habitat.scene_files import find_scene_file
+from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.recording.records import AssetRef, Body
 from h3data.scene.scene_file import scene_bytes
 
@@ -36,7 +35,7 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
     path = clean_path(scene_id) if scene_id else ""
     name = PurePosixPath(path).name.split(".")[0] or "unknown"
     warnings = []
-    file = _scene_file(path, library)
+    file = find_scene_file(path, library)
     if file is not None:
         try:
             scene = load_habitat_scene(file, allow_missing=True, assets=library.roots if library else None)
@@ -63,24 +62,3 @@ def find_place(scene_id: str, library: AssetLibrary | None, *, floor_y: float) -
     )  # the placeholder's upper side is 1 cm below its origin
     floor = Body(name="stage", asset=ref.name, pose=pose, layer="floor")
     return Place(name=name, assets=(ref,), bodies=(floor,), warnings=tuple(warnings))
-
-
-def _scene_file(path: str, library: AssetLibrary | None) -> Path | None:
-    """The recorded path below a root, the longest end of it that leads to a file, or the only file of its name."""
-    if library is None or not path.lower().endswith(HABITAT_ENDINGS):
-        return None
-    found = library.resolve(path)
-    if found is not None:
-        return found
-    parts = PurePosixPath(path).parts
-    tails = [Path(root, *parts[k:]) for root in library.roots for k in range(len(parts)) if parts[k] != "/"]
-    tail = next((tail for tail in tails if tail.is_file()), None)
-    if tail is not None:
-        return tail
-    named = {file for root in library.roots for file in _files_named(root, parts[-1])}
-    return named.pop() if len(named) == 1 else None
-
-
-@functools.cache  # every episode of a session names the same scene, and a set such as HSSD has 100,000 files
-def _files_named(root: Path, name: str) -> tuple[Path, ...]:
-    return tuple(Path(folder, name).resolve() for folder, _, files in os.walk(root) if name in files)

@@ -25,9 +25,9 @@ from h3data.habitat.scenes.templates import TemplateReader
 from h3data.mesh.loading import MESH_SUFFIXES
 from h3data.scene.records import Scene
 
-_INSTANCE_ENDING = ".scene_instance.json"
+INSTANCE_ENDING = ".scene_instance.json"
 _SINGLE_ENDINGS = (".stage_config.json", ".object_config.json", ".ao_config.json", ".urdf", *MESH_SUFFIXES)
-HABITAT_ENDINGS = (DATASET_ENDING, _INSTANCE_ENDING, *_SINGLE_ENDINGS)
+HABITAT_ENDINGS = (DATASET_ENDING, INSTANCE_ENDING, *_SINGLE_ENDINGS)
 """Endings of the files that `load_habitat_scene` opens."""
 
 
@@ -74,7 +74,7 @@ def load_habitat_scene(
         return _from_instance(_builder(path, dataset.keys, allow_missing, strict, assets), dataset, template)
     if scene is not None:
         raise SceneError(f"A scene name ({scene!r}) can only be given with a *{DATASET_ENDING}, not with: {path}")
-    if path.name.endswith(_INSTANCE_ENDING):
+    if path.name.endswith(INSTANCE_ENDING):
         dataset = dataset_above(path)
         template = next(t for t in dataset.sections["scene_instances"] if t.path.resolve() == path.resolve())
         return _from_instance(_builder(dataset.path, dataset.keys, allow_missing, strict, assets), dataset, template)

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from h3data.progress import progress
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome
+from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.evaluations import ALL
 
@@ -29,6 +29,7 @@ class Evaluate:
         h3data evaluate social_nav --policies heuristic_expert,weights:net.npz --episodes 20 -o out/mine
         h3data evaluate rearrange --scenes medium --homes 2 --episodes 8 --workers 2 -o out/pairs
         h3data evaluate rearrange --episodes 20 --keep --zsc plan_pop_1 --zsc plan_pop_2 -o out/zsc
+        h3data evaluate rearrange --episodes-file val.json.gz --assets data/ -o out/val
         h3data report out/zsc
     """
 
@@ -46,6 +47,10 @@ class Evaluate:
     object_1, object_2 and still, if all play)."""
     scenes: str = "h3-homes/test"
     """As of h3data generate."""
+    episodes_file: Path | None = None
+    """Episode file instead of --scenes, as of h3data generate: one of ours, in rearrange also Habitat's or PARTNR's."""
+    assets: AssetsOption = ()
+    allow_missing: MissingFlag = False
     episodes: int | None = None
     """How many (default: all of a set, else 10)."""
     homes: int = 4
@@ -70,12 +75,28 @@ class Evaluate:
 
     def run(self) -> Outcome:
         request = EvaluationRequest(
-            task=self.task, policies=self.policies, partners=self.partners, zsc=self.zsc, scenes=self.scenes,
-            episodes=self.episodes, homes=self.homes, seed=self.seed, human=self.human, human_speed=self.human_speed,
+            task=self.task,
+            policies=self.policies,
+            partners=self.partners,
+            zsc=self.zsc,
+            scenes=self.scenes,
+            episodes_file=self.episodes_file,
+            assets=self.assets,
+            allow_missing=self.allow_missing,
+            episodes=self.episodes,
+            homes=self.homes,
+            seed=self.seed,
+            human=self.human,
+            human_speed=self.human_speed,
             max_steps=self.max_steps,
-        )  # fmt: skip
+        )
         result = evaluate_task(
             request, self.out, keep=self.keep, resume=self.resume, force=self.force, workers=self.workers,
             progress=progress,
         )  # fmt: skip
-        return Outcome(text=result.to_text(), data=result.to_dict(), result=result, exit_code=1 if result.failed else 0)
+        return Outcome(
+            text=result.to_text(),
+            data=result.to_dict(),
+            result=result,
+            exit_code=1 if result.failed or result.left_out else 0,
+        )

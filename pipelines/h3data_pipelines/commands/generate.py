@@ -32,7 +32,8 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.jobs.episodes import Choices, Job, file_jobs, make_jobs
+from h3data_pipelines.jobs.episode_files import FileJobs, claim_episode_file, file_jobs, notes_on, save_episodes
+from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import simulate_jobs
@@ -61,6 +62,8 @@ class Generate:
         h3data generate social_nav --scenes my_home.scene_instance.json --episodes 5 -o ds/ --mcap
         h3data generate rearrange --scenes h3-homes/test --policy complement --partner plan_pop_2 -o ds/
         h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
+        h3data generate rearrange --scenes h3-homes/test --save-episodes test.json.gz --dry-run -o ds/
+        h3data generate rearrange --episodes-file val/social_rearrange.json.gz --assets data/ -o ds/
         h3data generate wander --agents robot,human,human --human any --episodes 50 --workers 2 -o ds/
         h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
     """
@@ -79,7 +82,10 @@ class Generate:
     """small, medium or large (built-in homes), one home as small:3, a set (h3-homes/train, /val, /test, or a .toml file), one
     of its scenes as h3-homes/test#3, or the path of a scene (.scene_instance.json, .glb)."""
     episodes_file: Path | None = None
-    """Habitat episode file (.json.gz) with starts and way points of ours, instead of --scenes."""
+    """Episode file (.json.gz, .json, .pickle) instead of --scenes: one of ours (--save-episodes, h3data scenes export); in
+    rearrange also Habitat's and PARTNR's, whose starts are sampled from --seed."""
+    save_episodes: Path | None = None
+    """Also write the episodes as a file for --episodes-file (.json.gz or .json); with --dry-run, only that."""
     assets: AssetsOption = ()
     allow_missing: MissingFlag = False
     homes: int = 4
@@ -129,9 +135,15 @@ class Generate:
             raise InputError("Choose one: --resume goes on with a dataset, --force replaces it.")
         if self.share_scenes and not self.mcap:
             raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
-        jobs, out = self.jobs(), place(self.out)
+        out = place(self.out)
+        if self.save_episodes is not None:
+            claim_episode_file(self.save_episodes, force=self.force)
+        asked = self._jobs()
+        jobs = asked.jobs
+        if self.save_episodes is not None:
+            save_episodes(jobs, self.save_episodes)
         if self.dry_run:
-            return self._plan(jobs)
+            return self._plan(asked)
         if self.force:
             remove_dataset(out)
         if self.resume:
@@ -147,16 +159,18 @@ class Generate:
         table = measure_many(written)
         text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}"
         text += f"\n\n{table.to_text()}"
-        text += "".join(f"\nfailed {line}" for line in written.failed)
+        text += "".join(f"\nfailed {line}" for line in written.failed) + notes_on(asked)
         data: dict[str, Any] = {
             "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
-            "state_hashes": written.hashes, "failed": written.failed, "metrics": table.to_dict(),
+            "state_hashes": written.hashes, "failed": written.failed, "left_out": list(asked.left_out),
+            "warnings": list(asked.warnings), "metrics": table.to_dict(),
         }  # fmt: skip
-        result = Generated(written.dataset, len(written) - done, tuple(written.failed), table)
-        return Outcome(text=text, data=data, result=result, exit_code=1 if written.failed else 0)
+        result = Generated(written.dataset, len(written) - done, tuple(written.failed), table, asked.left_out)
+        return Outcome(text=text, data=data, result=result, exit_code=1 if written.failed or asked.left_out else 0)
 
-    def _plan(self, jobs: Sequence[Job]) -> Outcome:
+    def _plan(self, asked: FileJobs) -> Outcome:
         """Describes the episodes that would be played, without playing any."""
+        jobs = asked.jobs
         scenes = list(dict.fromkeys(job.scene for job in jobs))
         named = ", ".join(scenes[:6]) + (f" and {len(scenes) - 6} more" if len(scenes) > 6 else "")
         plan: dict[str, Any] = {
@@ -174,7 +188,11 @@ class Generate:
             f"{plan['most_steps']:,} steps at most, in {self.workers} process{'es' if self.workers != 1 else ''}, "
             f"in {counted(len(scenes), 'scene')}: {named}"
         )
-        return Outcome(text=text, data={"plan": plan})
+        if self.save_episodes is not None:
+            plan["saved_episodes"] = str(self.save_episodes)
+            text += f"\nWrote the episodes to {self.save_episodes}"
+        plan |= {"left_out": list(asked.left_out), "warnings": list(asked.warnings)}
+        return Outcome(text=text + notes_on(asked), data={"plan": plan}, exit_code=1 if asked.left_out else 0)
 
     def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
@@ -209,6 +227,10 @@ class Generate:
 
     def jobs(self) -> Sequence[Job]:
         """All episodes, or an `InputError` that names the bad option."""
+        return self._jobs().jobs
+
+    def _jobs(self) -> FileJobs:
+        """All episodes, and why others of a file are left out."""
         self._check_numbers()
         choices = Choices(
             task=self.task,
@@ -224,15 +246,18 @@ class Generate:
         )
         task = choices.found_task
         if self.episodes_file is not None:
-            if task.name != "social_nav":
-                raise InputError(
-                    f"--episodes-file is for social_nav: episodes of {task.name} are drawn from --scenes and --seed."
-                )
-            self._refuse_beside("--episodes-file", scenes=self.scenes != "small", seed=self.seed != 0)
-            return file_jobs(choices, self.episodes_file, episodes=self.episodes)
+            refuse_beside("--episodes-file", scenes=self.scenes != "small")
+            return file_jobs(
+                choices,
+                self.episodes_file,
+                episodes=self.episodes,
+                seed=self.seed,
+                assets=self.assets,
+                allow_missing=self.allow_missing,
+            )
         if task.name == "social_nav" and find_scene_set(self.scenes.partition("#")[0]) is not None:
-            self._refuse_beside(f"--scenes {self.scenes}")
-        return make_jobs(
+            refuse_beside(f"--scenes {self.scenes}", spawn_distance=self.spawn_distance is not None)
+        jobs = make_jobs(
             choices,
             self.scenes,
             homes=self.homes,
@@ -241,6 +266,7 @@ class Generate:
             episodes=self.episodes,
             seed=self.seed,
         )
+        return FileJobs(jobs)
 
     def _check_numbers(self) -> None:
         for name, value, least in (
@@ -253,13 +279,6 @@ class Generate:
             raise InputError(f"--human-speed must be above 0 and at most 4 m/s, got {self.human_speed}.")
         if self.spawn_distance is not None and not 0 <= self.spawn_distance < math.inf:
             raise InputError(f"--spawn-distance must not be negative, got {self.spawn_distance}.")
-
-    def _refuse_beside(self, option: str, **given: bool) -> None:
-        """Refuse options that a stored episode decides already."""
-        given["spawn-distance"] = self.spawn_distance is not None
-        for name, is_given in given.items():
-            if is_given:
-                raise InputError(f"{option} says where the episodes start: leave out --{name}.")
 
 
 def _kept(out: AnyPath) -> str:

@@ -1,8 +1,7 @@
-"""Episodes to simulate, one job each, of any task: from presets and scenes with a seed, from scene sets, from episode files."""
+"""Episodes to simulate, one job each, of any task: from presets and scenes with a seed, and from scene sets."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -14,10 +13,10 @@ import msgspec
 
 from h3data.errors import InputError
 from h3data.recording import Recording
-from h3data.scene.scene_sets import SceneSet, SceneSource
+from h3data.scene.scene_sets import SceneFile, SceneSet, SceneSource
 
 if TYPE_CHECKING:
-    from h3data.habitat.episodes.social_nav_episodes import SocialNavEpisode
+    from h3data.habitat.episodes.stored_episodes import StoredEpisode
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task
 
@@ -52,8 +51,8 @@ class Job:
     """Body of robots named by their kind."""
     drawn_with: Any = None
     """Rules with which a set's starts and goals are sampled, whatever ``spec`` changes of them."""
-    stored: SocialNavEpisode | None = None
-    """Starts and goals from a file."""
+    stored: StoredEpisode | None = None
+    """The task's record of the episode, from a file."""
     origin: dict[str, Any] | None = None
     """Which episode of which set or file it is; ends up in the recording."""
 
@@ -77,20 +76,28 @@ class Job:
         """Scene, starts and rules, ready to run."""
         from h3data.habitat.scene_names import open_free_space, open_scene
         from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+        from sim_kinematic.tasks.storage import EpisodePlace
 
         task, spec = self.found_task, self.spec
         scene = open_scene(self.source)
         free = open_free_space(self.source, spec.agent_radius_m, spec.agent_height_m)
-        roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
         stored = self.stored
         if self.drawn_with is not None:
-            from sim_kinematic.tasks.social_nav.sets import sampled_episode
-
-            stored = sampled_episode(self.source, seed=self.seed, spec=self.drawn_with, robot=self.robot)
+            rules, robot = self.drawn_with, self.robot or ROBOT_BODY
+            floor = open_free_space(self.source, rules.agent_radius_m, rules.agent_height_m)
+            stored = task.storage().record(task.episode(scene, seed=self.seed, spec=rules, free=floor, robot=robot))
         if stored is not None:
-            from sim_kinematic.tasks.social_nav.episode import episode_from
-
-            return episode_from(stored, scene, spec=spec, free=free, human=self.human, robot=self.robot)
+            place = EpisodePlace(
+                scene=scene,
+                free=free,
+                spec=spec,
+                agents=self.agents,
+                robot=self.robot,
+                human=self.human,
+                assets=self.source.assets if isinstance(self.source, SceneFile) else (),
+            )
+            return task.without_robots(task.storage().episode(stored, place), self.policy)
+        roster = make_roster(self.agents or task.agents, robot=self.robot or ROBOT_BODY, human=self.human or HUMAN_BODY)
         return task.without_robots(task.sample(scene, free, self.seed, spec, roster), self.policy)
 
     def record(self) -> Recording:
@@ -237,32 +244,11 @@ def set_episodes(scenes: SceneSet, *, episodes: int | None, seed: int) -> Iterat
         yield Draw(i, drawn, f"{scenes.label}#{entry.id}", entry.source, origin)
 
 
-def file_jobs(choices: Choices, path: Path, *, episodes: int | None) -> list[Job]:
-    """The first ``episodes`` episodes of a Habitat episode file that carries starts and goals of ours.
-
-    Raises:
-        FormatError: damaged. InputError: it has no starts and goals. SceneError: a scene is not found.
-    """
-    from h3data.habitat.episodes.episode_files import read_episodes
-    from h3data.habitat.episodes.episode_scenes import scene_of_episode
-    from h3data.habitat.episodes.social_nav_episodes import read_social_nav
-    from sim_kinematic.tasks.social_nav.episode import rules_of
-
-    choices = checked(choices)
-    there = read_episodes(path).episodes
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    jobs = []
-    for i, episode in enumerate(there[: chosen_count(episodes, len(there), path.name)]):
-        stored = read_social_nav(episode)
-        if stored is None:
-            raise InputError(
-                f"Episode {episode.episode_id!r} says neither where robot and person start nor where she walks, as "
-                f"Habitat's own files do not. Expected one that h3data wrote (h3data scenes export): {path}"
-            )
-        origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(episode.episode_id)}
-        drawn = Draw(i, stored.seed, episode.scene_id, scene_of_episode(episode, stored, path.parent), origin)
-        jobs.append(choices.job(drawn, spec=choices.spec(rules_of(stored)), stored=stored))
-    return jobs
+def refuse_beside(option: str, **given: bool) -> None:
+    """Refuses options that a stored episode decides already."""
+    for name, is_given in given.items():
+        if is_given:
+            raise InputError(f"{option} says where the episodes start: leave out --{name.replace('_', '-')}.")
 
 
 def checked(choices: Choices) -> Choices:

@@ -17,7 +17,8 @@ from typing import Any
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.command import claim_folder, write_text
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
-from h3data_pipelines.jobs.episodes import Choices, make_jobs
+from h3data_pipelines.jobs.episode_files import FileJobs, file_jobs, notes_on
+from h3data_pipelines.jobs.episodes import Choices, make_jobs, refuse_beside
 from h3data_pipelines.jobs.evaluations import ALL, Evaluation, chosen_names, play_evaluation
 from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
 from h3data_pipelines.jobs.running import run_jobs
@@ -38,6 +39,12 @@ class EvaluationRequest:
     zsc: tuple[str, ...] = ()
     """Partners over which the zero-shot mean is taken (default: the paper's four planners, if all play)."""
     scenes: str = "h3-homes/test"
+    episodes_file: Path | None = None
+    """Episodes to play instead of those of ``scenes``."""
+    assets: tuple[Path, ...] = ()
+    """Asset folders for scenes and objects of an episode file."""
+    allow_missing: bool = False
+    """Whether scenes of an episode file may lack objects."""
     episodes: int | None = None
     homes: int = 4
     seed: int = 0
@@ -47,6 +54,10 @@ class EvaluationRequest:
 
     def jobs(self) -> list[Evaluation]:
         """All episodes, or an `InputError` that names the bad option."""
+        return self.evaluations()[0]
+
+    def evaluations(self) -> tuple[list[Evaluation], FileJobs]:
+        """All episodes, and what a file lacks; an `InputError` names the bad option."""
         from sim_kinematic.policies.assignment import policy_names
         from sim_kinematic.tasks.registry import find_task
 
@@ -70,8 +81,29 @@ class EvaluationRequest:
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:
                 task.check_policy(kind, name, choices.spec())
-        base = make_jobs(choices, self.scenes, homes=self.homes, episodes=self.episodes, seed=self.seed)
-        return [Evaluation(job, policies, partners) for job in base]
+        if self.episodes_file is None:
+            base = FileJobs(
+                make_jobs(
+                    choices,
+                    self.scenes,
+                    homes=self.homes,
+                    assets=self.assets,
+                    allow_missing=self.allow_missing,
+                    episodes=self.episodes,
+                    seed=self.seed,
+                )
+            )
+        else:
+            refuse_beside("--episodes-file", scenes=self.scenes != EvaluationRequest.scenes)
+            base = file_jobs(
+                choices,
+                self.episodes_file,
+                episodes=self.episodes,
+                seed=self.seed,
+                assets=self.assets,
+                allow_missing=self.allow_missing,
+            )
+        return [Evaluation(job, policies, partners) for job in base.jobs], base
 
     @property
     def population(self) -> tuple[str, ...]:
@@ -92,13 +124,17 @@ class EvaluationResult:
     """Episodes played now; the others were there."""
     failed: tuple[str, ...]
     """Pairs that raised: episode, seed, names and error."""
+    left_out: tuple[str, ...] = ()
+    """Episodes of the file that cannot be played, and why."""
+    warnings: tuple[str, ...] = ()
+    """What stands in for something missing."""
     job: dict[str, Any]
     """What was asked for."""
     created_by: tuple[str, ...]
 
     def to_text(self) -> str:
         """The tables, and what failed."""
-        return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed)
+        return self.table.to_text() + "".join(f"\nfailed {line}" for line in self.failed) + notes_on(self)
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON types."""
@@ -106,6 +142,8 @@ class EvaluationResult:
             "episodes": self.episodes,
             "new": self.new,
             "failed": list(self.failed),
+            **({"left_out": list(self.left_out)} if self.left_out else {}),
+            **({"warnings": list(self.warnings)} if self.warnings else {}),
             **self.table.to_dict(),
             "job": self.job,
             "created_by": list(self.created_by),
@@ -143,7 +181,7 @@ def evaluate_task(
         raise InputError(f"--workers must be at least 1, got {workers}.")
     if force and resume:
         raise InputError("Choose one: --resume goes on with an evaluation, --force replaces it.")
-    jobs = request.jobs()
+    jobs, asked = request.evaluations()
     folder, recordings = out / RESULTS, out / RECORDINGS
     if resume and not folder.is_dir():
         raise InputError(f"There is no evaluation to go on with; leave out --resume, or check -o: {out}")
@@ -178,6 +216,8 @@ def evaluate_task(
             for r in played
             for f in r["failed"]
         ),
+        left_out=asked.left_out,
+        warnings=asked.warnings,
         job=_asked(request, jobs[0]),
         created_by=tuple(sorted({r.get("created_by", "unknown") for r in played})),
     )
@@ -205,7 +245,9 @@ def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
     asked = job.to_json()
     own = {"index", "seed", "scene", "source", "human", "drawn_with"}
     rules = {name: value for name, value in asked.pop("episode").items() if name not in own}
-    of_set = {name: (job.base.origin or {}).get(name) for name in ("set", "split", "sha256")}
+    origin = job.base.origin or {}
+    of_set = {name: origin.get(name) for name in ("set", "split", "sha256")}
+    file = {"episodes_file": {name: origin[name] for name in ("file", "sha256")}} if "file" in origin else {}
     return {
         "task": request.task,
         **asked,
@@ -214,6 +256,7 @@ def _asked(request: EvaluationRequest, job: Evaluation) -> dict[str, Any]:
         "set": of_set if of_set["set"] else None,
         "seed": request.seed,
         "human": request.human,
+        **file,
         **({"zsc": list(request.population)} if request.zsc else {}),
     }
 

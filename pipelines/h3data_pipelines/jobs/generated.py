@@ -28,6 +28,8 @@ class Generated:
     failed: tuple[str, ...]
     """Episodes that could not be played: number, seed and error."""
     metrics: MetricsTable
+    left_out: tuple[str, ...] = ()
+    """Why episodes of the file could not be played at all."""
 
 
 class ReadBack:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_from_heading, wrap_angle
+from h3data.habitat.episodes.stored_rearrangements import EpisodeObject
 from h3data.scene import FreeSpace, Instance, Receptacle, Scene, instance_matrix
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.person_clearance import reach_room
@@ -110,6 +111,12 @@ class RearrangeEpisode(Episode):
     """Bodies of the robot and the person for whom it was sampled: both can do it, whoever plays it."""
     pair_starts: Starts
     """Starts of those two."""
+    added: tuple[EpisodeObject, ...] = ()
+    """Objects of ``scene`` that the file of the episode added to it."""
+    object_paths: tuple[str, ...] = ()
+    """Folders with their templates."""
+    is_sampled: bool = True
+    """Whether the episode follows from its seed and the rules; else its identity includes starts and targets."""
 
     @property
     def robot(self) -> Robot:
@@ -196,6 +203,19 @@ def draw_episode(
         f"Found no {spec.objects} objects and goals in {scene.name!r} within reach of both agents in {ATTEMPTS} attempts "
         f"({why}). Hint: a larger --max-steps, or another home."
     )
+
+
+def seconds_alone(
+    scene: Scene,
+    free: FreeSpace,
+    spec: RearrangeSpec,
+    robot: Robot,
+    human: Humanoid,
+    starts: Starts,
+    targets: tuple[Target, ...],
+) -> float:
+    """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
+    return _Draw(scene, free, spec, robot, human, []).seconds_alone(starts, targets)
 
 
 def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError
+from h3data.habitat.episodes.stored_rearrangements import StoredGoal
 from h3data.recording import Body, Recording, SkillSpan
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.driven.commands import STAND, action_of, command_from_json, command_to_json, interrupts_skill
@@ -44,13 +45,13 @@ from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     RearrangeEpisode,
     RearrangeSpec,
-    Target,
     body_indices,
     draw_episode,
     starts_of,
 )
 from sim_kinematic.tasks.rearrange.kept_track import KeptTrack, follow_track
 from sim_kinematic.tasks.rearrange.play import RearrangePlay
+from sim_kinematic.tasks.rearrange.storage import RearrangeStorage, goal_record, rules_to_json, target_of
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.resimulation import is_counterfactual
 from sim_kinematic.tasks.runner import run
@@ -60,16 +61,6 @@ from sim_kinematic.tasks.task import Task
 SOLO = "solo"
 """Policy of recordings in which no robot is beside the person."""
 SHORT_WAIT = Action("wait", steps=1)
-
-
-class _Goal(msgspec.Struct):
-    """One entry of ``info["goals"]``."""
-
-    object: str
-    start: list[float]
-    position: list[float]
-    source: str = msgspec.field(name="from")
-    destination: str = msgspec.field(name="to")
 
 
 class Rearrange(Task):
@@ -119,6 +110,9 @@ class Rearrange(Task):
             pair_starts=starts,
         )
 
+    def storage(self) -> RearrangeStorage:
+        return RearrangeStorage()
+
     def restore(
         self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]
     ) -> RearrangeEpisode:
@@ -133,7 +127,7 @@ class Rearrange(Task):
             rules["arm_rad_s"] = np.inf if rules.get("arm_rad_s", 0.0) is None else rules.get("arm_rad_s", 8.0)
             rules.setdefault("human", {})  # as in the paper
             spec = msgspec.convert(rules, RearrangeSpec)
-            goals = msgspec.convert(info["goals"], list[_Goal])
+            goals = msgspec.convert(info["goals"], list[StoredGoal])
             listed = info["starts"] if "starts" in info else [info[own[kind]] for kind in kinds]
             starts = np.array(msgspec.convert(listed, list[tuple[float, float, float]]), np.float64)
         except (msgspec.ValidationError, KeyError) as fault:
@@ -164,9 +158,7 @@ class Rearrange(Task):
             spec=spec,
             roster=roster,
             starts=starts,
-            targets=tuple(
-                Target(g.object, np.array(g.start), np.array(g.position), g.source, g.destination) for g in goals
-            ),
+            targets=tuple(map(target_of, goals)),
             pair=pair_of(roster),
             pair_starts=Starts.of(np.array(first)),
         )
@@ -269,25 +261,13 @@ class Rearrange(Task):
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         assert isinstance(episode, RearrangeEpisode)
-        rules = asdict(episode.spec)
-        if not np.isfinite(episode.spec.arm_rad_s):
-            rules["arm_rad_s"] = None
         return {
             **self.run_info(episode, policies),
             "max_steps": episode.spec.max_steps,
-            "spec": rules,
+            "spec": rules_to_json(episode.spec),
             **_starts(episode),
             "goal_objects": body_indices(episode),
-            "goals": [
-                {
-                    "object": t.name,
-                    "start": t.start.tolist(),
-                    "position": t.goal.tolist(),
-                    "from": t.source,
-                    "to": t.destination,
-                }
-                for t in episode.targets
-            ],
+            "goals": [msgspec.to_builtins(goal_record(target)) for target in episode.targets],
         }
 
     def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
@@ -309,6 +289,8 @@ class Rearrange(Task):
         what = f"h3data:rearrange:{digest}:{robot}:{human}:{episode.seed}:{policy}:{partner}:{episode.spec}"
         if kinds not in (PAIR, ("human",)):
             what += ":" + ",".join(member.model for member in episode.roster)
+        if not episode.is_sampled:
+            what += f":{episode.pair_starts.places.tolist()}:{[goal_record(target) for target in episode.targets]}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
 
     def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from sim_kinematic.tasks.rules.oracle import oracle_min_steps
 from sim_kinematic.tasks.rules.predicates import is_found
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward, check_profile
 from sim_kinematic.tasks.social_nav.episode import Starts, episode_from, goals_of, plan_of, rules_of, sample_pair_starts
+from sim_kinematic.tasks.social_nav.storage import SocialNavStorage
 from sim_kinematic.tasks.task import Task
 
 HUMAN_SKILLS = ("walk", "turn")
@@ -100,6 +101,9 @@ class SocialNav(Task):
         fits = robot_fits(roster[ROBOT].body, spec.robot, scene, free)  # type: ignore[arg-type]
         starts = sample_pair_starts(free, seed, spec, fits=fits)
         return Episode(scene=scene, free=free, seed=seed, spec=spec, roster=roster, starts=starts.places)
+
+    def storage(self) -> SocialNavStorage:
+        return SocialNavStorage()
 
     def restore(self, recording: Recording, scene: Callable[[float, float], tuple[Scene, FreeSpace]]) -> Episode:
         info, agents = recording.episode.info, recording.agents

@@ -1,0 +1,250 @@
+"""Rearrangement episodes in Habitat's files: which objects lie where, where they have to go, where the agents start.
+
+Habitat's own files hold objects and goals (spec/habitat.md 6.5) but no starts; ours hold everything, under
+``info["h3data"]`` (`h3data.habitat.episodes.stored_episodes`). Both are read as one record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import pose_from_matrix, quat_from_heading
+from h3data.habitat.episodes.rearrange_episode import (
+    Matrix,
+    RearrangeEpisode,
+    RigidObject,
+    instance_handles,
+    is_rigid,
+)
+from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, task_of
+from h3data.recording import Recording
+
+TASK = "rearrange"
+
+
+class StoredGoal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One object and where it has to go; also an entry of a recording's ``info["goals"]``."""
+
+    object: str
+    """Name of the instance in the scene."""
+    start: list[float]
+    """pose7 in the world at the beginning."""
+    position: list[float]
+    """Where its origin has to come to be, [3] [m]."""
+    source: str = msgspec.field(name="from")
+    """The receptacle it lies on, ``instance|receptacle``; empty if unknown."""
+    destination: str = msgspec.field(name="to")
+    rotation: list[float] | None = None
+    """Quaternion ``[x y z w]`` at the goal; only needed to convert between frames."""
+
+
+class EpisodeObject(msgspec.Struct, frozen=True, kw_only=True):
+    """An object that the episode adds to the scene."""
+
+    name: str
+    """Of its instance: Habitat's handle, ``024_bowl_:0000``."""
+    config: str
+    """File name of its template."""
+    pose: tuple[float, ...]
+    """pose7 of its center of mass in the world."""
+
+
+class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
+    """All that a simulator needs besides the scene."""
+
+    goals: tuple[StoredGoal, ...]
+    robot_start: Start | None = None
+    """None, as in Habitat's files: it is sampled from the seed."""
+    human_start: Start | None = None
+    objects: tuple[EpisodeObject, ...] = ()
+    """Objects that are not in the scene itself."""
+    object_paths: tuple[str, ...] = ()
+    """Folders with the templates of ``objects``."""
+    com_frames: bool = False
+    """Whether ``goals`` are poses of the centers of mass, as Habitat's, instead of the assets' origins."""
+    floor_y: float = 0.0
+    """Height of the floor [m]."""
+    seed: int = 0
+    robot: str = ""
+    """Model, such as ``robot/quad_arm``; empty: the default one."""
+    human: str = ""
+    scene_sha256: str = ""
+    scene_source: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    rules: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    """Fields of ``RearrangeSpec``; empty: its defaults."""
+    recording: str = ""
+    """uid of the recording that it was taken from."""
+    sampled_sha256: str = ""
+    """`content_digest` of an episode that follows from its seed alone; it tells whether somebody has edited it."""
+    instruction: str = ""
+    """What the agents are told, where the file says so."""
+
+
+def content_digest(record: StoredRearrangement) -> str:
+    """Digest of starts, objects, goals, seed and rules."""
+    content = (record.robot_start, record.human_start, record.goals, record.objects, record.seed, record.robot,
+               record.human, record.scene_sha256, plain(record.rules))  # fmt: skip
+    return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
+
+
+def rearrangement_entry(
+    record: StoredRearrangement,
+    *,
+    episode_id: str,
+    scene_id: str,
+    scene_dataset_config: str = "default",
+    rigid_objects: Sequence[RigidObject] = (),
+    targets: Mapping[str, Matrix] | None = None,
+    goal_receptacles: Sequence[str] = (),
+    name_to_receptacle: Mapping[str, str] | None = None,
+    object_paths: Sequence[str] = (),
+) -> RearrangeEpisode:
+    """A Habitat episode that carries a record; `write_episodes` writes it, `read_rearrangement` gets it back.
+
+    Habitat itself plays ``rigid_objects`` (in the order of their configs) and ``targets``, which
+    `h3data.exporters.habitat_episodes` fills in; h3data needs neither.
+    """
+    _require_finite(record)
+    x, z, heading = record.robot_start or (0.0, 0.0, math.pi / 2)
+    rotation = quat_from_heading(heading - math.pi / 2)  # Habitat's agents look along -Z in their own frame
+    names = targets or {}
+    on = name_to_receptacle or {}
+    info: dict[str, Any] = {"object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)}}
+    return RearrangeEpisode(
+        episode_id=episode_id,
+        scene_id=scene_id,
+        scene_dataset_config=scene_dataset_config,
+        additional_obj_config_paths=tuple(object_paths),
+        start_position=(x, record.floor_y, z),
+        start_rotation=(float(rotation[0]), float(rotation[1]), float(rotation[2]), float(rotation[3])),
+        rigid_objects=tuple(rigid_objects),
+        targets=names,
+        target_receptacles=tuple((on[name].partition("|")[0], None) for name in names),
+        goal_receptacles=tuple((name.partition("|")[0], None) for name in goal_receptacles),
+        name_to_receptacle=on,
+        info={**info, **info_block(TASK, record)},
+    )
+
+
+def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
+    """The rearrangement that an episode of any file describes; None if there is nothing to rearrange.
+
+    Raises:
+        FormatError: ours, but damaged or from a newer version.
+        InputError: Habitat's, but a target is no object of it, or a pose is none.
+    """
+    if task_of(episode) == TASK:
+        record = read_info_block(episode, TASK, StoredRearrangement)
+        assert record is not None
+        _require_finite(record)
+        if not record.goals:
+            raise InputError(f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.")
+        return record
+    if task_of(episode) is not None or not episode.targets:
+        return None
+    return _of_habitat(episode)
+
+
+def _of_habitat(episode: RearrangeEpisode) -> StoredRearrangement:
+    where = f"Episode {episode.episode_id!r}"
+    handles = instance_handles(episode)
+    objects = tuple(
+        EpisodeObject(name=name, config=thing.config, pose=tuple(_pose(thing.matrix, f"{where}: the pose of {name!r}")))
+        for name, thing in zip(handles, episode.rigid_objects, strict=True)
+    )
+    starts = {thing.name: thing.pose for thing in objects}
+    goals = []
+    for k, (name, matrix) in enumerate(episode.targets.items()):
+        if name not in starts:
+            listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
+            raise InputError(f"{where}: its target {name!r} is none of its objects ({listed}).")
+        goal = _pose(matrix, f"{where}: the goal of {name!r}")
+        goals.append(
+            StoredGoal(
+                object=name,
+                start=list(starts[name]),
+                position=goal[:3],
+                rotation=goal[3:],
+                source=episode.name_to_receptacle.get(name) or _at(episode.target_receptacles, k),
+                destination=_at(episode.goal_receptacles, k),
+            )
+        )
+    return StoredRearrangement(
+        goals=tuple(goals),
+        objects=objects,
+        object_paths=episode.additional_obj_config_paths,
+        com_frames=True,
+        instruction=str(episode.extra.get("instruction") or episode.extra.get("language_instruction") or ""),
+    )
+
+
+def rearrangement_of(recording: Recording) -> StoredRearrangement:
+    """Objects, goals and starts of a recorded episode, to play it again with others.
+
+    Raises:
+        InputError: the recording is of another task, or lacks something.
+    """
+    info, name = recording.episode.info, recording.episode.episode_id
+    if recording.episode.task != TASK:
+        raise InputError(f"Expected a recording of rearrange, {name!r} is one of {recording.episode.task!r}.")
+    if not len(recording) or not recording.agents:
+        raise InputError(f"Expected a recording with agents and steps, {name!r} has none.")
+    first = {agent.kind: k for k, agent in reversed(list(enumerate(recording.agents)))}
+    starts = {kind: info.get(f"{kind}_start") for kind in ("robot", "human")}
+    if "starts" in info:
+        starts |= {kind: info["starts"][k] for kind, k in first.items()}
+    models = {kind: recording.agents[k].model for kind, k in first.items()}
+    floor_y = float(recording.agent_column(next(iter(first.values())), "base_pose")[0, 1])
+    try:
+        record = msgspec.convert(
+            {
+                "goals": info.get("goals"),
+                **{f"{kind}_start": start for kind, start in starts.items()},
+                "floor_y": floor_y,
+                "seed": recording.episode.seed,
+                "robot": models.get("robot", ""),
+                "human": models.get("human", ""),
+                "scene_sha256": info.get("scene_sha256", ""),
+                "scene_source": plain(info.get("scene_source", {})),
+                "rules": plain(info.get("spec", {})),
+                "recording": recording.episode.uid,
+            },
+            StoredRearrangement,
+        )
+    except (msgspec.ValidationError, TypeError, ValueError) as fault:
+        raise InputError(f"The info of recording {name!r} lacks something: {str(fault).replace('`', '')}") from None
+    _require_finite(record)
+    return record
+
+
+def _at(receptacles: Sequence[tuple[str, int | None]], index: int) -> str:
+    return receptacles[index][0] if index < len(receptacles) else ""
+
+
+def _pose(matrix: NDArray[np.float64], what: str) -> list[float]:
+    if not is_rigid(matrix):
+        raise InputError(f"{what} is no rotation and translation.")
+    return pose_from_matrix(np.asarray(matrix, np.float64)).astype(np.float64).tolist()
+
+
+def _require_finite(record: StoredRearrangement) -> None:
+    for start in (record.robot_start, record.human_start):
+        if start is not None and not all(map(math.isfinite, start)):
+            raise InputError(f"Expected finite starts, got {start}.")
+    for goal in record.goals:
+        numbers = [*goal.start, *goal.position]
+        if len(goal.start) != 7 or len(goal.position) != 3 or not all(map(math.isfinite, numbers)):
+            raise InputError(
+                f"Expected a pose7 and a position [3] of finite numbers for {goal.object!r}, got {goal.start} and "
+                f"{goal.position}."
+            )
+    if not math.isfinite(record.floor_y):
+        raise InputError(f"Expected a finite height of the floor, got {record.floor_y}.")

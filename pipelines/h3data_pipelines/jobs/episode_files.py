@@ -1,0 +1,171 @@
+"""Episode files as jobs, and jobs as an episode file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from h3data.errors import H3DataError, InputError
+from h3data.progress import progress
+from h3data.scene.scene_sets import SceneFile
+from h3data_pipelines.command import claim_file
+from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, refuse_beside
+
+if TYPE_CHECKING:
+    from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
+    from sim_kinematic.tasks.task import Task
+
+
+class FileJobs(NamedTuple):
+    """The episodes of a file."""
+
+    jobs: Sequence[Job]
+    left_out: tuple[str, ...] = ()
+    """Which episodes cannot be played, and why."""
+    warnings: tuple[str, ...] = ()
+    """What stands in for something missing."""
+
+
+class Lacking(Protocol):
+    """What was made of an episode file."""
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Which episodes cannot be played, and why."""
+        ...
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What stands in for something missing."""
+        ...
+
+
+def notes_on(made: Lacking) -> str:
+    """Lines on what a file lacks, each after a line break."""
+    lines = [*(f"left out {text}" for text in made.left_out), *(f"warning: {text}" for text in made.warnings)]
+    return "".join(f"\n{line}" for line in lines)
+
+
+def file_jobs(
+    choices: Choices,
+    path: Path,
+    *,
+    episodes: int | None,
+    seed: int = 0,
+    assets: Sequence[str | Path] = (),
+    allow_missing: bool = False,
+) -> FileJobs:
+    """The first ``episodes`` episodes of an episode file that the task can play.
+
+    ``seed`` decides what the file leaves to chance: the starts in Habitat's own files.
+
+    Raises:
+        FormatError: damaged. InputError: an option contradicts the file, or none of its episodes can be played.
+        SceneError: no scene is found.
+    """
+    from h3data.habitat.episodes.episode_files import read_episodes
+    from h3data.habitat.episodes.episode_scenes import scene_of_episode
+    from sim_kinematic.motion.randomness import episode_seed
+
+    choices = checked(choices)
+    storage = choices.found_task.storage()
+    given = {"seed": seed != 0, "spawn_distance": choices.spawn_distance is not None}
+    if not storage.samples_starts:
+        refuse_beside("--episodes-file", **given)
+    there = read_episodes(path).episodes
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    jobs: list[Job] = []
+    stand_ins: dict[str, None] = {}
+    left_out: dict[str, list[int]] = {}
+    faults: list[H3DataError] = []
+    for i, entry in enumerate(there[: chosen_count(episodes, len(there), path.name)]):
+        try:
+            stored = storage.read(entry, seed=episode_seed(seed, i))
+            if stored is None:
+                raise InputError(_not_of_task(entry, choices.found_task, path))
+            rules = storage.rules(stored)
+            source = scene_of_episode(entry, stored, path.parent, assets=assets, allow_missing=allow_missing)
+            stand_ins |= dict.fromkeys(storage.stand_ins(stored, source))
+        except H3DataError as fault:
+            faults.append(fault)
+            reason = " ".join(str(fault).replace(f" of episode {entry.episode_id!r}", "").split())
+            left_out.setdefault(reason, []).append(i)
+            continue
+        if storage.is_complete(stored):
+            refuse_beside("--episodes-file", **given)
+        origin = {"file": path.name, "sha256": digest, "episode": i, "episode_id": str(entry.episode_id)}
+        drawn = Draw(i, stored.seed, entry.scene_id, source, origin)
+        told = choices.agents is not None or choices.human is not None
+        agents = {} if told else {"agents": None}
+        jobs.append(choices.job(drawn, spec=choices.spec(rules), stored=stored, **agents))
+    if not jobs:
+        raise faults[0]
+    return FileJobs(
+        jobs,
+        tuple(
+            f"{'episode' if len(of) == 1 else 'episodes'} {_ranges(of)}: {reason}" for reason, of in left_out.items()
+        ),
+        tuple(stand_ins),
+    )
+
+
+def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
+    """Why an entry of an episode file is none of a task."""
+    from h3data.habitat.episodes.stored_episodes import task_of
+
+    of = task_of(entry)
+    if of is not None:
+        return f"Episode {entry.episode_id!r} is one of {of}, not of {task.name}: {path}"
+    if task.name == "rearrange":
+        return f"Episode {entry.episode_id!r} names no targets, so there is nothing to rearrange: {path}"
+    return (
+        f"Episode {entry.episode_id!r} says neither where robot and person start nor where they walk, as Habitat's own "
+        f"files do not. Expected one that h3data wrote (--save-episodes, h3data scenes export): {path}"
+    )
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """``0-3, 7`` for 0, 1, 2, 3, 7."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1] = [parts[-1][0], number]
+        else:
+            parts.append([number])
+    shown = ", ".join("-".join(map(str, part)) for part in parts[:8])
+    return shown + (f", ... ({len(numbers)} in all)" if len(parts) > 8 else "")
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+def claim_episode_file(path: Path, *, force: bool) -> None:
+    """Refuses a file that exists or is not called like an episode file."""
+    if not path.name.endswith((".json.gz", ".json")):
+        raise InputError(f"--save-episodes: expected a file name that ends in .json.gz or .json, got: {path}")
+    claim_file(path, force=force)
+
+
+def save_episodes(jobs: Sequence[Job], path: Path) -> None:
+    """Writes the episodes of jobs as a file that `file_jobs` makes the same ones of.
+
+    Raises:
+        SceneError: an episode cannot be sampled.
+    """
+    from h3data.habitat.episodes.episode_files import write_episodes
+    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
+
+    entries = []
+    for job in progress(jobs, desc="episodes", unit="episode", at_least=5):
+        storage = job.found_task.storage()
+        config = job.source.path if isinstance(job.source, SceneFile) and job.source.scene else "default"
+        entries.append(
+            storage.entry(
+                storage.record(job.episode()),
+                episode_id=str(job.index),
+                scene_id=job.scene,
+                scene_dataset_config=config,
+            )
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_episodes(EpisodeSet(episodes=tuple(entries)), path)

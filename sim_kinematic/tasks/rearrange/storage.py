@@ -1,0 +1,257 @@
+"""Episodes of rearrangement in files: ours, which hold everything, and Habitat's, whose starts are sampled here."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from h3data.bodies import Robot, load_humanoid, load_robot
+from h3data.errors import InputError, SceneError
+from h3data.geometry import Array, quat_rotate
+from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
+from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
+from h3data.habitat.episodes.stored_episodes import plain
+from h3data.habitat.episodes.stored_rearrangements import (
+    StoredGoal,
+    StoredRearrangement,
+    content_digest,
+    read_rearrangement,
+    rearrangement_entry,
+)
+from h3data.scene import FreeSpace, Scene, scene_digest
+from h3data.scene.scene_sets import SceneSource
+from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
+from sim_kinematic.agents.stands import robot_fits
+from sim_kinematic.motion.randomness import generator
+from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
+from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.rearrange.episode import (
+    PAIR,
+    SPARE,
+    RearrangeEpisode,
+    RearrangeSpec,
+    Target,
+    seconds_alone,
+    starts_of,
+)
+from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
+from sim_kinematic.tasks.storage import EpisodePlace, EpisodeStorage, read_rules, require_starts
+
+START_ATTEMPTS = 20
+"""Pairs of starts that are tried for a file without starts before a person need not be able to do the work in time."""
+
+_log = logging.getLogger(__name__)
+
+
+class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
+    """Stores starts, objects and goals; the starts of further agents follow from the seed."""
+
+    samples_starts: ClassVar[bool] = True
+
+    def record(self, episode: Episode) -> StoredRearrangement:
+        assert isinstance(episode, RearrangeEpisode)
+        robot, human = episode.pair_starts.places.tolist()
+        record = StoredRearrangement(
+            goals=tuple(goal_record(target) for target in episode.targets),
+            robot_start=tuple(robot),
+            human_start=tuple(human),
+            objects=episode.added,
+            object_paths=episode.object_paths,
+            floor_y=float(episode.free.floor_y),
+            seed=episode.seed,
+            robot=f"robot/{episode.pair[0]}",
+            human=f"humanoid/{episode.pair[1]}",
+            scene_sha256=scene_digest(episode.scene),
+            scene_source=plain(dict(episode.scene.source)),
+            rules=rules_to_json(episode.spec),
+        )
+        if episode.is_sampled:
+            record = msgspec.structs.replace(record, sampled_sha256=content_digest(record))
+        return record
+
+    def entry(
+        self, record: StoredRearrangement, *, episode_id: str, scene_id: str, scene_dataset_config: str = "default"
+    ) -> FileEntry:
+        return rearrangement_entry(
+            record, episode_id=episode_id, scene_id=scene_id, scene_dataset_config=scene_dataset_config
+        )
+
+    def read(self, entry: FileEntry, *, seed: int) -> StoredRearrangement | None:
+        record = read_rearrangement(entry)
+        return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
+
+    def is_complete(self, record: StoredRearrangement) -> bool:
+        return record.robot_start is not None and record.human_start is not None
+
+    def rules(self, record: StoredRearrangement) -> RearrangeSpec:
+        if not record.rules:
+            return RearrangeSpec(objects=len(record.goals))
+        spec = rules_from_json(record.rules)
+        if spec.objects != len(record.goals):
+            raise InputError(f"The episode has {len(record.goals)} goals, its rules say {spec.objects} objects.")
+        return spec
+
+    def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
+        if not record.objects:
+            return ()
+        search = search_in(source, record.object_paths)
+        read = [read_object_template(config, search) for config in {thing.config: None for thing in record.objects}]
+        return tuple(found.missing for found in read if found.missing)
+
+    def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
+        spec: RearrangeSpec = place.spec
+        if spec.objects != len(record.goals):
+            raise InputError(f"The episode has {len(record.goals)} objects: leave out --rule objects={spec.objects}.")
+        pair = (
+            place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
+            place.human or record.human.removeprefix("humanoid/") or HUMAN_BODY,
+        )
+        roster = make_roster(place.agents or PAIR, robot=pair[0], human=pair[1])
+        for body in (load_robot(pair[0]), *(member.body for member in roster)):
+            if isinstance(body, Robot):
+                body.require_arm()
+        scene, targets = self._furnished(record, place)
+        starts, complete = self._starts(record, place, scene, targets, pair)
+        unchanged = (
+            complete
+            and record.sampled_sha256 == content_digest(record)
+            and spec == self.rules(record)
+            and pair == (record.robot.removeprefix("robot/"), record.human.removeprefix("humanoid/"))
+        )
+        return RearrangeEpisode(
+            scene=scene,
+            free=place.free,
+            seed=record.seed,
+            spec=spec,
+            roster=roster,
+            starts=starts_of(scene, place.free, record.seed, spec, starts, roster),
+            targets=targets,
+            pair=pair,
+            pair_starts=starts,
+            added=record.objects,
+            object_paths=record.object_paths,
+            is_sampled=unchanged,
+        )
+
+    def _furnished(self, record: StoredRearrangement, place: EpisodePlace) -> tuple[Scene, tuple[Target, ...]]:
+        """The scene with the episode's own objects, and what has to go where in it."""
+        scene, origins = place.scene, {}
+        if record.objects:
+            search = search_of(scene, record.object_paths, place.assets)
+            scene, origins = with_objects(scene, record.objects, search)
+        movable = {i.name for i in scene.instances if i.motion == "kinematic"}
+        lost = [goal.object for goal in record.goals if goal.object not in movable]
+        if lost:
+            raise SceneError(
+                f"The scene {scene.name!r} has no movable thing {', '.join(map(repr, lost[:4]))}. Expected the scene for "
+                "which the episode was made."
+            )
+        known = {f"{i.name}|{r.name}" for i, r in scene.receptacles()}
+        strange = [
+            name for goal in record.goals for name in (goal.source, goal.destination) if name and name not in known
+        ]
+        if strange and not record.objects:
+            raise SceneError(
+                f"The scene {scene.name!r} has no receptacle {strange[0]!r}. Expected the scene for which the episode was "
+                "made."
+            )
+        return scene, tuple(
+            target_of(goal, origins.get(goal.object) if record.com_frames else None) for goal in record.goals
+        )
+
+    def _starts(
+        self,
+        record: StoredRearrangement,
+        place: EpisodePlace,
+        scene: Scene,
+        targets: tuple[Target, ...],
+        pair: tuple[str, str],
+    ) -> tuple[Starts, bool]:
+        """Starts of the pair, and whether the file has them."""
+        known = [start for start in (record.robot_start, record.human_start) if start is not None]
+        if known:
+            require_starts(place.free, known)
+        if len(known) == 2:
+            return Starts.of(np.array(known)), True
+        starts = sampled_starts(scene, place.free, record.seed, place.spec, targets, pair)
+        places = starts.places
+        for row, start in enumerate((record.robot_start, record.human_start)):
+            places[row] = places[row] if start is None else start
+        return Starts.of(places), False
+
+
+def sampled_starts(
+    scene: Scene,
+    free: FreeSpace,
+    seed: int,
+    spec: RearrangeSpec,
+    targets: tuple[Target, ...],
+    pair: tuple[str, str],
+) -> Starts:
+    """Starts for goals that a file gives: those from which a person alone can do the work in time, else the best tried.
+
+    Raises:
+        SceneError: the scene has no two starts so far apart.
+    """
+    rules = SocialNavSpec(spawn_distance_m=spec.spawn_distance_m, robot=spec.robot)
+    robot, human = load_robot(pair[0]), load_humanoid(pair[1])
+    fits = robot_fits(robot, spec.robot, scene, free)
+    best: tuple[float, Starts] | None = None
+    for attempt in range(START_ATTEMPTS):
+        rng = generator(seed, "rearrange_starts", step=attempt)
+        starts = sample_pair_starts(free, int(rng.integers(2**63)), rules, fits=fits)
+        orders = (targets, targets[::-1])
+        seconds = max(seconds_alone(scene, free, spec, robot, human, starts, order) for order in orders)
+        if best is None or seconds < best[0]:
+            best = seconds, starts
+        if seconds <= SPARE * spec.max_steps * STEP_S:
+            return starts
+    assert best is not None
+    if not np.isfinite(best[0]):
+        _log.warning("%s: a person cannot reach all objects and goals of an episode from any start tried", scene.name)
+    return best[1]
+
+
+def goal_record(target: Target) -> StoredGoal:
+    """A target as files and recordings keep it."""
+    return StoredGoal(
+        object=target.name,
+        start=target.start.tolist(),
+        position=target.goal.tolist(),
+        source=target.source,
+        destination=target.destination,
+    )
+
+
+def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
+    """The target of a record; ``origin`` [3] is its center of mass in the asset's axes, where the record gives its poses."""
+    start, position = np.array(goal.start, np.float64), np.array(goal.position, np.float64)
+    if origin is not None:
+        start[:3] -= quat_rotate(start[3:], origin)
+        position -= quat_rotate(np.array(goal.rotation or start[3:], np.float64), origin)
+    return Target(goal.object, start, position, goal.source, goal.destination)
+
+
+def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
+    """The rules as JSON types; an infinitely fast arm has null as its speed."""
+    rules = asdict(spec)
+    if not np.isfinite(spec.arm_rad_s):
+        rules["arm_rad_s"] = None
+    return rules
+
+
+def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
+    """The rules that `rules_to_json` wrote; what they do not name is as in the paper.
+
+    Raises:
+        InputError: they are none of rearrangement.
+    """
+    known = dict(rules)
+    if "arm_rad_s" in known and known["arm_rad_s"] is None:
+        known["arm_rad_s"] = np.inf
+    return read_rules(known, RearrangeSpec)
