@@ -44,7 +44,7 @@ WALLS = "walls"
 
 def run(emit: Emit) -> None:
     """Emits ``penetration.<task>.<kind>.<part>.*``."""
-    for task, episodes in (("social_nav", _social_nav), ("rearrange", _rearrange), ("wander", _wander)):
+    for task, episodes in EPISODES.items():
         found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
         crossed: list[bool] = []
         for recording in episodes():
@@ -127,3 +127,11 @@ def _wander() -> Iterator[Recording]:
             Wander(),
             Wander().episode(scene, seed=seed, spec=SocialNavSpec(max_steps=WANDER_STEPS), agents=WANDERERS, free=free),
         )
+
+
+EPISODES: dict[str, Callable[[], Iterator[Recording]]] = {
+    "social_nav": _social_nav,
+    "rearrange": _rearrange,
+    "wander": _wander,
+}
+"""One episode of each task in each test home."""

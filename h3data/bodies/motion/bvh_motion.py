@@ -27,7 +27,7 @@ from h3data.geometry import (
     quat_to_matrix,
 )
 
-BUILTIN_TABLES = ("cmu", "mixamo", "lafan")
+BUILTIN_TABLES = ("cmu", "cgspeed", "mixamo", "lafan")
 SIDES = ("left", "right")
 REQUIRED = ("pelvis", *(f"{s}_{j}" for s in SIDES for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")))
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
@@ -77,7 +77,7 @@ class _Mapped:
 
 
 def load_name_table(name: str | Path) -> NameTable:
-    """A built-in table (``cmu``, ``mixamo``, ``lafan``) or one in a TOML file.
+    """A built-in table (``cmu``, ``cgspeed``, ``mixamo``, ``lafan``) or one in a TOML file.
 
     Raises:
         InputError: there is none, or it is not a table; the message says what is wrong.

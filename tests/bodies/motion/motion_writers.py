@@ -116,6 +116,17 @@ CMU = {
     **{k: v.removeprefix("mixamorig:") for k, v in MIXAMO.items() if "Hand" not in v or v.endswith("Hand")},
     "spine1": "LowerBack", "spine2": "Spine", "spine3": "Spine1",
 }  # fmt: skip
+CGSPEED = {
+    "pelvis": "Hips", "spine1": "lowerback", "spine2": "Chest", "spine3": "Chest2", "neck": "Neck", "head": "Head",
+    **{
+        f"{s}_{ours}": s.capitalize() + theirs
+        for s in ("left", "right")
+        for ours, theirs in (
+            ("hip", "Hip"), ("knee", "Knee"), ("ankle", "Ankle"), ("foot", "Toe"), ("collar", "Collar"),
+            ("shoulder", "Shoulder"), ("elbow", "Elbow"), ("wrist", "Wrist"),
+        )
+    },
+}  # fmt: skip
 LAFAN = {k: v.removeprefix("mixamorig:").replace("ToeBase", "Toe") for k, v in MIXAMO.items() if k in CMU}
 
 
@@ -150,6 +161,7 @@ ONE = Rotation.identity()
 CONVENTIONS: dict[str, tuple] = {
     "mixamo": (MIXAMO, "ZXY", 100.0, lambda name: ONE, ONE),
     "cmu": (CMU, "ZYX", 1 / 0.0564444, _spread, ONE),
+    "cgspeed": (CGSPEED, "ZYX", 1.0, _spread, ONE),
     "lafan": (LAFAN, "ZYX", 100.0, _along_bones, ONE),
     "z_up": (MIXAMO, "XYZ", 1.0, lambda name: ONE, Z_UP),
 }

@@ -1,0 +1,168 @@
+"""How people move, in one episode of each task in each home of ``h3-homes/test``, beside real walks.
+
+Joints are those of a replay, as pictures show them; a step is 1/30 s. For each task:
+
+``pops_per_minute``
+    Steps in which a joint moves more than 12 cm against the pelvis, and more than 1.1 times as far as it ever does in the
+    steady gait of the fastest speed of the episode; per minute of a person.
+``mid_air_stops``
+    Steps in which the root rests while both soles are more than 2 cm above the floor.
+``turning_share``
+    Steps in which the root turns without getting anywhere, of all steps.
+``foot_slide``
+    How far the planted foot moves along the floor: the lowest point of a sole that is within 5 mm of it before and after a
+    step. Where both are, that of the foot that moves less, as a swinging foot may graze the floor. Mean and 99th percentile.
+``jerk``
+    Mean length of the third derivative of the paths of head, wrists and ankles while the root moves [m/s^3].
+
+``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
+(turning share). ``motion.real.<name>.*`` are the same figures of captured walks in ``../shared``, put on a body at 30
+frames/s; where they are absent, ``motion.real.clips`` is 0.
+
+    python -m benchmarks motion
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.penetration import EPISODES
+from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
+from h3data.bodies.motion.motion_files import read_motion
+from h3data.bodies.motion.motion_retarget import retarget
+from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.geometry import Array, heading_from_quat, wrap_angle
+from h3data.recording import Recording
+from h3data.recording.motion_recording import motion_columns
+from h3data.replay import Replay
+from sim_kinematic.motion.spec import STEP_S
+
+Emit = Callable[[str, float, str], None]
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+POP_M, STEADY_ROOM = 0.12, 1.1
+AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.005
+BODY_JOINTS = 22
+"""Joints without jaw, eyes and fingers, which the wrists stand for."""
+JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]
+
+
+def run(emit: Emit) -> None:
+    """Emits ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
+    totals: list[dict[str, Array]] = []
+    for task, episodes in EPISODES.items():
+        parts = [part for recording in episodes() for part in motions(recording)]
+        found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        totals.append(found)
+        _emit_all(emit, f"motion.{task}", found)
+    figures = [figures_of(found) for found in totals]
+    for name in ("pops_per_minute", "foot_slide_mm", "foot_slide_p99_mm", "jerk"):
+        emit(f"motion.{name}", max(figure[name] for figure in figures), _UNITS[name])
+    emit("motion.mid_air_stops", sum(figure["mid_air_stops"] for figure in figures), "steps")
+    turns = np.concatenate([found["turns"] for found in totals])
+    emit("motion.turning_share", float(turns.mean()), "of all steps")
+    clips = sorted((SHARED / "motion").glob("*.bvh"))
+    emit("motion.real.clips", len(clips), "captured walks (in ../shared/motion)")
+    for path in clips:
+        _emit_all(emit, f"motion.real.{path.stem}", real_motion(path))
+
+
+_UNITS = {
+    "pops_per_minute": "steps per minute",
+    "mid_air_stops": "steps",
+    "turning_share": "of all steps",
+    "foot_slide_mm": "mm per step",
+    "foot_slide_p99_mm": "mm per step",
+    "jerk": "m/s^3",
+    "minutes": "minutes of people",
+}
+
+
+def _emit_all(emit: Emit, prefix: str, found: dict[str, Array]) -> None:
+    for name, value in figures_of(found).items():
+        emit(f"{prefix}.{name}", value, _UNITS[name])
+
+
+def figures_of(found: dict[str, Array]) -> dict[str, float]:
+    """The figures of what `motions` found."""
+    minutes = len(found["turns"]) * STEP_S / 60
+    return {
+        "pops_per_minute": float(found["pops"].sum()) / minutes,
+        "mid_air_stops": float(found["mid_air"].sum()),
+        "turning_share": float(found["turns"].mean()),
+        "foot_slide_mm": 1000 * float(found["slide"].mean()) if len(found["slide"]) else 0.0,
+        "foot_slide_p99_mm": 1000 * float(np.percentile(found["slide"], 99)) if len(found["slide"]) else 0.0,
+        "jerk": float(found["jerk"].mean()) if len(found["jerk"]) else 0.0,
+        "minutes": minutes,
+    }
+
+
+def motions(recording: Recording) -> Iterator[dict[str, Array]]:
+    """What each person of a recording does."""
+    replay = Replay(recording)
+    for number, agent in enumerate(recording.agents):
+        body = replay.model(number) if agent.kind == "human" else None
+        if isinstance(body, Humanoid):
+            base = recording.columns[f"agent_{number}.base_pose"].astype(np.float64)
+            joints = replay.joint_matrices(number, np.arange(len(recording))).astype(np.float64)
+            yield motion_of(body, base, joints)
+
+
+def real_motion(path: Path, body_name: str = "male_1") -> dict[str, Array]:
+    """The same of a captured motion on a body."""
+    body = load_humanoid(body_name)
+    columns = motion_columns(retarget(read_motion(path), body), body)
+    joints = body.joint_matrices_free(columns["agent_0.root_pose"], columns["agent_0.joint_quat"])
+    return motion_of(body, columns["agent_0.base_pose"].astype(np.float64), joints)
+
+
+def motion_of(body: Humanoid, base: Array, joints: Array) -> dict[str, Array]:
+    """What a person does in T steps, from agent roots [T, 7] and frames of joints [T, 55, 4, 4]: rows of what is counted."""
+    heading = heading_from_quat(base[:, 3:])
+    walked = np.hypot(*np.diff(base[:, [0, 2]], axis=0).T)
+    turned = np.abs(wrap_angle(np.diff(heading)))
+    rests = walked < REST_M
+    local = _local(heading, joints)
+    moved = np.linalg.norm(np.diff(local, axis=0), axis=-1)
+    limit = np.maximum(POP_M, STEADY_ROOM * _steady_steps(body, float(walked.max(initial=0.0))))
+    soles = sole_points(body, joints[:, LEG_JOINTS])
+    soles[..., 1] -= base[0, 1]
+    lowest = soles[..., 1].min(-1)
+    down = (lowest[1:] < FLOOR_M) & (lowest[:-1] < FLOOR_M)
+    pivot = np.argmin(soles[1:, ..., 1] + soles[:-1, ..., 1], axis=-1)[..., None]
+    slide = np.take_along_axis(np.linalg.norm(np.diff(soles[..., ::2], axis=0), axis=-1), pivot, axis=-1)[..., 0]
+    jerk = np.linalg.norm(np.diff(joints[..., :3, 3][:, JERK_JOINTS], n=3, axis=0), axis=-1) / STEP_S**3
+    stirs = ~rests | (turned > REST_RAD)
+    return {
+        "pops": (moved > limit).any(1),
+        "mid_air": rests & (lowest[1:] > AIR_M).all(1),
+        "turns": rests & (turned > REST_RAD),
+        "slide": np.where(down, slide, np.inf).min(1)[down.any(1)],
+        "jerk": jerk[stirs[2:]].mean(-1),
+    }
+
+
+def _local(heading: Array, joints: Array) -> Array:
+    """Places [T, 21, 3] of the joints from the pelvis, in the frame that turns with the root."""
+    away = joints[:, 1:BODY_JOINTS, :3, 3] - joints[:, :1, :3, 3]
+    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    return np.stack([c * away[..., 0] - s * away[..., 2], away[..., 1], s * away[..., 0] + c * away[..., 2]], -1)
+
+
+def _steady_steps(body: Humanoid, step_m: float) -> Array:
+    """The farthest that each joint moves in a step of the steady gait, [21] [m], of all gaits up to a speed."""
+    farthest = np.zeros(BODY_JOINTS - 1)
+    for clip in body.clips:
+        if clip.speed_mps > 0 and clip.speed_mps * STEP_S <= 1.2 * step_m:
+            phase = np.linspace(0, 1, 64, endpoint=False)
+            share = max(step_m, clip.speed_mps * STEP_S) / clip.stride_m
+            number = body.motion_names.index(clip.name)
+            poses = [
+                body.joint_matrices([[0, 0, 0, 0, 0, 0, 1]], *body.clip_pose(np.full(64, number), phase + ahead))
+                for ahead in (0.0, share)
+            ]
+            before, after = (_local(np.zeros(64), frames) for frames in poses)
+            farthest = np.maximum(farthest, np.linalg.norm(after - before, axis=-1).max(0))
+    return farthest
