@@ -24,14 +24,22 @@ test-all: setup  ## the slow ones too
 	$(BIN)/python -m pytest -n 2 -m "not gpu and not bench"
 
 LEROBOT := .venv-lerobot
-check-lerobot: setup  ## datasets and exports open with lerobot's own loader, in an environment of its own
+LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py
+LEROBOT_CAMERAS := --camera robot_arm --camera human_head
+LEROBOT_DATASETS := out/lerobot/ds=out/lerobot/pictures out/lerobot/export=out/lerobot/pictures out/lerobot/rearrange
+check-lerobot: setup  ## datasets and exports open with lerobot's own loader, down to decoded frames; an environment of its own
 	test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 pandas pyarrow pyyaml
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
-	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --force -o out/lerobot/ds
+	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 150 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
+	$(BIN)/h3data generate rearrange --episodes 2 --seed 5 --max-steps 60 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
-	$(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py out/lerobot/ds out/lerobot/export
+	$(BIN)/h3data export out/lerobot/plain --to lerobot --camera robot_arm --force -o out/lerobot/rearrange
+	$(BIN)/h3data rerender 'out/lerobot/ds#0' 'out/lerobot/ds#1' $(LEROBOT_CAMERAS) --format png --force -o out/lerobot/pictures
+	LEROBOT_BACKEND=pyav $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
+	libs=`$(LEROBOT)/bin/python tests/export/lerobot_loader/link_ffmpeg.py` && \
+		LEROBOT_BACKEND=torchcodec LD_LIBRARY_PATH=$$libs $(LEROBOT_CHECK) $(LEROBOT_DATASETS)
 
 GLTF := out/gltf
 check-gltf: setup  ## exported animations and scenes pass the Khronos validator (needs npm)

@@ -186,7 +186,7 @@ BUILT_IN = (
         name="lerobot",
         title="a LeRobot dataset",
         write="h3data.exporters.lerobot_export:export_lerobot",
-        write_options=("agent",),
+        write_options=("agent", "assets", "camera"),
         target="dataset",
         many=True,
     ),

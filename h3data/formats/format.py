@@ -70,6 +70,10 @@ class ExportRequest:
     """Whether to take meshes of people with fewer vertices."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
+    stored_cameras: Sequence[str] = ()
+    """Cameras of which all recordings have a video in the dataset that they come from."""
+    stored_videos: Callable[[int], Sequence[Any]] = lambda number: ()
+    """The `h3data.recording.parquet.videos.EpisodeVideo` records of a recording, by its number, in that dataset."""
     threads: int = 1
     """Threads for rendering."""
     progress: Callable[[Iterable[Any], int, str], Iterable[Any]] = lambda items, total, unit: items

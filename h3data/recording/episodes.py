@@ -7,13 +7,16 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, overload
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
-from h3data.errors import InputError, did_you_mean
+from h3data.errors import H3DataError, InputError, did_you_mean
 from h3data.recording.records import Recording
 from h3data.recording.storage import AnyPath, RemotePath
+
+if TYPE_CHECKING:
+    from h3data.recording.parquet.videos import EpisodeVideo, VideoFeature
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,8 @@ class StoredEpisode:
     """Reads `facts`, without ``info`` spread out."""
     index: int | None = None
     """Its number in a dataset; None of a file."""
+    read_videos: Callable[[], Sequence[EpisodeVideo]] = tuple
+    """Returns the videos that its dataset has of it."""
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
@@ -37,6 +42,23 @@ class StoredEpisode:
         row = self.read_facts()
         info = json.loads(row["info"]) if isinstance(row["info"], str) else row["info"]
         return {**info, **row, "info": info}
+
+
+def common_cameras(stored: Iterable[StoredEpisode]) -> list[str]:
+    """Cameras of which every one of these episodes has a video, all of the same size. Episodes without steps, and those that
+    cannot be read, do not count."""
+    common: list[VideoFeature] | None = None
+    for of in stored:
+        try:
+            features = [video.feature for video in of.read_videos()]
+            if not features and not of.facts["length"]:
+                continue
+        except H3DataError:
+            continue
+        common = [feature for feature in (features if common is None else common) if feature in features]
+        if not common:
+            return []
+    return [feature.camera for feature in common or ()]
 
 
 class HasEpisodes(Protocol):
@@ -135,7 +157,7 @@ class Episodes(Sequence[Recording]):
         return Episodes(stored.values())
 
     def save(self, root: str | os.PathLike[str] | RemotePath, *, overwrite: bool = False) -> None:
-        """Writes the episodes as a dataset.
+        """Writes the episodes as a dataset, with the videos of those cameras that all of them have.
 
         Raises:
             InputError: there are none, or the folder holds something.
@@ -145,9 +167,10 @@ class Episodes(Sequence[Recording]):
         if not self.stored:
             raise InputError(f"There are no episodes to write: {root}")
         rate = round(1e9 / max(self[0].episode.dt_ns, 1))
+        cameras = common_cameras(self.stored)
         with DatasetWriter(root, fps=rate, overwrite=overwrite, like=self) as writer:
-            for recording in self:
-                writer.add(recording)
+            for of in self.stored:
+                writer.add(of.read(), videos=[video for video in of.read_videos() if video.feature.camera in cameras])
 
     def __repr__(self) -> str:
         names = ", ".join(stored.name for stored in self.stored[:3]) + (", ..." if len(self) > 3 else "")

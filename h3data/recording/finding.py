@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from h3data.errors import H3DataError, InputError
@@ -11,6 +11,7 @@ from h3data.recording.episodes import StoredEpisode
 from h3data.recording.opening import logs_in, open_recording, open_steps
 from h3data.recording.parquet.dataset import Dataset
 from h3data.recording.parquet.files import is_dataset
+from h3data.recording.parquet.videos import EpisodeVideo
 from h3data.recording.records import Recording
 from h3data.recording.schema import episode_to_dict
 from h3data.recording.storage import AnyPath, RemotePath, place
@@ -51,7 +52,9 @@ def find_episodes(paths: Iterable[str | os.PathLike[str] | RemotePath]) -> list[
 
 def stored_log(path: AnyPath) -> StoredEpisode:
     """The episode in a log, or one of a dataset (``ds#3``), which is opened when it is read."""
-    return StoredEpisode(str(path), path, lambda: _read(path), lambda: _read_facts(path))
+    return StoredEpisode(
+        str(path), path, lambda: _read(path), lambda: _read_facts(path), read_videos=lambda: _read_videos(path)
+    )
 
 
 def _read(path: AnyPath) -> Recording:
@@ -61,10 +64,21 @@ def _read(path: AnyPath) -> Recording:
     return opened
 
 
-def _read_facts(path: AnyPath) -> Mapping[str, Any]:
+def _in_dataset(path: AnyPath) -> tuple[Dataset, int] | None:
+    """The dataset and number of an episode ``ds#3``."""
     root, sign, number = str(path).rpartition("#")
-    if sign and number.isdecimal() and not path.exists():
-        return Dataset(root).row(int(number))
+    return (Dataset(root), int(number)) if sign and number.isdecimal() and not path.exists() else None
+
+
+def _read_videos(path: AnyPath) -> Sequence[EpisodeVideo]:
+    found = _in_dataset(path)
+    return found[0].videos(found[1]) if found else ()
+
+
+def _read_facts(path: AnyPath) -> Mapping[str, Any]:
+    found = _in_dataset(path)
+    if found:
+        return found[0].row(found[1])
     with open_steps(path) as steps:
         episode = steps.recording(0, 0).episode
         info = {name: value for name, value in episode.info.items() if name != "window"}

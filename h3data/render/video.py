@@ -59,6 +59,7 @@ class VideoWriter:
         codec: Codec = "h264",
         crf: int | None = None,
         preset: str | None = None,
+        key_frames: int | None = None,
     ) -> None:
         """
         Args:
@@ -69,6 +70,8 @@ class VideoWriter:
             codec: Video codec.
             crf: Quality, 0 is best; default 23 for H.264, 32 for AV1.
             preset: Effort of the encoder, in the terms of x264 or SVT-AV1.
+            key_frames: Frames from one key frame to the next, for H.264, without B-frames: a decoder that jumps to a frame
+                decodes this many at most. By default the encoder decides.
         """
         if width < 1 or height < 1 or not fps > 0:
             raise InputError(f"A video needs a size and a frame rate above 0, got {width}x{height} at {fps} frames/s.")
@@ -81,6 +84,9 @@ class VideoWriter:
         if codec in _CRF:
             self._options["crf"] = str(_CRF[codec] if crf is None else crf)
             self._options["preset"] = preset or self._options["preset"]
+        if key_frames is not None:
+            every = f":keyint={key_frames}:min-keyint={key_frames}:scenecut=0:bframes=0"
+            self._options["x264-params"] += every
         self._stack: ExitStack | None = None
         self._container: Any = None
         self._stream: Any = None

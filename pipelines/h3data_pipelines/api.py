@@ -43,6 +43,7 @@ def generate(
     max_steps: int | None = None,
     spawn_distance: float | None = None,
     rule: Sequence[str] = (),
+    camera: Sequence[str] = (),
     workers: int = 1,
     mcap: bool = False,
     share_scenes: bool = False,

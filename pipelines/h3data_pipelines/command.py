@@ -128,21 +128,27 @@ def open_episode(path: AnyPath) -> Recording:
     return opened
 
 
+_PARTS_OF_DATASET = ("meta", "data", "h3", "videos", "mcap")
+
+
 def remove_dataset(root: AnyPath) -> None:
     """Deletes the dataset in a folder; an `InputError`, and nothing is deleted, if the folder holds anything else."""
     if not root.exists() or (root.is_dir() and not any(root.iterdir())):
         return
     if not (root / "h3" / "schema.json").is_file():
         raise InputError(f"--force would delete this, but it is not an h3data dataset. Remove it yourself: {root}")
-    others = [p for p in root.iterdir() if p.name not in ("meta", "data", "h3", "mcap")]
+    others = [p for p in root.iterdir() if p.name not in (*_PARTS_OF_DATASET, "README.md", "card.jpg")]
     others += [p for p in root.glob("mcap/*") if not re.fullmatch(r"\d{6,}\.mcap(\.part)?", p.name)]
     if others:
         raise InputError(
             f"--force would replace this dataset, but its folder holds {counted(len(others), 'other file')}. Move them away. "
             f"The first: {min(others)}"
         )
-    for name in ("meta", "data", "h3", "mcap"):  # meta first: without it, nothing is committed
+    for name in _PARTS_OF_DATASET:  # meta first: without it, nothing is committed
         remove_tree(root / name)
+    for name in ("README.md", "card.jpg"):
+        if (root / name).is_file():
+            (root / name).unlink()
 
 
 def write_text(path: Path, text: str) -> None:

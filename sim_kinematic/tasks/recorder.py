@@ -171,6 +171,7 @@ def describe(
     file, digest = scene_attachment(scene)
     info = {
         **task.info(episode, policies),
+        "instruction": task.instruction(episode),
         "scene_source": dict(scene.source),
         "scene_sha256": digest,
         "categories": list(CATEGORIES),

@@ -273,6 +273,15 @@ class Task:
         del episode
         return bodies
 
+    def instruction(self, episode: Episode) -> str:
+        """The task in words, as one would tell it to a robot; recorded in ``info["instruction"]``.
+
+        LeRobot datasets have it for every frame, and policies that are conditioned on language learn from it. By default the
+        task's name in words.
+        """
+        del episode
+        return self.name.replace("_", " ").strip() or "act"
+
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         """What ``episode.info`` says from the start, beyond scene and bodies: enough for `restore`."""
         names = {kind: ",".join(p.name for p in policies if p.kind == kind) for kind in ("robot", "human")}

@@ -66,6 +66,10 @@ class Wander(Task):
         nothing = np.zeros(world.worlds, np.bool_)
         return Outcome(reward=np.zeros(world.worlds), terminated=nothing, success=nothing, events=events)
 
+    def instruction(self, episode: Episode) -> str:
+        del episode
+        return "walk about the home"
+
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         info: dict[str, Any] = {
             "max_steps": episode.spec.max_steps,

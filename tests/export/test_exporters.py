@@ -555,7 +555,7 @@ def test_options_that_do_not_fit_are_refused(log: Path, tmp_path: Path, capsys: 
         (["--to", "robomimic", "-o", tmp_path / "a.npz"], ".hdf5"),
         (["--to", "csv", "-o", tmp_path / "t", "--agent", "robot"], "--agent"),
         (["--to", "csv", "-o", tmp_path / "t", "--light"], "--light"),
-        (["--to", "lerobot", "-o", tmp_path / "t", "--assets", tmp_path], "--assets"),
+        (["--to", "robomimic", "-o", tmp_path / "t.hdf5", "--assets", tmp_path], "--assets"),
         (["--to", "gltf", "-o", tmp_path / "a.glb", "--camera", "orbit"], "--camera"),
         (["--to", "foxglove", "-o", tmp_path / "a.mcap"], ".foxglove.mcap"),
         (["--to", "foxglove", "-o", tmp_path / "a.foxglove.mcap", "--camera", "nowhere"], "nowhere"),

@@ -18,6 +18,7 @@ from h3data.recording.parquet.columns import to_numpy
 from h3data.recording.parquet.folder import DatasetFolder
 from h3data.recording.parquet.records import DAMAGE
 from h3data.recording.parquet.schema import SIDECARS
+from h3data.recording.parquet.videos import EpisodeVideo, episode_video
 from h3data.recording.records import Recording
 from h3data.recording.schema import Layout, episode_from_dict, layout_from_json, required_columns
 from h3data.recording.storage import RemotePath
@@ -54,7 +55,14 @@ class Dataset(DatasetFolder):
     def all(self) -> Episodes:
         """All episodes, for `Episodes.filter`, `Episodes.split` and `Episodes.merge`."""
         return Episodes(
-            StoredEpisode(f"{self.root}#{k}", self.root, partial(self.recording, k), partial(self.row, k), index=k)
+            StoredEpisode(
+                f"{self.root}#{k}",
+                self.root,
+                partial(self.recording, k),
+                partial(self.row, k),
+                index=k,
+                read_videos=partial(self.videos, k),
+            )
             for k in range(len(self))
         )
 
@@ -129,6 +137,30 @@ class Dataset(DatasetFolder):
         for index in range(len(self)) if episodes is None else episodes:
             yield index, self._read(range(index, index + 1), columns)[0]
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Cameras of which the episodes have videos."""
+        return tuple(video.camera for video in self.schema.videos)
+
+    def video(self, index: int, camera: str) -> EpisodeVideo:
+        """What a camera saw in episode ``index``, one frame for each step; `EpisodeVideo.frames` decodes it.
+
+        Raises:
+            InputError: there is no such episode or camera, or the episode has no steps.
+            FormatError: the episode table is damaged.
+        """
+        row = self.row(index)
+        feature = next((video for video in self.schema.videos if video.camera == camera), None)
+        if feature is None or not row["length"]:
+            has = ", ".join(self.cameras) or "none"
+            what = f"no video of camera {camera!r}" if feature is None else "no steps"
+            raise InputError(f"Episode {index} has {what}. The dataset has videos of: {has}: {self.root}")
+        return episode_video(self.root, row, feature, fps=self.schema.fps)
+
+    def videos(self, index: int) -> list[EpisodeVideo]:
+        """The videos of episode ``index`` from all `cameras`; none of an episode without steps."""
+        return [self.video(index, camera) for camera in self.cameras if self.row(index)["length"]]
+
     def layout(self, index: int) -> Layout:
         """Columns of one episode with their true shapes."""
         return _layout(self.row(index)["columns"])
@@ -151,6 +183,7 @@ class Dataset(DatasetFolder):
         frames = self.rows[-1]["dataset_to_index"] if self.rows else 0
         tasks = ", ".join(sorted({row["task"] for row in self.rows})) or "none"
         lines = [f"Dataset {str(self.root)!r}: {len(self)} episodes, {frames} steps, tasks: {tasks}"]
+        lines += [f"  {v.key:<24} video    [T, {v.height}, {v.width}, 3]" for v in self.schema.videos]
         lines += [f"  {c.name:<24} {c.dtype:<8} {['T', *c.shape]}".replace("'T'", "T") for c in self.schema.columns]
         return "\n".join(lines)
 

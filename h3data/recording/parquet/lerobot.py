@@ -12,15 +12,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from h3data.errors import FormatError
 from h3data.recording.parquet.columns import conform
 from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_files, write_atomic
-from h3data.recording.parquet.moments import Moments, merge_into, unpack_moments
+from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, unpack_moments
 from h3data.recording.parquet.schema import STANDARD, DatasetSchema
+from h3data.recording.parquet.videos import MAX_FILE_BYTES
 from h3data.recording.schema import layout_hash
 from h3data.recording.storage import AnyPath, RemotePath, place, readable
 
@@ -28,7 +28,7 @@ FILE_MB = 128
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _POSE7 = ["x", "y", "z", "qx", "qy", "qz", "qw"]
-_COUNTED = pa.schema([("length", pa.int64()), ("task", pa.string()), ("task_index", pa.int64())])
+_COUNTED = pa.schema([("length", pa.int64()), ("tasks", pa.list_(pa.string())), ("task_index", pa.int64())])
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Totals:
     episodes: int = 0
     frames: int = 0
     tasks: dict[str, int] = field(default_factory=dict)
-    """Index of each task name."""
+    """Index of each instruction."""
     moments: dict[str, Moments] = field(default_factory=dict)
 
     @classmethod
@@ -55,7 +55,8 @@ class Totals:
                 moments = unpack_moments((table.schema.metadata or {}).get(b"h3data.moments", b""))
                 totals.episodes += len(table)
                 totals.frames += sum(table["length"].to_pylist())
-                totals.tasks |= dict(zip(table["task"].to_pylist(), table["task_index"].to_pylist(), strict=True))
+                tasks = [told for (told,) in table["tasks"].to_pylist()]
+                totals.tasks |= dict(zip(tasks, table["task_index"].to_pylist(), strict=True))
                 merge_into(totals.moments, moments)
             except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, zlib.error) as error:
                 raise FormatError(f"The episode table is damaged ({error}): {path}") from error
@@ -65,7 +66,11 @@ class Totals:
 def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
     """Writes ``meta/tasks.parquet``, ``meta/stats.json`` and, last, ``meta/info.json``."""
     write_atomic(root / "meta" / "tasks.parquet", _tasks_parquet(totals.tasks))
-    stats = {name: _lerobot_stats(m, totals.frames) for name, m in totals.moments.items()}
+    pictures = {video.key for video in schema.videos}
+    stats = {
+        name: lerobot_stats(m, totals.frames, (3, 1, 1) if name in pictures else (-1,))
+        for name, m in totals.moments.items()
+    }
     write_atomic(root / "meta" / "stats.json", json.dumps(stats).encode())
     info = {
         "codebase_version": "v3.0",
@@ -75,7 +80,7 @@ def write_meta(root: AnyPath, schema: DatasetSchema, totals: Totals) -> None:
         "total_tasks": len(totals.tasks),
         "chunks_size": FILES_PER_CHUNK,
         "data_files_size_in_mb": FILE_MB,
-        "video_files_size_in_mb": 200,
+        "video_files_size_in_mb": MAX_FILE_BYTES >> 20,
         "fps": schema.fps,
         "splits": {"train": f"0:{totals.episodes}"},
         "data_path": DATA_PATH,
@@ -95,22 +100,14 @@ def rebuild_meta(root: str | os.PathLike[str] | RemotePath) -> int:
 
 
 def _features(schema: DatasetSchema) -> dict[str, dict[str, Any]]:
-    """``features`` of info.json: every column of the data files, as LeRobot requires."""
+    """``features`` of info.json: every column of the data files, as LeRobot requires, and the videos."""
     ours: dict[str, dict[str, Any]] = {
         c.name: {"dtype": schema.stored_dtype(c), "shape": [c.width], "names": _POSE7 if c.shape == (7,) else None}
         for c in schema.columns
         if c.width
     }
-    return ours | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in STANDARD.items()}
-
-
-def _lerobot_stats(m: Moments, frames: int) -> dict[str, list[float]]:
-    """min, max, mean, std and count as LeRobot stores them; 0 for a value that was never finite, as JSON has no NaN."""
-    any_finite = m.count > 0
-    std = np.sqrt(m.m2 / np.maximum(m.count, 1))
-    named = {"min": m.low, "max": m.high, "mean": m.mean, "std": std}
-    out = {k: np.nan_to_num(np.where(any_finite, v, 0.0)).tolist() for k, v in named.items()}
-    return {**out, "count": [frames]}
+    standard = {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in STANDARD.items()}
+    return ours | standard | {video.key: video.lerobot(schema.fps) for video in schema.videos}
 
 
 def _tasks_parquet(tasks: Mapping[str, int]) -> bytes:

@@ -23,6 +23,10 @@ class Moments:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
+    @property
+    def std(self) -> NDArray[np.float64]:
+        return np.sqrt(self.m2 / np.maximum(self.count, 1))
+
     def to_lists(self) -> list[list[float]]:
         return [v.tolist() for v in (self.count, self.mean, self.m2, self.low, self.high)]
 
@@ -69,6 +73,14 @@ def merge_into(total: dict[str, Moments], more: Mapping[str, Moments]) -> None:
     """Adds the moments of more rows to ``total``, feature by feature."""
     for name, moments in more.items():
         total[name] = merged(total[name], moments) if name in total else moments
+
+
+def lerobot_stats(m: Moments, frames: int, shape: tuple[int, ...]) -> dict[str, list[Any]]:
+    """min, max, mean, std and count as LeRobot stores them; 0 for a value that was never finite, as JSON has no NaN."""
+    any_finite = m.count > 0
+    named = {"min": m.low, "max": m.high, "mean": m.mean, "std": m.std}
+    out = {k: np.nan_to_num(np.where(any_finite, v, 0.0)).reshape(shape).tolist() for k, v in named.items()}
+    return {**out, "count": [frames]}
 
 
 def pack_moments(moments: Mapping[str, Moments]) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Self
 
 import numpy as np
 import pyarrow as pa
 
 from h3data.errors import FormatError, InputError
+from h3data.recording.parquet.videos import VideoFeature
 from h3data.recording.records import SCHEMA_VERSION
 from h3data.recording.schema import (
     CONVENTIONS,
@@ -85,6 +86,8 @@ class DatasetSchema:
     robot_type: str
     version: str = SCHEMA_VERSION
     """Schema version of the whole dataset, also of files added to it later."""
+    videos: tuple[VideoFeature, ...] = ()
+    """Cameras of which every episode has a video."""
 
     def stored_dtype(self, column: Column) -> str:
         """The dtype of a column in the data files: since version 1.2 a uint64 is an int64 of the same bits.
@@ -98,6 +101,8 @@ class DatasetSchema:
         columns = [{"name": c.name, "dtype": c.dtype, "shape": list(c.shape)} for c in self.columns]
         values = {"schema_version": self.version, "layout_hash": layout_hash(self.columns)}
         values |= {"fps": self.fps, "robot_type": self.robot_type, "conventions": CONVENTIONS, "columns": columns}
+        if self.videos:
+            values["videos"] = [asdict(video) for video in self.videos]
         return json.dumps(values, indent=1, ensure_ascii=False).encode()
 
     @classmethod
@@ -114,7 +119,8 @@ class DatasetSchema:
             text = json.dumps([[c["name"], c["dtype"], c["shape"]] for c in values["columns"]], ensure_ascii=False)
             fps, robot, version = int(values["fps"]), str(values["robot_type"]), values["schema_version"]
             version_numbers(version)
-            return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version)
+            videos = tuple(VideoFeature(**video) for video in values.get("videos", ()))
+            return cls(columns=layout_from_json(text), fps=fps, robot_type=robot, version=version, videos=videos)
         except FileNotFoundError:
             raise FormatError(f"Expected a dataset of h3data, there is no {path.name}: {path}") from None
         except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -152,6 +158,19 @@ def data_schema(schema: DatasetSchema) -> pa.Schema:
     return pa.schema(
         fields, metadata={"h3data.schema_version": schema.version, "h3data.layout_hash": layout_hash(schema.columns)}
     )
+
+
+def episode_schema(schema: DatasetSchema) -> pa.Schema:
+    """Arrow schema of the episode tables: `EPISODE_SCHEMA`, and for every camera the place of its video and its statistics."""
+    fields = list(EPISODE_SCHEMA)
+    channels = pa.list_(pa.list_(pa.list_(pa.float64())))
+    for video in schema.videos:
+        at, stats = f"videos/{video.key}", f"stats/{video.key}"
+        fields += [pa.field(f"{at}/{name}", pa.int64()) for name in ("chunk_index", "file_index")]
+        fields += [pa.field(f"{at}/{name}", pa.float64()) for name in ("from_timestamp", "to_timestamp")]
+        fields += [pa.field(f"{stats}/{name}", channels) for name in ("min", "max", "mean", "std")]
+        fields.append(pa.field(f"{stats}/count", pa.list_(pa.int64())))
+    return pa.schema(fields)
 
 
 def record_schema(struct: str) -> pa.Schema:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,15 +15,16 @@ import pyarrow.parquet as pq
 from h3data.errors import InputError
 from h3data.recording.parquet.columns import padded, to_arrow
 from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_path
-from h3data.recording.parquet.moments import Moments, merge_into, moments_of, pack_moments
+from h3data.recording.parquet.moments import Moments, lerobot_stats, merge_into, moments_of, pack_moments
 from h3data.recording.parquet.schema import (
-    EPISODE_SCHEMA,
     SIDECARS,
     STANDARD,
     DatasetSchema,
     data_schema,
+    episode_schema,
     record_schema,
 )
+from h3data.recording.parquet.videos import EpisodeVideo, VideoAppender
 from h3data.recording.records import Recording
 from h3data.recording.schema import Column
 
@@ -32,9 +34,12 @@ ZSTD_LEVEL, PAGE_BYTES = 6, 8 << 20
 class Shard:
     """The files of up to ``episodes_per_file`` episodes until they are committed."""
 
-    def __init__(self, root: Path, number: int, schema: DatasetSchema) -> None:
-        """Opens data file ``number`` of the dataset in ``root`` under its temporary name."""
-        self.root, self.number, self.schema = root, number, schema
+    def __init__(self, root: Path, number: int, schema: DatasetSchema, *, video_number: int = 0) -> None:
+        """Opens data file ``number`` of the dataset in ``root`` under its temporary name.
+
+        ``video_number`` is that of the last shard with videos.
+        """
+        self.root, self.number, self.schema, self.video_number = root, number, schema, video_number
         self.episodes = self.frames = self.row_groups = 0
         self.rows: list[dict[str, Any]] = []
         """Rows of the episode table."""
@@ -42,6 +47,8 @@ class Shard:
         self.moments: dict[str, Moments] = {}
         self.parts: list[tuple[Path, Path]] = []
         """Temporary and final name of each file."""
+        self.videos: dict[str, VideoAppender] = {}
+        """Video file of each camera, by the key of its feature."""
         self.spoiled = False
         """A row group was begun and not finished: nothing of this file can be used."""
         self._arrow = data_schema(schema)
@@ -53,17 +60,29 @@ class Shard:
         """Size of the data file so far."""
         return self._stream.tell()
 
+    @property
+    def video_frames(self) -> int:
+        """Number of frames in each video file so far."""
+        return max((video.frames for video in self.videos.values()), default=0)
+
+    @property
+    def video_bytes(self) -> int:
+        """Size of the largest video file so far."""
+        return max((video.bytes for video in self.videos.values()), default=0)
+
     def add(
         self,
         recording: Recording,
         row: dict[str, Any],
         sidecars: dict[str, list[dict[str, Any]]],
         *,
+        videos: Mapping[str, EpisodeVideo],
         index: int,
         start: int,
         task: int,
+        instruction: str,
     ) -> None:
-        """Writes an episode: its steps as one row group, its row of the episode table, and its records.
+        """Writes an episode: its steps as one row group, its row of the episode table, its records and its videos.
 
         ``index`` and ``start`` are the number of the episode and of its first step in the whole dataset.
         """
@@ -85,7 +104,7 @@ class Shard:
         tables = {kind: _record_table(kind, records, index) for kind, records in sidecars.items() if records}
         moments = {name: moments_of(a) for name, a in arrays.items()}
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
-        place = {"episode_index": index, "tasks": [row["task"]], "task_index": task, "length": steps}
+        place: dict[str, Any] = {"episode_index": index, "tasks": [instruction], "task_index": task, "length": steps}
         place |= {"data/chunk_index": chunk, "data/file_index": file}
         place |= {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
         place |= {"dataset_from_index": start, "dataset_to_index": start + steps}
@@ -93,6 +112,8 @@ class Shard:
         if steps:
             self._writer.write_table(table, row_group_size=steps)
             merge_into(self.moments, moments)
+            for key, video in videos.items():
+                place |= self._add_video(key, video)
         self.rows.append({**row, **place, "row_group": self.row_groups if steps else -1})
         for kind, records in tables.items():
             self.sidecars[kind].append(records)
@@ -105,11 +126,15 @@ class Shard:
         """Writes the sidecars and the episode table, then gives all files their final names."""
         self._writer.close()
         _sync(self._stream)
+        for video in self.videos.values():
+            video.close()
         for kind, struct in SIDECARS.items():
             tables = [record_schema(struct).empty_table(), *self.sidecars[kind]]
             self._write(f"h3/{kind}", pa.concat_tables(tables).combine_chunks())
         metadata = {"h3data.schema_version": self.schema.version, "h3data.moments": pack_moments(self.moments)}
-        self._write("meta/episodes", pa.Table.from_pylist(self.rows, schema=EPISODE_SCHEMA.with_metadata(metadata)))
+        columns = episode_schema(self.schema).with_metadata(metadata)
+        rows = [{**self._no_video, **row} for row in self.rows]
+        self._write("meta/episodes", pa.Table.from_pylist(rows, schema=columns))
         for part, final in self.parts:  # the episode table is the last: its name is the commit
             os.replace(part, final)
 
@@ -119,16 +144,44 @@ class Shard:
             self._writer.close()
         with contextlib.suppress(OSError):
             self._stream.close()
+        for video in self.videos.values():
+            video.discard()
         for part, _ in self.parts:
             part.unlink(missing_ok=True)
 
+    def _add_video(self, key: str, video: EpisodeVideo) -> dict[str, Any]:
+        """Appends an episode's video; returns its place and statistics as columns of the episode table."""
+        if key not in self.videos:
+            part = self._claim(shard_path(self.root, f"videos/{key}", self.number).with_suffix(".mp4"))
+            self.videos[key] = VideoAppender(part)
+        start, fps = self.videos[key].frames, self.schema.fps
+        place = _video_place(key, self.number, start / fps, (start + video.length) / fps)
+        self.videos[key].add(video)
+        merge_into(self.moments, {key: video.moments})
+        return place | _video_stats(key, video.moments, video.length)
+
+    @property
+    def _no_video(self) -> dict[str, Any]:
+        """Columns of an episode without steps. LeRobot looks for its video files too, so they are some that exist."""
+        number = self.number if self.videos else self.video_number
+        return {k: v for video in self.schema.videos for k, v in _video_place(video.key, number, 0.0, 0.0).items()}
+
     def _open(self, kind: str) -> IO[bytes]:
         final = shard_path(self.root, kind, self.number)
-        final.parent.mkdir(parents=True, exist_ok=True)
-        part = final.with_name(f"_{final.name}.part")  # readers of whole folders skip names with an underscore
-        stream = open_shard_file(part)
+        stream = open_shard_file(part := self._part_of(final))
         self.parts.append((part, final))
         return stream
+
+    def _claim(self, final: Path) -> Path:
+        """The temporary name of a file, to be renamed at the commit."""
+        part = self._part_of(final)
+        self.parts.append((part, final))
+        return part
+
+    @staticmethod
+    def _part_of(final: Path) -> Path:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        return final.with_name(f"_{final.name}.part")  # readers of whole folders skip names with an underscore
 
     def _write(self, kind: str, table: pa.Table) -> None:
         with self._open(kind) as stream:
@@ -139,6 +192,18 @@ class Shard:
 def open_shard_file(part: Path) -> IO[bytes]:
     """A new file under its temporary name; tests replace this by disks that fill up."""
     return open(part, "xb")
+
+
+def _video_place(key: str, number: int, start_s: float, end_s: float) -> dict[str, Any]:
+    """The video file of an episode and its stretch in it [s], as columns of the episode table."""
+    chunk, file = divmod(number, FILES_PER_CHUNK)
+    place = {"chunk_index": chunk, "file_index": file, "from_timestamp": start_s, "to_timestamp": end_s}
+    return {f"videos/{key}/{name}": value for name, value in place.items()}
+
+
+def _video_stats(key: str, moments: Moments, frames: int) -> dict[str, Any]:
+    """LeRobot's statistics of one episode's video as columns of the episode table: [3, 1, 1] each, and [1]."""
+    return {f"stats/{key}/{name}": values for name, values in lerobot_stats(moments, frames, (3, 1, 1)).items()}
 
 
 def _sync(stream: IO[bytes]) -> None:

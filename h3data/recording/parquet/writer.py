@@ -13,7 +13,8 @@ import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -27,6 +28,7 @@ from h3data.recording.parquet.lerobot import FILE_MB, Totals, write_meta
 from h3data.recording.parquet.moments import merge_into
 from h3data.recording.parquet.schema import SIDECARS, STANDARD, DatasetSchema, union_layout
 from h3data.recording.parquet.shard import Shard
+from h3data.recording.parquet.videos import MAX_FILE_BYTES, MAX_FILE_S, EpisodeVideo, VideoFeature
 from h3data.recording.records import Recording
 from h3data.recording.schema import Layout, episode_to_dict, layout_of, layout_to_json, struct_to_dict
 from h3data.recording.storage import RemotePath, place, put_tree, remove_tree
@@ -73,7 +75,7 @@ class DatasetWriter:
         self.closed = False
         self._fps, self._nominal_fps, self._max_bodies = fps, nominal_fps, max_bodies
         self._episodes_per_file, self._file_bytes = episodes_per_file, file_bytes
-        self._totals, self._shard_index = Totals(), 0
+        self._totals, self._shard_index, self._video_number = Totals(), 0, 0
         self._files = FileStore(self.root / "h3" / "files")
         self._schema: DatasetSchema | None = None
         self._shard: Shard | None = None
@@ -88,8 +90,15 @@ class DatasetWriter:
         """Number of episodes, including those not yet committed: the index of the next one."""
         return self._totals.episodes + (self._shard.episodes if self._shard else 0)
 
-    def add(self, recording: Recording) -> int:
-        """Appends one episode and returns its index. It is durable from the next commit on."""
+    def add(self, recording: Recording, *, videos: Sequence[EpisodeVideo] = ()) -> int:
+        """Appends one episode and returns its index. It is durable from the next commit on.
+
+        ``videos`` show each of its steps, from the same cameras in all episodes of a dataset that have steps; they are
+        copied.
+
+        Raises:
+            InputError: the episode or its videos do not fit the dataset.
+        """
         if self.closed:
             raise InputError(f"This dataset writer is closed: {self.root}")
         with self._writing():
@@ -97,22 +106,29 @@ class DatasetWriter:
                 self._declare([recording])
             assert self._schema is not None
             layout = _checked_layout(recording, self._schema, any_rate=self._nominal_fps)
+            by_key = self._checked_videos(recording, videos)
+            if self._shard and self._shard.video_frames + len(recording) > MAX_FILE_S * self._fps_of_schema:
+                self.commit()
             row = _episode_row(recording, layout)
             attachments = {name: self._files.put(name, data) for name, data in recording.attachments.items()}
             row["attachments"] = json.dumps(attachments, ensure_ascii=False)
             sidecars = {kind: [struct_to_dict(r) for r in getattr(recording, kind)] for kind in SIDECARS}
             index, start = len(self), self._totals.frames + (self._shard.frames if self._shard else 0)
-            task = self._totals.tasks.setdefault(row["task"], len(self._totals.tasks))
+            told = instruction_of(recording)
+            task = self._totals.tasks.setdefault(told, len(self._totals.tasks))
             if self._shard is None:
-                self._shard = Shard(self._local_root, self._shard_index, self._schema)
+                self._shard = Shard(self._local_root, self._shard_index, self._schema, video_number=self._video_number)
             try:
-                self._shard.add(recording, row, sidecars, index=index, start=start, task=task)
+                self._shard.add(
+                    recording, row, sidecars, videos=by_key, index=index, start=start, task=task, instruction=told
+                )
             except BaseException:
                 if self._shard.spoiled:  # a half-written row group spoils its file: drop the shard
                     shard, self._shard = self._shard, None
                     shard.discard()
                 raise
-        if self._shard.episodes >= self._episodes_per_file or self._shard.bytes >= self._file_bytes:
+        full = self._shard.bytes >= self._file_bytes or self._shard.video_bytes >= MAX_FILE_BYTES
+        if full or self._shard.episodes >= self._episodes_per_file:
             self.commit()
         return index
 
@@ -129,6 +145,7 @@ class DatasetWriter:
             except BaseException:
                 shard.discard()
                 raise
+            self._video_number = self._shard_index if shard.videos else self._video_number
             self._shard_index += 1
             self._totals.episodes += shard.episodes
             self._totals.frames += shard.frames
@@ -176,7 +193,7 @@ class DatasetWriter:
         if not is_dataset(root):
             raise InputError(f"The folder exists and is not a dataset of h3data; choose another one: {root}")
         if overwrite:
-            for folder in (root / "meta", root / "data", root / "h3"):
+            for folder in (root / "meta", root / "data", root / "h3", root / "videos"):
                 remove_tree(folder)
         elif resume:
             self._resume()
@@ -198,7 +215,44 @@ class DatasetWriter:
             for path in shard_files(self.root, kind):
                 if shard_number(path) >= self._shard_index:
                     path.unlink()  # renamed before the crash, never committed
+        for path in self.root.glob("videos/*/chunk-*/file-*.mp4"):
+            if shard_number(path) >= self._shard_index:
+                path.unlink()
+            else:
+                self._video_number = max(self._video_number, shard_number(path))
         self._totals = Totals.of(self.root)
+
+    def _checked_videos(self, recording: Recording, videos: Sequence[EpisodeVideo]) -> dict[str, EpisodeVideo]:
+        """The videos of an episode by the keys of their features; the first ones are declared for the whole dataset."""
+        assert self._schema is not None
+        name, given = recording.episode.episode_id, tuple(video.feature for video in videos)
+        taken = {*STANDARD, *(c.name for c in self._schema.columns)}
+        for video in videos:
+            feature = video.feature
+            if "/" in feature.camera or feature.key in taken:
+                raise InputError(f"A LeRobot dataset cannot have a camera {feature.camera!r}. Rename it.")
+            if (video.length, video.fps) != (len(recording), self._schema.fps):
+                raise InputError(
+                    f"Expected a video of {len(recording)} frames, {self._schema.fps} per second, for episode {name!r}, got "
+                    f"{video.length} frames, {video.fps} per second: {video.path}"
+                )
+        frames = self._totals.frames + (self._shard.frames if self._shard else 0)
+        if given and not self._schema.videos and not frames:
+            self._schema = replace(self._schema, videos=given)
+            write_atomic(self.root / "h3" / "schema.json", self._schema.to_json())
+            if self._shard is not None:  # episodes without steps
+                self._shard.schema = self._schema
+        if len(recording) and set(given) != set(self._schema.videos):
+            raise InputError(
+                f"All episodes of a dataset have videos of the same cameras and sizes: expected "
+                f"{_listed(self._schema.videos)}, episode {name!r} has {_listed(given)}."
+            )
+        return {video.feature.key: video for video in videos} if len(recording) else {}
+
+    @property
+    def _fps_of_schema(self) -> int:
+        assert self._schema is not None
+        return self._schema.fps
 
     def _declare(self, examples: Iterable[Recording]) -> None:
         """Fixes the columns of the dataset so that all of these recordings fit; without any, does nothing."""
@@ -216,6 +270,16 @@ class DatasetWriter:
         schema = DatasetSchema(columns=columns, fps=self._fps, robot_type=robots[0] if robots else "none")
         write_atomic(self.root / "h3" / "schema.json", schema.to_json())
         self._schema = schema
+
+
+def instruction_of(recording: Recording) -> str:
+    """The task of a recording in words: what its `Task` said, else the task's name."""
+    told = recording.episode.info.get("instruction")
+    return told if isinstance(told, str) and told else recording.episode.task
+
+
+def _listed(features: Sequence[VideoFeature]) -> str:
+    return ", ".join(f"{v.camera} ({v.width}x{v.height})" for v in features) or "none"
 
 
 def _episode_row(recording: Recording, layout: Layout) -> dict[str, Any]:

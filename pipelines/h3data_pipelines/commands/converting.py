@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ import tyro
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
-from h3data.recording.episodes import StoredEpisode
+from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
 from h3data_pipelines.command import (
@@ -147,11 +147,12 @@ class Convert:
             claim_folder(self._out, force=False)
         begun = self.resume and (self._out / "h3" / "schema.json").is_file()
         like, nominal = () if begun else _readable(sources), self.nominal_fps is not None
+        cameras = common_cameras(sources)
         rows = []
         with DatasetWriter(self._out, resume=self.resume, fps=rate, nominal_fps=nominal, like=like) as writer:
             done = {e["uid"]: k for k, e in enumerate(Dataset(self._out).rows)} if len(writer) else {}
             for source in progress(sources, desc="convert", unit="episode"):
-                row = self._add(source, writer, done)
+                row = self._add(source, writer, done, cameras)
                 rows.append({"source": source.name, **row})
         if self.check:
             self._compare(sources, rows)
@@ -171,14 +172,18 @@ class Convert:
             except H3DataError as error:
                 row |= {"status": "failed", "reason": str(error)}
 
-    def _add(self, source: StoredEpisode, writer: DatasetWriter, done: dict[str, int]) -> dict[str, Any]:
+    def _add(
+        self, source: StoredEpisode, writer: DatasetWriter, done: dict[str, int], cameras: Sequence[str]
+    ) -> dict[str, Any]:
         try:
             recording = source.read()
             index = done.get(recording.episode.uid)
             if index is not None:
                 return {"status": "kept", "recording": f"{self._out}#{index}"}
             with uninterrupted():
-                index = writer.add(recording)
+                index = writer.add(
+                    recording, videos=[video for video in source.read_videos() if video.feature.camera in cameras]
+                )
         except H3DataError as error:
             return {"status": "failed", "reason": str(error)}
         return {"status": "converted", "recording": f"{self._out}#{index}", "steps": len(recording)}

@@ -13,7 +13,7 @@ from h3data.errors import InputError
 from h3data.formats import ExportRequest, Format, export_format, export_options, load
 from h3data.progress import progress
 from h3data.recording import Recording
-from h3data.recording.episodes import StoredEpisode
+from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
 from h3data_pipelines.command import (
     ForceFlag,
@@ -42,6 +42,7 @@ class Export:
         h3data export ds#3 --to foxglove --camera robot_arm -o episode.foxglove.mcap
         h3data export ds#3 --to csv -o tables/
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
+        h3data export ds/ --to lerobot --camera robot_arm --camera human_head -o lerobot/
         h3data export ds/ --to robomimic -o demos.hdf5
     """
 
@@ -58,8 +59,8 @@ class Export:
     light: bool = False
     """Take the light meshes of people (3,000 vertices instead of 19,000), for gfx-replay and gltf."""
     camera: tuple[str, ...] = ()
-    """Render this camera at every step, for foxglove: a name as in rerender, or a .toml or .json file; may be given
-    several times."""
+    """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
+    lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
     force: ForceFlag = False
     json: JsonFlag = False
 
@@ -69,7 +70,12 @@ class Export:
             if getattr(self, option) and option not in form.write_options:
                 raise InputError(f"--{option} is not for {form.option}, but for {_formats_with(option)}. Leave it out.")
         recordings: Iterable[Recording]
-        recordings = _Episodes(self.recording) if form.many else [open_episode(self.recording)]
+        sources: list[StoredEpisode] = []
+        if form.many:
+            recordings = _Episodes(self.recording)
+            sources = recordings.sources
+        else:
+            recordings = [open_episode(self.recording)]
         self._claim(form)
         request = ExportRequest(
             out=self.out,
@@ -78,6 +84,8 @@ class Export:
             assets=self.assets,
             light=self.light,
             cameras=self.camera,
+            stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),
+            stored_videos=lambda number: sources[number].read_videos(),
             threads=core_count(),
             progress=_progress,
         )
@@ -103,15 +111,15 @@ def _formats_with(option: Any) -> str:
 
 
 def _progress(items: Iterable[Any], total: int, unit: str) -> Iterable[Any]:
-    return progress(items, total=total, desc="render", unit=unit)
+    return progress(items, total=total, desc="render", unit=unit, leave=False)
 
 
 class _Episodes:
     """The recordings of a path, read again on every iteration."""
 
     def __init__(self, path: Path) -> None:
-        self._sources: list[StoredEpisode] = find_episodes([path])
+        self.sources: list[StoredEpisode] = find_episodes([path])
 
     def __iter__(self) -> Iterator[Recording]:
-        for source in progress(self._sources, desc="export", unit="episode"):
+        for source in progress(self.sources, desc="export", unit="episode"):
             yield source.read()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json as json_module
 import math
+import shutil
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -36,10 +38,12 @@ from h3data_pipelines.jobs.episode_files import FileJobs, claim_episode_file, fi
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
-from h3data_pipelines.jobs.running import simulate_jobs
+from h3data_pipelines.jobs.running import Filming, film_jobs
+from h3data_pipelines.pictures.rendering import core_count
 
 if TYPE_CHECKING:
     from h3data.recording import DatasetWriter
+    from h3data.recording.parquet.videos import EpisodeVideo
 
 COMMIT_S = 60.0
 """At most the work of this time is lost when the process is killed."""
@@ -64,6 +68,7 @@ class Generate:
         h3data generate rearrange --agents robot,robot --policy complement,both -o ds/
         h3data generate rearrange --scenes h3-homes/test --save-episodes test.json.gz --dry-run -o ds/
         h3data generate rearrange --episodes-file val/social_rearrange.json.gz --assets data/ -o ds/
+        h3data generate social_nav --episodes 20 --camera robot_arm --camera human_head -o ds/
         h3data generate wander --agents robot,human,human --human any --episodes 50 --workers 2 -o ds/
         h3data generate wander --scenes h3-homes/test --agents robot,lift_arm,female_1 --max-steps 900 --mcap -o ds/
     """
@@ -116,6 +121,8 @@ class Generate:
     decide it."""
     rule: tuple[str, ...] = ()
     """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
+    camera: tuple[str, ...] = ()
+    """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
     workers: int = 1
     """Processes."""
     mcap: bool = False
@@ -147,7 +154,7 @@ class Generate:
         if self.force:
             remove_dataset(out)
         if self.resume:
-            require_same_options(out, jobs)
+            require_same_options(out, jobs, cameras=self.camera)
         else:
             claim_folder(out, force=False)
         with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume) as writer:
@@ -159,12 +166,21 @@ class Generate:
         table = measure_many(written)
         text = f"{counted(len(written), 'episode')}{whose(jobs[0])}, {counted(written.steps, 'step')} in {out}"
         text += f"\n\n{table.to_text()}"
+        if cameras := written.dataset.cameras:
+            text += f"\nvideos of {', '.join(cameras)}"
         text += "".join(f"\nfailed {line}" for line in written.failed) + notes_on(asked)
         data: dict[str, Any] = {
-            "dataset": str(out), "episodes": len(written), "new": len(written) - done, "steps": written.steps,
-            "state_hashes": written.hashes, "failed": written.failed, "left_out": list(asked.left_out),
-            "warnings": list(asked.warnings), "metrics": table.to_dict(),
-        }  # fmt: skip
+            "dataset": str(out),
+            "cameras": list(cameras),
+            "episodes": len(written),
+            "new": len(written) - done,
+            "steps": written.steps,
+            "state_hashes": written.hashes,
+            "failed": written.failed,
+            "left_out": list(asked.left_out),
+            "warnings": list(asked.warnings),
+            "metrics": table.to_dict(),
+        }
         result = Generated(written.dataset, len(written) - done, tuple(written.failed), table, asked.left_out)
         return Outcome(text=text, data=data, result=result, exit_code=1 if written.failed or asked.left_out else 0)
 
@@ -180,6 +196,7 @@ class Generate:
             "policy": jobs[0].policy or "the task's default",
             "partner": jobs[0].partner or "the task's default",
             "most_steps": sum(job.spec.max_steps for job in jobs),
+            "cameras": list(self.camera),
             "workers": self.workers,
             "out": str(self.out),
         }
@@ -188,6 +205,8 @@ class Generate:
             f"{plan['most_steps']:,} steps at most, in {self.workers} process{'es' if self.workers != 1 else ''}, "
             f"in {counted(len(scenes), 'scene')}: {named}"
         )
+        if self.camera:
+            text += f"; with videos of {', '.join(self.camera)}"
         if self.save_episodes is not None:
             plan["saved_episodes"] = str(self.save_episodes)
             text += f"\nWrote the episodes to {self.save_episodes}"
@@ -197,21 +216,24 @@ class Generate:
     def _simulate(self, jobs: Sequence[Job], writer: DatasetWriter) -> None:
         """Play the jobs into a dataset. Failed ones wait for one that was played, which says what columns there are."""
         played = first_played(writer)
-        waiting: list[Recording] = []
+        waiting: list[tuple[Recording, Sequence[EpisodeVideo]]] = []
         committed, failures = time.monotonic(), 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
-        with bar, closing(simulate_jobs(jobs, workers=self.workers)) as recordings:
-            for recording in recordings:
-                waiting.append(recording)
+        with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder, bar, ExitStack() as stack:
+            filming = Filming(self.camera, Path(folder), threads=max(core_count() // self.workers, 1))
+            filmed = stack.enter_context(closing(film_jobs(jobs, filming=filming, workers=self.workers)))
+            for job, (recording, videos) in zip(jobs, filmed, strict=True):
+                waiting.append((recording, videos))
                 if is_failed(recording):
                     bar.set_postfix(failed=(failures := failures + 1), refresh=False)
                 else:
                     played = played or recording
                 if played is not None:
                     with uninterrupted():
-                        for each in waiting:
-                            writer.add(beside(each, played) if is_failed(each) else each)
+                        for each, of_each in waiting:
+                            writer.add(beside(each, played) if is_failed(each) else each, videos=of_each)
                         waiting.clear()
+                        shutil.rmtree(filming.of(job), ignore_errors=True)
                         if time.monotonic() - committed > COMMIT_S:
                             writer.commit()
                             committed = time.monotonic()
@@ -219,7 +241,7 @@ class Generate:
         with uninterrupted():
             writer.commit()
         if waiting:
-            first = waiting[0].episode
+            first = waiting[0][0].episode
             raise H3DataError(
                 f"No episode could be played, {counted(len(waiting), 'episode')} failed. The first, {first.episode_id} in "
                 f"{first.scene} (seed {first.seed}): {first.info['failed']}"

@@ -86,13 +86,20 @@ def whose(job: Job) -> str:
     return f" in the scenes of {label}, drawn with seed {origin['seed']}" if origin["seed"] else f" of {label}"
 
 
-def require_same_options(folder: AnyPath, jobs: Sequence[Job]) -> None:
-    """Refuse to go on with a dataset whose episodes are not those that ``jobs`` would make."""
+def require_same_options(folder: AnyPath, jobs: Sequence[Job], *, cameras: Sequence[str] = ()) -> None:
+    """Refuses to go on with a dataset whose episodes are not those that ``jobs`` would make, or have other videos."""
     from h3data.recording import Dataset
 
     if not folder.is_dir() or not any(folder.iterdir()):
         return
-    for job, row in zip(jobs, Dataset(folder).episodes.to_pylist(), strict=False):
+    dataset = Dataset(folder)
+    known = {name.replace("/", ".") for name in cameras if not name.lower().endswith((".toml", ".json"))}
+    if len(dataset) and (len(set(cameras)) != len(dataset.cameras) or not known <= {*dataset.cameras}):
+        raise InputError(
+            f"Cannot resume with other options: the dataset has videos of {', '.join(dataset.cameras) or 'no camera'}, "
+            f"--camera says {', '.join(cameras) or 'none'}. Use the cameras it was started with, or another -o: {folder}"
+        )
+    for job, row in zip(jobs, dataset.episodes.to_pylist(), strict=False):
         info, wanted = json.loads(row["info"]), {**job.to_json(), "origin": job.origin}
         was = {**info.get("job", {}), "origin": info.get("origin")}
         differs = _differences(was, wanted)

@@ -9,17 +9,21 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
-from h3data.errors import H3DataError
+from h3data.errors import H3DataError, InputError
 from h3data.recording import Recording
 from h3data_pipelines.jobs.episodes import Job
-from h3data_pipelines.jobs.failed_episodes import failed_recording
+from h3data_pipelines.jobs.failed_episodes import failed_recording, is_failed
+
+if TYPE_CHECKING:
+    from h3data.recording.parquet.videos import EpisodeVideo
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -39,9 +43,45 @@ def simulate_job(job: Job) -> Recording:
     return replace(recording, episode=replace(recording.episode, info=info))
 
 
-def simulate_jobs(jobs: Sequence[Job], *, workers: int) -> Generator[Recording]:
-    """Recordings in the order of ``jobs``, by this process or by several."""
-    yield from run_jobs(simulate_job, jobs, workers=workers)
+@dataclass(frozen=True)
+class Filming:
+    """Videos to render of every episode."""
+
+    cameras: tuple[str, ...]
+    folder: Path
+    """Parent of the folders that their files are put into."""
+    threads: int
+    """Threads that render, in each process."""
+
+    def of(self, job: Job) -> Path:
+        """Folder for the videos of an episode."""
+        return self.folder / str(job.index)
+
+
+def film_job(job: Job, filming: Filming) -> tuple[Recording, list[EpisodeVideo]]:
+    """One episode as `simulate_job` gives it, and its videos: none of one that failed.
+
+    Raises:
+        InputError: it has no such camera.
+    """
+    recording = simulate_job(job)
+    if not filming.cameras or is_failed(recording):
+        return recording, []
+    from h3data.exporters.camera_videos import render_videos
+
+    filming.of(job).mkdir()
+    try:
+        videos = render_videos(recording, filming.cameras, filming.of(job), threads=filming.threads)
+    except InputError as error:
+        raise InputError(f"Episode {job.index}: {error}") from None
+    return recording, videos
+
+
+def film_jobs(
+    jobs: Sequence[Job], *, filming: Filming, workers: int
+) -> Generator[tuple[Recording, list[EpisodeVideo]]]:
+    """Recordings and their videos in the order of ``jobs``, by this process or by several."""
+    yield from run_jobs(partial(film_job, filming=filming), jobs, workers=workers)
 
 
 def run_jobs(work: Callable[[J], R], jobs: Sequence[J], *, workers: int) -> Generator[R]:

@@ -7,6 +7,7 @@ move bodies.
 
 from __future__ import annotations
 
+import re
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -259,6 +260,11 @@ class Rearrange(Task):
             for b in bodies
         )
 
+    def instruction(self, episode: Episode) -> str:
+        assert isinstance(episode, RearrangeEpisode)
+        errands = [f"bring the {spoken(t.name)} to the {spoken(t.destination)}" for t in episode.targets]
+        return " and ".join(errands)
+
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         assert isinstance(episode, RearrangeEpisode)
         return {
@@ -397,6 +403,16 @@ def solo_steps_of(episode: RearrangeEpisode) -> int:
     play = RearrangePlay(alone, [plan])
     run(play)
     return play.step + 1
+
+
+def spoken(name: str) -> str:
+    """The kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
+
+    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``).
+    """
+    instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
+    words = " ".join(re.split(r"[_\W]+", instance)).strip()
+    return re.sub(r"^(\d+ )+|( \d+)+$", "", words) or instance
 
 
 def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:

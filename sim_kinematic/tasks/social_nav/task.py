@@ -314,6 +314,10 @@ class SocialNav(Task):
         )
 
     # --- recording ----------------------------------------------------------------------------------------------------
+    def instruction(self, episode: Episode) -> str:
+        del episode
+        return "follow the person"
+
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         spec, (robot, human) = episode.spec, episode.starts.tolist()
         info = {

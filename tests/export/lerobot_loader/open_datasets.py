@@ -1,42 +1,124 @@
-"""Open datasets with lerobot's own loader, and compare every row that it gives with the Parquet files.
+"""Open datasets with lerobot's own loader, and compare every row that it gives with the Parquet files, and every frame of its
+videos with pictures that ``h3data rerender`` made.
 
-Runs in an environment of its own (``make check-lerobot``): lerobot pins older packages than ours.
+Runs in an environment of its own (``make check-lerobot``): lerobot pins older packages than ours. Each argument is a dataset,
+or ``DATASET=PICTURES`` with a folder of ``<anything>#<episode>.<camera>.rgb/<step>.png``.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import torch
+from PIL import Image
 
-# torchvision's operators need the CUDA build of torch; lerobot imports it for pictures, which our tables have none of.
+# torchvision's operators need the CUDA build of torch, and so does torchcodec; lerobot imports the first for pictures.
 _operators = torch.library.Library("torchvision", "DEF")
 for _name in ("nms", "qnms"):
     _operators.define(f"{_name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
 
+import torchvision  # noqa: E402
+
+
+class VideoReader:
+    """torchvision's reader of that name with the backend pyav, which lerobot calls and torchvision has dropped since 0.26."""
+
+    def __init__(self, path: str, stream: str) -> None:
+        import av
+
+        assert stream == "video"
+        self.container = av.open(path)
+        self._frames = self.container.decode(video=0)
+
+    def seek(self, time_s: float, keyframes_only: bool = False) -> VideoReader:
+        self.container.seek(int(time_s * 1e6), any_frame=not keyframes_only)
+        self._frames = self.container.decode(video=0)
+        return self
+
+    def __iter__(self) -> VideoReader:
+        return self
+
+    def __next__(self) -> dict[str, object]:
+        frame = next(self._frames)
+        picture = torch.from_numpy(frame.to_ndarray(format="rgb24")).permute(2, 0, 1)
+        return {"data": picture, "pts": float(frame.pts * frame.time_base)}
+
+
+if not hasattr(torchvision.io, "VideoReader"):
+    torchvision.io.VideoReader = VideoReader
+    torchvision.set_video_backend = lambda backend: None
+
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
+BACKEND = os.environ.get("LEROBOT_BACKEND", "pyav")
+"""lerobot's name of a decoder: pyav or torchcodec."""
+LEAST_DB = 28.0
+"""A frame of another step, or of another camera, has less than 25 dB."""
 
-def check(root: Path) -> str:
-    """Every row and, where there are actions, windows over time; a line about what was seen."""
-    dataset = LeRobotDataset(f"local/{root.name}", root=root)
+
+def check(root: Path, pictures: Path | None) -> str:
+    """Every row, every frame and, where there are actions, windows over time; a line about what was seen."""
+    dataset = LeRobotDataset(f"local/{root.name}", root=root, video_backend=BACKEND)
     table = pq.read_table(root / "data").to_pydict()
+    cameras = dataset.meta.video_keys
     assert len(dataset) == len(table["index"]) > 0, (len(dataset), len(table["index"]))
+    worst, compared = np.inf, 0
     for k in range(len(dataset)):
         row = dataset[k]
         for name, values in table.items():
             got = row[name].numpy()
             assert np.array_equal(got, np.asarray(values[k], got.dtype), equal_nan=got.dtype.kind == "f"), (name, k)
+        assert row["task"] == dataset.meta.tasks.iloc[table["task_index"][k]].name
+        for camera in cameras:
+            assert tuple(row[camera].shape[-2:]) == tuple(dataset.meta.features[camera]["shape"][:2])
+            if pictures is not None:
+                found = psnr_db(
+                    row[camera], rendered(pictures, camera, table["episode_index"][k], table["frame_index"][k])
+                )
+                assert found > LEAST_DB, (camera, k, found)
+                worst, compared = min(worst, found), compared + 1
+    assert {camera: dataset.meta.stats[camera]["mean"].shape for camera in cameras} == dict.fromkeys(cameras, (3, 1, 1))
     if "action" in table:
-        windows = LeRobotDataset(f"local/{root.name}", root=root, delta_timestamps={"action": [0.0, 1 / 30, 2 / 30]})
-        assert windows[0]["action"].shape == (3, *dataset[0]["action"].shape)
-        assert bool(windows[len(dataset) - 1]["action_is_pad"][-1]), "the window runs over the end"
-    return f"{root}: {dataset.meta.total_episodes} episodes, {len(dataset)} rows of {len(table)} columns are equal"
+        check_windows(root, dataset, cameras)
+    seen = f", {compared} frames of {len(cameras)} cameras as rendered (at least {worst:.1f} dB)" if compared else ""
+    tasks = ", ".join(map(repr, dataset.meta.tasks.index))
+    rows = f"{len(dataset)} rows of {len(table)} columns are equal"
+    return f"{root}: {dataset.meta.total_episodes} episodes ({tasks}), {rows}{seen}"
+
+
+def check_windows(root: Path, dataset: LeRobotDataset, cameras: list[str]) -> None:
+    """Windows of actions ahead and of pictures back, across the ends of episodes."""
+    times = {"action": [0.0, 1 / 30, 2 / 30], **{camera: [-1 / 30, 0.0] for camera in cameras}}
+    windows = LeRobotDataset(f"local/{root.name}", root=root, delta_timestamps=times, video_backend=BACKEND)
+    assert windows[0]["action"].shape == (3, *dataset[0]["action"].shape)
+    assert bool(windows[len(dataset) - 1]["action_is_pad"][-1]), "the window runs over the end"
+    for k in (1, 7, len(dataset) // 2, len(dataset) - 1):
+        for camera in cameras:
+            window = windows[k][camera]
+            assert torch.equal(window[1], dataset[k][camera]), (camera, k)
+            before = k if bool(windows[k][f"{camera}_is_pad"][0]) else k - 1
+            assert torch.equal(window[0], dataset[before][camera]), (camera, k)
+
+
+def rendered(pictures: Path, feature: str, episode: int, step: int) -> np.ndarray:
+    """The picture of a step that ``h3data rerender --format png`` made."""
+    camera = feature.removeprefix("observation.images.")
+    (path,) = pictures.glob(f"*#{episode}.{camera}.rgb/{step:06d}.png")
+    return np.asarray(Image.open(path))
+
+
+def psnr_db(frame: torch.Tensor, picture: np.ndarray) -> float:
+    """Peak signal-to-noise ratio of a frame [3, H, W] in 0..1; an odd size is padded in the video."""
+    height, width = picture.shape[:2]
+    error = frame.permute(1, 2, 0).numpy()[:height, :width] - picture / 255
+    return float(-10 * np.log10(np.mean(error**2)))
 
 
 if __name__ == "__main__":
     for argument in sys.argv[1:]:
-        sys.stdout.write(check(Path(argument)) + "\n")
+        place, _, of = argument.partition("=")
+        sys.stdout.write(check(Path(place), Path(of) if of else None) + "\n")

@@ -1,0 +1,231 @@
+"""Videos of a dataset's cameras in LeRobot's layout: the episodes of a shard one after the other in one MP4 per camera.
+
+Episodes are copied packet by packet, never encoded again. They must be H.264 without B-frames that begin with a key frame, so
+that packets stand in the order of their frames and any stretch from a key frame on is a video of its own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import FormatError, InputError
+from h3data.recording.parquet.files import FILES_PER_CHUNK, shard_path
+from h3data.recording.parquet.moments import Moments
+from h3data.recording.storage import AnyPath, open_binary
+
+FEATURE = "observation.images."
+"""Prefix of a camera's feature, as LeRobot's policies look for it."""
+MAX_FILE_S = 1000.0
+"""Longest video file [s]. LeRobot compares timestamps within a file as float32 with a tolerance of 1e-4 s: from 1,024 s on,
+neighbouring float32 numbers are farther apart than that."""
+MAX_FILE_BYTES = 200 << 20
+"""LeRobot's ``video_files_size_in_mb``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoFeature:
+    """What all videos of one camera have in common."""
+
+    camera: str
+    width: int
+    """Width of the encoded frames [px], an even number."""
+    height: int
+    codec: str = "h264"
+    pixels: str = "yuv420p"
+
+    @property
+    def key(self) -> str:
+        """Name of the feature."""
+        return FEATURE + self.camera
+
+    def lerobot(self, fps: int) -> dict[str, Any]:
+        """Its entry in ``features`` of info.json."""
+        return {
+            "dtype": "video",
+            "shape": [self.height, self.width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": self.height,
+                "video.width": self.width,
+                "video.codec": self.codec,
+                "video.pix_fmt": self.pixels,
+                "video.is_depth_map": False,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": False,
+            },
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EpisodeVideo:
+    """One episode seen by one camera: a stretch of a video file."""
+
+    feature: VideoFeature
+    path: AnyPath
+    length: int
+    """Number of frames."""
+    fps: int
+    moments: Moments
+    """Of the channels R, G, B over all pixels, in 0..1."""
+    start: int = 0
+    """Frame of the file with which the episode begins, a key frame."""
+
+    def frames(self) -> Iterator[NDArray[np.uint8]]:
+        """Decodes the frames in order, each sRGB [height, width, 3].
+
+        Raises:
+            FormatError: the file is damaged or too short.
+        """
+        with ExitStack() as stack:
+            count = 0
+            for packet in _packets(self, stack):
+                for frame in packet.decode():
+                    yield frame.to_ndarray(format="rgb24")
+                    count += 1
+            if count != self.length:
+                raise FormatError(f"Expected {self.length} frames from frame {self.start} on, got {count}: {self.path}")
+
+
+def episode_video(root: AnyPath, row: Mapping[str, Any], feature: VideoFeature, *, fps: int) -> EpisodeVideo:
+    """The video of an episode, from its row of the episode table.
+
+    Raises:
+        FormatError: the row is damaged.
+    """
+    at, stats = f"videos/{feature.key}", f"stats/{feature.key}"
+    try:
+        number = row[f"{at}/chunk_index"] * FILES_PER_CHUNK + row[f"{at}/file_index"]
+        low, high, mean, std = (
+            np.array(row[f"{stats}/{n}"], np.float64).reshape(3) for n in ("min", "max", "mean", "std")
+        )
+        (frames,) = row[f"{stats}/count"]
+        pixels = np.full(3, float(frames) * feature.width * feature.height)
+        return EpisodeVideo(
+            feature=feature,
+            path=shard_path(root, at, number).with_name(f"file-{number % FILES_PER_CHUNK:03d}.mp4"),
+            length=row["length"],
+            fps=fps,
+            moments=Moments(pixels, mean, std**2 * pixels, low, high),
+            start=round(row[f"{at}/from_timestamp"] * fps),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FormatError(f"The place of a video in the episode table is damaged ({error!r}): {root}") from None
+
+
+class VideoAppender:
+    """An MP4 file that episodes are appended to."""
+
+    def __init__(self, part: Path) -> None:
+        """Creates the file ``part``, which must not exist."""
+        self.part = part
+        self.frames = self.bytes = 0
+        self._stack = ExitStack()
+        self._container: Any = None
+        self._stream: Any = None
+        self._settings = b""
+        part.touch(exist_ok=False)
+
+    def add(self, video: EpisodeVideo) -> None:
+        """Copies an episode to the end of the file.
+
+        Raises:
+            InputError: it was encoded with other settings than those before it.
+            FormatError: it is damaged or has fewer frames than it should.
+        """
+        import av
+
+        with ExitStack() as stack:
+            count = 0
+            for packet in _packets(video, stack):
+                if self._container is None:
+                    options = {"movflags": "+faststart"}
+                    self._container = self._stack.enter_context(
+                        av.open(str(self.part), "w", format="mp4", options=options)
+                    )
+                    self._stream = self._container.add_stream_from_template(packet.stream)
+                    self._settings = bytes(packet.stream.codec_context.extradata or b"")
+                elif not count and bytes(packet.stream.codec_context.extradata or b"") != self._settings:
+                    raise InputError(
+                        f"The video of camera {video.feature.camera} was encoded with other settings than those before it "
+                        f"in the dataset. Hint: write it to another dataset: {video.path}"
+                    )
+                if not count and not packet.is_keyframe:
+                    raise FormatError(f"Expected a key frame at frame {video.start}: {video.path}")
+                packet.stream = self._stream
+                packet.time_base = Fraction(1, video.fps)
+                packet.pts = packet.dts = self.frames + count
+                packet.duration = 1
+                self.bytes += packet.size
+                self._container.mux(packet)
+                count += 1
+        if count != video.length:
+            raise FormatError(f"Expected {video.length} frames from frame {video.start} on, got {count}: {video.path}")
+        self.frames += count
+
+    def close(self) -> None:
+        """Finishes the file and syncs it to the disk."""
+        self._stack.close()
+        with self.part.open("rb") as stream:
+            os.fsync(stream.fileno())
+
+    def discard(self) -> None:
+        """Closes the file; nothing of it is wanted."""
+        with suppress(Exception):  # the disk may be full
+            self._stack.close()
+
+
+def count_frames(path: AnyPath) -> int:
+    """Number of frames in a video file, without decoding them.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    with ExitStack() as stack:
+        container = _opened(path, stack)
+        try:
+            return sum(packet.size > 0 for packet in container.demux(video=0))
+        except (OSError, ValueError) as error:
+            raise FormatError(f"The video is damaged ({error}): {path}") from None
+
+
+def _packets(video: EpisodeVideo, stack: ExitStack) -> Iterator[Any]:
+    """The packets of an episode, in order; fewer if the file ends before."""
+    container = _opened(video.path, stack)
+    stream = container.streams.video[0]
+    try:
+        if video.start:
+            container.seek(round(video.start / video.fps / stream.time_base), stream=stream)
+        count = 0
+        for packet in container.demux(stream):
+            if packet.size and round(packet.pts * packet.time_base * video.fps) >= video.start:
+                yield packet
+                count += 1
+            if count == video.length:
+                return
+    except (OSError, ValueError) as error:
+        raise FormatError(f"The video is damaged ({error}): {video.path}") from None
+
+
+def _opened(path: AnyPath, stack: ExitStack) -> Any:
+    import av
+
+    try:
+        source: Any = str(path) if isinstance(path, Path) else stack.enter_context(open_binary(path))
+        container = stack.enter_context(av.open(source))
+    except FileNotFoundError:
+        raise FormatError(f"A video of the dataset is missing: {path}") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(f"The video cannot be read ({error}): {path}") from None
+    if not container.streams.video:
+        raise FormatError(f"Expected a video, this file has none: {path}")
+    return container
