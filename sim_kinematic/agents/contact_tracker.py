@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -16,11 +18,14 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.yielding import Seen
 from sim_kinematic.contact import AgentContacts
+from sim_kinematic.contact.body_capsules import PersonCapsules, RobotCapsules, may_touch
 from sim_kinematic.contact.clearance import robot_span
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 from sim_kinematic.motion.spec import STEP_S
 
 AnyActor = RobotActor | PersonActor
+TRACK_ROWS = 1024
+"""Rows that a track begins with; episodes of 750 steps never need more."""
 
 
 class AgentContactTracker:
@@ -28,24 +33,42 @@ class AgentContactTracker:
 
     def __init__(self, roster: Sequence[AgentSpec], actors: Sequence[AnyActor]) -> None:
         self.actors = actors
-        self.tracks = [[actor.xz.copy()] for actor in actors]
-        """Where each agent was at the start and at the end of every step."""
         self.touching: list[tuple[int, int]] = []
         """Pairs of agents that touched at the end of the last step."""
+        self._moments = 1
+        self._places = np.empty((len(actors), TRACK_ROWS, 2))
+        """One track for each agent, of which the first `_moments` rows are filled."""
+        for track, actor in zip(self._places, actors, strict=True):
+            track[0] = actor.xz
+        self._avoided = [[other for other in actors if self.avoids(me, other)] for me in actors]
         self._bodies = [agent.body for agent in roster]
-        self._contacts = AgentContacts(*(body_shapes(body) for body in self._bodies))
+        self._capsules = [
+            RobotCapsules(body) if isinstance(body, Robot) else PersonCapsules(body) for body in self._bodies
+        ]
         longer = [
             robot_span(body) - AVOIDANCE.contact_span_m if isinstance(body, Robot) else 0 for body in self._bodies
         ]
         self._reach_m = [AVOIDANCE.contact_gate_m / 2 + max(extra, 0.0) for extra in longer]
         self._posed: set[int] = set()
+        self._gated: set[int] = set()
         self._settled: set[int] = set()
+
+    @cached_property
+    def _contacts(self) -> AgentContacts:
+        """FCL's shapes; in most episodes nobody comes so near that they are needed."""
+        return AgentContacts(*(body_shapes(body) for body in self._bodies))
+
+    def track(self, number: int) -> Array:
+        """Returns where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
+        return self._places[number, : self._moments]
 
     def nearest(self, number: int) -> int:
         """Returns the agent nearest to another, -1 if it is alone."""
+        others = [actor for actor in self.actors if actor.number != number]
+        if len(others) < 2:
+            return others[0].number if others else -1
         me = self.actors[number]
-        others = [actor for actor in self.actors if actor is not me]
-        return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number if others else -1
+        return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
         """Whether an agent avoids another: all do, but a person alone with one robot does not (as in Habitat)."""
@@ -55,60 +78,84 @@ class AgentContactTracker:
     def show(self, me: AnyActor) -> None:
         """Shows an agent the others: where they are and how they move."""
         seen = []
-        for other, track in zip(self.actors, self.tracks, strict=True):
-            if not self.avoids(me, other):
-                continue
+        for other in self._avoided[me.number]:
+            track = self.track(other.number)
             # people act first, then robots, each in the order of their numbers
             moved = (not other.is_robot and me.is_robot) or (other.is_robot == me.is_robot and other.number < me.number)
-            steps = AVOIDANCE.velocity_steps
-            recent = [*track[-steps:], other.xz.copy()] if moved else track[-steps - 1 :]
-            velocity = (recent[-1] - recent[0]) / (STEP_S * max(len(recent) - 1, 1))
+            now = other.xz.copy() if moved else track[-1]
+            first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
+            steps = len(track) - first - (not moved)
+            velocity = (now - track[first]) / (STEP_S * max(steps, 1))
             steps_aside = me.agreed and other.yields and not len(other.path)
             settled = other.number in self._settled
             seen.append(
-                Seen(
-                    other.number, recent[-1], velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint
-                )
-            )  # fmt: skip
-        me.others = tuple(sorted(seen, key=lambda other: float(np.hypot(*(other.xz - me.xz)))))
+                Seen(other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint)
+            )
+        if len(seen) > 1:
+            seen.sort(key=lambda other: float(np.hypot(*(other.xz - me.xz))))
+        me.others = tuple(seen)
 
     def moved(self, number: int) -> None:
         """Notes that an agent has acted and is somewhere else."""
         self._posed.discard(number)
+        self._gated.discard(number)
 
     def meets(self, me: AnyActor) -> bool:
         """Whether an agent in its present posture touches another that it avoids and did not touch before."""
         near = [
-            other for other in self.actors
-            if self.avoids(me, other) and self._is_near(me, other)
+            other for other in self._avoided[me.number]
+            if self._is_near(me, other)
             and (min(me.number, other.number), max(me.number, other.number)) not in self.touching
         ]  # fmt: skip
         if not near:
             return False
-        for actor in near:
-            self._pose(actor)
         self.moved(me.number)
-        self._pose(me)
+        met = [other.number for other in near if self._touch(*sorted((me.number, other.number)))]
         self.moved(me.number)
-        met = [other.number for other in near if self._contacts.collides(*sorted((me.number, other.number)))]
         me.hindered_by |= frozenset(met)
         return bool(met)
 
     def end_step(self) -> None:
         """Notes where all agents are after a step, and which of them touch."""
-        for track, actor in zip(self.tracks, self.actors, strict=True):
-            track.append(actor.xz.copy())
-            recent = np.array(track[-AVOIDANCE.still_steps :])
-            stays = len(recent) == AVOIDANCE.still_steps and float(np.ptp(recent, axis=0).max()) < AVOIDANCE.still_m
-            (self._settled.add if stays else self._settled.discard)(actor.number)
-        near = [(a.number, b.number) for a, b in combinations(self.actors, 2) if self._is_near(a, b)]
-        for number in sorted({number for pair in near for number in pair}):
-            self._pose(self.actors[number])
-        self.touching = [pair for pair in near if self._contacts.collides(*pair)]
+        if self._moments == self._places.shape[1]:
+            self._places = np.concatenate([self._places, np.empty_like(self._places)], axis=1)
+        self._moments += 1
+        for actor in self.actors:
+            track = self.track(actor.number)
+            track[-1] = actor.xz
+            (self._settled.add if _stays(track) else self._settled.discard)(actor.number)
+        pairs = combinations(self.actors, 2)
+        self.touching = [
+            (a.number, b.number) for a, b in pairs if self._is_near(a, b) and self._touch(a.number, b.number)
+        ]
 
     def _is_near(self, a: AnyActor, b: AnyActor) -> bool:
         """Whether two agents could touch with their arms stretched out."""
-        return bool(np.hypot(*(a.xz - b.xz)) <= self._reach_m[a.number] + self._reach_m[b.number])
+        (ax, az), (bx, bz) = a.xz.tolist(), b.xz.tolist()
+        return math.hypot(ax - bx, az - bz) <= self._reach_m[a.number] + self._reach_m[b.number]
+
+    def _touch(self, a: int, b: int) -> bool:
+        """Whether two agents touch as they are now."""
+        self._gate(self.actors[a])
+        self._gate(self.actors[b])
+        if not may_touch(self._capsules[a], self._capsules[b]):
+            return False
+        self._pose(self.actors[a])
+        self._pose(self.actors[b])
+        return self._contacts.collides(a, b)
+
+    def _gate(self, actor: AnyActor) -> None:
+        """Brings the capsules around an agent to where it is."""
+        if actor.number in self._gated:
+            return
+        capsules = self._capsules[actor.number]
+        if isinstance(capsules, RobotCapsules):
+            assert isinstance(actor, RobotActor)
+            capsules.pose(actor.pose, actor.joints)
+        else:
+            assert isinstance(actor, PersonActor)
+            capsules.pose(actor.person.base, actor.person.quats, actor.person.pelvis)
+        self._gated.add(actor.number)
 
     def _pose(self, actor: AnyActor) -> None:
         """Brings an agent's shapes to where recordings, which are float32, put them."""
@@ -122,6 +169,17 @@ class AgentContactTracker:
             posed = actor.person.body.joint_matrices_free(_stored(frame.root)[None], _stored(frame.joints)[None])
         self._contacts.update(actor.number, shape_frames(body, posed)[0])
         self._posed.add(actor.number)
+
+
+def _stays(track: Array) -> bool:
+    """Whether an agent with these places [T, 2] has been standing for long."""
+    count = AVOIDANCE.still_steps
+    if len(track) < count:
+        return False
+    (x, z), (was_x, was_z) = track[-1].tolist(), track[-count].tolist()
+    if abs(x - was_x) >= AVOIDANCE.still_m or abs(z - was_z) >= AVOIDANCE.still_m:
+        return False  # the ends of the interval tell, mostly: the rest of it costs ten times as much
+    return float(np.ptp(track[-count:], axis=0).max()) < AVOIDANCE.still_m
 
 
 def _stored(values: Array) -> NDArray[np.float64]:

@@ -87,15 +87,12 @@ class RobotActor:
 
     def __post_init__(self) -> None:
         self._arm = np.array(self.robot.require_arm())
+        self.state: RobotState = self.objects.state.robots[self.number]
+        """Its own part of the state of one world."""
         self.arm_goal = self.robot.rest.copy()
         self.footprint: Footprint = footprint_of(self.base)
 
     # --- state --------------------------------------------------------------------------------------------------------
-    @property
-    def state(self) -> RobotState:
-        """Its own part of the state of one world."""
-        return self.objects.state.robots[self.number]
-
     @property
     def is_robot(self) -> bool:
         return True
@@ -225,8 +222,9 @@ class RobotActor:
                     via, best, detours = detour[:-1], np.inf, detours + 1
             if len(via) and np.hypot(*(via[0] - self.xz)) < AVOIDANCE.via_m:
                 via, best = via[1:], np.inf
-            path = via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)
-            self.path = np.vstack([self.xz, *path, goal])
+            if self.agreed:  # nobody else asks for it
+                path = via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)
+                self.path = np.vstack([self.xz, *path, goal])
             left = float(self.free.geodesic(self.xz, via[0] if len(via) else goal, max_snap_m=1.0))
             stalled = since > AVOIDANCE.detour_after_steps[0]
             if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and stalled)):
@@ -387,18 +385,19 @@ class RobotActor:
             self.command = keep_clear(
                 self.free, self.base, self.xz.copy(), self.heading, self.command, aim, others
             )  # fmt: skip
-        state, before = self.state, self.state.copy()
+        state = self.state
+        xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)
         most = self.arm_rad_s * STEP_S
         missing = self.arm_goal[self._arm] - self.joints[self._arm]
-        far = float(np.abs(missing).max())
+        far = max(map(abs, missing.tolist()))
         self.joints[self._arm] = (
             self.arm_goal[self._arm] if far <= most else self.joints[self._arm] + missing * (most / far)
         )
         if self.meets():
-            state.xz[:], state.heading[:] = before.xz, before.heading
+            state.xz[:], state.heading[:] = xz, heading
             if self.meets():
-                state.joints[:] = before.joints
+                state.joints[:] = joints
         k = self.objects.held(self.number)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])

@@ -70,8 +70,8 @@ class _Body:
 
     def is_near(self, other: _Body) -> bool:
         """Whether a capsule of this body is within `NEAR_M` of one of the other's."""
-        return _any_near(
-            _world(self._frames, self._ends), self._radii, _world(other._frames, other._ends), other._radii
+        return any_near(
+            _world(self._frames, self._ends), self._radii, _world(other._frames, other._ends), other._radii, NEAR_M
         )
 
     def posed(self) -> MovingShapes:
@@ -95,10 +95,11 @@ def _world(frames, ends):
 
 
 @kernel(error_model="numpy")
-def _any_near(ends_a, radii_a, ends_b, radii_b):
+def any_near(ends_a, radii_a, ends_b, radii_b, margin):
+    """Whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
     for a in range(len(radii_a)):
         for b in range(len(radii_b)):
-            reach = radii_a[a] + radii_b[b] + NEAR_M
+            reach = radii_a[a] + radii_b[b] + margin
             if segment_square(ends_a[a, 0], ends_a[a, 1], ends_b[b, 0], ends_b[b, 1]) <= reach * reach:
                 return True
     return False

@@ -183,7 +183,7 @@ class Robot:
         return self.links[self.hand_link].name if self.hand_link >= 0 else ""
 
     @cached_property
-    def _tree(self) -> JointTree:
+    def joint_tree(self) -> JointTree:
         from h3data.bodies.robots.kinematics import JointTree
 
         parents = np.array([link.parent for link in self.links], np.int64)
@@ -220,7 +220,7 @@ class Robot:
                 f"Expected joint positions [{len(roots)}, {len(self.joint_names)}] of {self.name}, got {list(positions.shape)}."
             )
         out = np.empty((len(roots), len(self.links), 4, 4))
-        link_frames(roots, positions, *self._tree, out)
+        link_frames(roots, positions, *self.joint_tree, out)
         return out
 
     def link_matrices_torch(self, base: Tensor, joint_pos: Tensor) -> Tensor:
@@ -234,7 +234,7 @@ class Robot:
                 f"{list(base.shape)} and {list(joint_pos.shape)}."
             )
         to_base = joint_pos.new_tensor(self.to_base)
-        return link_frames_torch(self._tree, base.to(joint_pos) @ to_base, joint_pos)
+        return link_frames_torch(self.joint_tree, base.to(joint_pos) @ to_base, joint_pos)
 
     def _joints(self, joint_pos: ArrayLike) -> NDArray[np.float64]:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -201,6 +202,7 @@ class RearrangePlay:
         self.runners = [
             AgentRun(actor.number, actor, self.policies[actor.number].policy, self.spans, names) for actor in acts
         ]
+        self._by_number = sorted(self.runners, key=lambda runner: runner.number)
         self.encounters = AgentContactTracker(world.roster, self.actors)
         # a robot gives way to a person by itself, and she to nobody, as Habitat's
         alone = len(self.actors) == 1 or kinds_of(world.roster) == PAIR
@@ -213,7 +215,7 @@ class RearrangePlay:
         self.bodies = np.append(body_indices(world), -1)
         self.at_goal = self._at_goal()
         self.places = self.before = world.starts.copy()
-        self.paid = np.zeros((1, 2 * len(names)), np.bool_)
+        self.paid = [False] * (2 * len(names))
 
     def _actor(self, number: int) -> RobotActor | PersonActor:
         world, spec, body = self.episode, self.episode.spec, self.episode.roster[number].body
@@ -273,7 +275,7 @@ class RearrangePlay:
 
     def runner(self, number: int) -> AgentRun:
         """The run of an agent."""
-        return next(runner for runner in self.runners if runner.number == number)
+        return self._by_number[number]
 
     @property
     def collision(self) -> bool:
@@ -289,13 +291,13 @@ class RearrangePlay:
         """What an agent knows now."""
         runner = self.runner(agent)
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
-        track = self.encounters.tracks[other] if other >= 0 else [np.full(2, np.nan)]
+        track = self.encounters.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
         ahead, aside = _seen(me.xz, me.heading, other_xz)
         a, b = self.episode.spec.near_m
         return RearrangeView(
             step=self.step, free=self.episode.free, agent=runner.number, xz=me.xz.copy(), heading=me.heading,
-            other_xz=other_xz, other_track=np.stack(track[-TRACK:]), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
+            other_xz=other_xz, other_track=track[-TRACK:].copy(), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
             starts=self.starts, hand=lambda: me.hand_pose, arm=me.arm,
@@ -305,8 +307,12 @@ class RearrangePlay:
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""
-        gap = np.linalg.norm(self.objects.poses[:, :3] - self.objects.goals, axis=1)
-        return (gap < self.episode.spec.at_goal_m) & (self.objects.held_by == NOBODY)
+        within, reached = self.episode.spec.at_goal_m, []
+        places, goals = self.objects.poses[:, :3].tolist(), self.objects.goals.tolist()
+        for (x, y, z), (gx, gy, gz), held in zip(places, goals, self.objects.held_by.tolist(), strict=True):
+            dx, dy, dz = x - gx, y - gy, z - gz
+            reached.append(held == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within)
+        return np.array(reached, np.bool_)
 
     def snapshot(self) -> Row:
         """The columns of the step that has just been played."""
@@ -348,9 +354,12 @@ class RearrangePlay:
 
     def _reward(self, success: bool) -> float:
         """Sub-goals are an object picked and an object at its goal."""
-        reward = REARRANGE_REWARDS[self.episode.spec.reward]
-        stages = np.concatenate([self.objects.held_by != NOBODY, self.at_goal])[None]
-        return float(reward.step(stages, self.paid, collides=self.collision, success=success)[0])
+        reached = 0
+        stages = [*(held != NOBODY for held in self.objects.held_by.tolist()), *self.at_goal.tolist()]
+        for k, stage in enumerate(stages):
+            if stage and not self.paid[k]:
+                reached, self.paid[k] = reached + 1, True
+        return REARRANGE_REWARDS[self.episode.spec.reward].of(reached, self.collision, success)
 
     def _tell(self, held: NDArray, success: bool) -> None:
         """Events of this step."""
@@ -369,6 +378,7 @@ class RearrangePlay:
 
 def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
     """Another place in an agent's frame: ahead and to its right [m]."""
-    dx, dz = other - xz
-    c, s = np.cos(heading), np.sin(heading)
-    return float(c * dx - s * dz), float(s * dx + c * dz)
+    (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
+    dx, dz = other_x - x, other_z - z
+    c, s = float(np.cos(heading)), float(np.sin(heading))
+    return c * dx - s * dz, s * dx + c * dz

@@ -254,12 +254,11 @@ class RearrangeReward:
             raise InputError(f"Expected sub-goals {list(paid.shape)}, got {list(now.shape)}.")
         reached = (now & ~paid).sum(axis=-1)
         paid |= now
-        return (
-            self.stage * reached
-            - self.collision * np.asarray(collides, np.bool_)
-            + self.success * np.asarray(success, np.bool_)
-            + self.slack
-        )
+        return self.of(reached, np.asarray(collides, np.bool_), np.asarray(success, np.bool_))
+
+    def of(self, reached: Any, collides: Any, success: Any) -> Any:
+        """The reward of a step in which ``reached`` sub-goals were paid: numbers, or arrays [W]."""
+        return self.stage * reached - self.collision * collides + self.success * success + self.slack
 
 
 REARRANGE_REWARDS: dict[str, RearrangeReward] = {
