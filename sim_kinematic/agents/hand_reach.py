@@ -6,6 +6,7 @@ out the yaw: what it holds turns about the vertical, and stands upright all the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.bodies import Robot, RobotLink, solve_ik
-from h3data.geometry import Array, quat_from_matrix
+from h3data.bodies.robots.kinematics import FIXED, SLIDES, TURNS
+from h3data.geometry import IDENTITY_POSE, Array, quat_from_matrix, quat_rotate
 
 HAND_PITCH_RAD = -0.6
 """A robot's hand points this far below the horizon when it picks and places, always the same: so an object that was taken
@@ -29,6 +31,10 @@ DISTANCES_M = tuple(0.45 + 0.05 * k for k in range(15))
 """Distances from the robot's root at which things are reached for."""
 HEIGHTS_M = (0.45, 0.75, 0.95)
 """Heights of tables and counters, by which the direction is chosen."""
+
+
+REACH_SLACK_M = 0.01
+"""Far more than the tolerances of the search let a hand be off its target."""
 
 
 class Reached(NamedTuple):
@@ -49,6 +55,61 @@ def reach_posture(robot: Robot, target: ArrayLike, q0: Array | None = None, *, r
     start = None if q0 is None else np.append(q0, 0.0)
     answer = solve_ik(free, free.hand_name, target, start, offset=free.hand_position, restarts=restarts)
     return Reached(answer.joint_pos[..., :-1], answer.reached)
+
+
+def is_beyond_reach(robot: Robot, hand: Array) -> bool:
+    """Whether a pose7 [7] of the hand in the agent root frame is so far away that `reach_posture` cannot reach it: farther from
+    the shoulder than all links of the arm stretched out.
+
+    Finding that out by search takes 2 ms, for it begins again from every posture; policies that learn ask for it all the time.
+    """
+    arm = _stretched_arm(robot)
+    x, y, z = (quat_rotate(hand[3:], arm.wrist) + hand[:3] - arm.shoulder).tolist()
+    return math.sqrt(x * x + y * y + z * z) > arm.length_m
+
+
+class _StretchedArm(NamedTuple):
+    """How far an arm gets."""
+
+    shoulder: Array
+    """Where its first joint is in the agent root frame [3] [m]."""
+    wrist: Array
+    """Where the last point is whose place follows from the pose of the hand, from there, in the frame of the hand's link [3]
+    [m]."""
+    length_m: float
+    """From one to the other, at most."""
+
+
+@lru_cache(maxsize=32)
+def _stretched_arm(robot: Robot) -> _StretchedArm:
+    chain = [robot.hand_link]
+    while robot.links[chain[-1]].parent >= 0:
+        chain.append(robot.links[chain[-1]].parent)
+    moving = [link for link in chain if robot.kinds[link] != FIXED]
+    shoulder = moving[-1]
+    wrist, length = -np.asarray(robot.hand_position, np.float64), REACH_SLACK_M
+    for link in chain[: chain.index(shoulder) + 1]:
+        origin = robot.origins[link]
+        offset = np.linalg.norm(origin[:3, 3]) if link != shoulder else 0.0
+        if link == robot.hand_link and len(robot.require_arm()) >= ALL_DIRECTIONS and robot.kinds[link] == TURNS:
+            local = origin[:3, :3].T @ origin[:3, 3]
+            if np.abs(np.cross(local, robot.axes[link])).max() < 1e-9:  # a roll: it turns the hand, and moves no joint
+                wrist, offset = wrist - local, 0.0
+        length += offset + _travel(robot, link)
+    if len(robot.require_arm()) < ALL_DIRECTIONS:  # the yaw is free: only the point at which the hand holds is known
+        length, wrist = length + float(np.linalg.norm(wrist)), np.zeros(3)
+    rest = robot.link_matrices(IDENTITY_POSE[None], np.asarray(robot.rest, np.float64)[None])[0]
+    length += _travel(robot, shoulder)  # a first joint that slides has moved already in the resting posture
+    return _StretchedArm(rest[shoulder, :3, 3].copy(), wrist, float(length))
+
+
+def _travel(robot: Robot, link: int) -> float:
+    """How far a joint slides from where the link's origin is drawn, at most [m]."""
+    if robot.kinds[link] != SLIDES:
+        return 0.0
+    column = robot.columns[link]
+    ends = robot.gains[link] * np.array([robot.lower[column], robot.upper[column]]) + robot.offsets[link]
+    return float(np.abs(ends).max())
 
 
 def hand_turn(robot: Robot) -> Array:

@@ -29,8 +29,11 @@ REACHING_PARTS: dict[Hand, tuple[str, str]] = {
     "left": ("left_forearm", "left_hand"),
 }
 """They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
-WAYS_KEPT = 200
-"""So many ways of the hand are remembered, 50 kB each."""
+WAYS_KEPT = 1000
+"""Paths of a body's hand that are remembered, 30 kB each: a home has about 500, one for each height of its surfaces and distance
+of a stand. With 200, as before, half of the time of `is_clear` went into computing them again."""
+ANSWERS_KEPT = 10_000
+"""Answers that are remembered, 300 bytes each."""
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
 """A thing in which the capsule from the point so far down is, of this radius, is what the point lies on."""
 
@@ -60,12 +63,22 @@ class ReachRoom:
             shapes_from_capsules(np.zeros((1, 3)), np.array([[0.0, SUPPORT_M, 0.0]]), SUPPORT_RADIUS_M)
         )
         self._person = Person(body, IDENTITY_POSE)
-        self._ways: dict[tuple[Hand, tuple[float, ...]], Array] = {}
+        self._ways = _hand_ways(body)
+        self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
 
     def is_clear(self, stand: Array, point: Array, hand: Hand = "right") -> bool:
-        """Whether she can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        """Whether the person can, from a stand ``(x, z, heading)`` [3], bring a hand to a world point [3] and back."""
+        stand, point = np.asarray(stand, np.float64), np.asarray(point, np.float64)
+        asked = stand.tobytes(), point.tobytes(), hand
+        if asked not in self._answers:
+            if len(self._answers) >= ANSWERS_KEPT:
+                self._answers.clear()
+            self._answers[asked] = self._is_clear(stand, point, hand)
+        return self._answers[asked]
+
+    def _is_clear(self, stand: Array, point: Array, hand: Hand) -> bool:
         base = ground_pose(stand[:2], float(stand[2]), self._floor_y)
-        frames = pose_to_matrix(base) @ self._capsules(base, np.asarray(point, np.float64), hand)
+        frames = pose_to_matrix(base) @ self._capsules(base, point, hand)
         trunk, arm = self._parts[hand]
         if trunk.shapes.touches_along(self._scenery, frames[:, trunk.rows]):
             return False
@@ -86,7 +99,7 @@ class ReachRoom:
         seen = hand, tuple(np.round(local, 4).tolist())
         if seen not in self._ways:
             if len(self._ways) >= WAYS_KEPT:
-                self._ways.clear()
+                self._ways.pop(next(iter(self._ways)))
             quats, pelvis = [], []
             for full in (False, True):
                 way = self._person.hand_way(np.array(seen[1]), hand, full=full)
@@ -97,6 +110,13 @@ class ReachRoom:
             start, end, _ = self._body.capsules_world(joints)
             self._ways[seen] = capsule_transforms(start, end)
         return self._ways[seen]
+
+
+@lru_cache(maxsize=8)
+def _hand_ways(body: Humanoid) -> dict[tuple[Hand, tuple[float, ...]], Array]:
+    """Paths of a body's hands that `ReachRoom._capsules` has computed, shared between homes: they depend on the body alone."""
+    del body
+    return {}
 
 
 @lru_cache(maxsize=8)

@@ -6,6 +6,7 @@ point, seen at the height of the hand. `ArmClearance.is_clear`: the arm itself t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_to_matrix
 from h3data.scene import Scene
 from h3data.scene.records import Capsule
 from sim_kinematic.agents.arm_contact import arm_links
-from sim_kinematic.agents.hand_reach import hand_target, reach_posture
+from sim_kinematic.agents.hand_reach import hand_target, is_beyond_reach, reach_posture
 from sim_kinematic.contact import MovingShapes, capsule_transforms, collide, shapes_from_capsules
 from sim_kinematic.contact.clearance import scenery_of
 
@@ -27,8 +28,10 @@ FRAMES = 8
 """Postures that are looked at between the resting one and the one over the point."""
 HELD_M = 0.05
 """What the hand carries is taken for a ball of this radius."""
-WAYS_KEPT = 200
-"""So many ways of the arm are remembered, 20 kB each."""
+WAYS_KEPT = 1000
+"""Paths of a robot's arm that are remembered, 12 kB each; a home has about 450."""
+ANSWERS_KEPT = 10_000
+"""Answers that are remembered, 300 bytes each."""
 
 
 class _Part(NamedTuple):
@@ -58,11 +61,16 @@ class ArmClearance:
             _Part(MovingShapes([shape for _, shape in part]), [k for k, _ in part])
             for part in ([*in_hand, (hand, held)], behind)
         )  # fmt: skip
-        self._ways: dict[tuple[float, float], tuple[Array, Array] | None] = {}
+        self._ways = _arm_ways(robot)
+        self._open: dict[tuple[bytes, bytes], bool] = {}
+        self._clear: dict[tuple[bytes, bytes], bool] = {}
 
     def is_open(self, stand: Array, point: Array) -> bool:
         """Whether nothing is in the way from the shoulder of a robot at a stand ``(x, z, heading)`` [3] to a world point [3]:
         up or down to `APPROACH_M` over the point, then level to there."""
+        return _remembered(self._open, self._is_open, stand, point)
+
+    def _is_open(self, stand: Array, point: Array) -> bool:
         base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
         shoulder = base[:3, :3] @ self._shoulder + base[:3, 3]
         over = np.asarray(point, np.float64) + np.array([0.0, APPROACH_M, 0.0])
@@ -77,6 +85,9 @@ class ArmClearance:
     def is_clear(self, stand: Array, point: Array) -> bool:
         """Whether, beside that, the arm of a robot that faces the point touches nothing from its resting posture to the one at
         the point; its hand, and what it may hold, to the one over it."""
+        return _remembered(self._clear, self._is_clear, stand, point)
+
+    def _is_clear(self, stand: Array, point: Array) -> bool:
         if not self.is_open(stand, point):
             return False
         base = pose_to_matrix(ground_pose(stand[:2], float(stand[2]), self._floor_y))
@@ -95,7 +106,7 @@ class ArmClearance:
         seen = distance, height
         if seen not in self._ways:
             if len(self._ways) >= WAYS_KEPT:
-                self._ways.clear()
+                self._ways.pop(next(iter(self._ways)))
             line = reach_line(self._robot, hand_target(self._robot, distance, height))
             self._ways[seen] = None if line is None else self._frames(*line)
         return self._ways[seen]
@@ -107,13 +118,34 @@ class ArmClearance:
         return links[:-1, self._hand.links], links[:, self._arm.links]
 
 
+def _remembered(
+    answers: dict[tuple[bytes, bytes], bool], ask: Callable[[Array, Array], bool], stand: Array, point: Array
+) -> bool:
+    """The answer for a stand and a point, asked once: objects and their goals are gone to again and again."""
+    asked = np.asarray(stand, np.float64).tobytes(), np.asarray(point, np.float64).tobytes()
+    if asked not in answers:
+        if len(answers) >= ANSWERS_KEPT:
+            answers.clear()
+        answers[asked] = ask(stand, point)
+    return answers[asked]
+
+
 def reach_line(robot: Robot, hand: Array) -> tuple[Array, Array] | None:
     """Joint positions `APPROACH_M` over a pose7 [7] of the hand in the agent root frame, and at it; None: it is not reached."""
+    if is_beyond_reach(robot, hand):
+        return None
     at = reach_posture(robot, hand)
     if not at.reached:
         return None
     raised = hand + np.array([0, APPROACH_M, 0, 0, 0, 0, 0])
     return reach_posture(robot, raised, at.joint_pos, restarts=0).joint_pos, at.joint_pos
+
+
+@lru_cache(maxsize=8)
+def _arm_ways(robot: Robot) -> dict[tuple[float, float], tuple[Array, Array] | None]:
+    """Paths of a robot's arm that `ArmClearance._way` has computed, shared between homes."""
+    del robot
+    return {}
 
 
 @lru_cache(maxsize=8)

@@ -13,7 +13,7 @@ from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, pose_from_matrix, pose_inverse, pose_multiply, wrap_angle
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.hand_reach import hand_turn, reach_bearing, reach_posture
+from sim_kinematic.agents.hand_reach import hand_turn, is_beyond_reach, reach_bearing, reach_posture
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
@@ -328,6 +328,8 @@ class RobotActor:
         return np.concatenate([local[:3] - turned[:3], hand_turn(self.robot)])
 
     def _posture(self, hand: Array) -> Array | None:
+        if is_beyond_reach(self.robot, hand):
+            return None
         answer = reach_posture(self.robot, hand)
         return answer.joint_pos if answer.reached else None
 

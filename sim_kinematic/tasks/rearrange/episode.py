@@ -237,9 +237,7 @@ class _Draw:
     human: Humanoid
     surfaces: list[tuple[Instance, Receptacle]]
     _stands: dict[tuple[float, ...], Array] = field(default_factory=dict)
-    """A person's, by point,"""
-    _clear: dict[tuple[tuple[float, ...], tuple[float, ...]], bool] = field(default_factory=dict)
-    """and whether she has room there, by point and stand."""
+    """A person's, by point."""
 
     def targets(
         self, rng: np.random.Generator, chosen: list[Instance], here: Array, within_m: float, longest_m: float
@@ -329,14 +327,7 @@ class _Draw:
             return None, np.inf
         room = reach_room(self.scene, self.human, self.free.floor_y)
         start = stands[0, :2] if here is None else here
-
-        def is_clear(stand: Array) -> bool:
-            asked = at, tuple(stand.tolist())
-            if asked not in self._clear:
-                self._clear[asked] = room.is_clear(stand, point)
-            return self._clear[asked]
-
-        k, length = nearest_stand(self.free, stands, start, is_clear=is_clear)
+        k, length = nearest_stand(self.free, stands, start, is_clear=lambda stand: room.is_clear(stand, point))
         return (stands[k], length) if k >= 0 else (None, length)
 
     def seconds_alone(self, starts: Starts, targets: tuple[Target, ...]) -> float:
