@@ -77,7 +77,9 @@ def _person_capsules(body: Humanoid) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 @kernel(error_model="numpy")
-def _pose_robot(root, joints, links, ends, to_base, parents, origins, kinds, axes, columns, gains, offsets, frames, out):
+def _pose_robot(
+    root, joints, links, ends, to_base, parents, origins, kinds, axes, columns, gains, offsets, frames, out
+):
     base = np.zeros((1, 4, 4))
     for i in range(4):
         for j in range(4):
