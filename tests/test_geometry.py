@@ -123,3 +123,37 @@ def test_cross_products_are_numpys_to_the_bit() -> None:
         np.testing.assert_array_equal(g.cross(a, b), np.cross(a, b))
     with pytest.raises(ValueError, match="unpack"):
         g.cross(np.ones(4), np.ones(4))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda p, q: g.pose_multiply(p, q),
+        lambda p, q: g.pose_inverse(p),
+        lambda p, q: g.pose_to_matrix(p),
+        lambda p, q: g.quat_multiply(p[..., 3:], q[..., 3:]),
+        lambda p, q: g.quat_rotate(p[..., 3:], q[..., :3]),
+        lambda p, q: g.quat_from_matrix(g.pose_to_matrix(p)[..., :3, :3]),
+        lambda p, q: g.pose_from_matrix(g.pose_to_matrix(p)),
+        lambda p, q: g.normalized(p),
+        lambda p, q: g.cross(p[..., :3], q[..., :3]),
+        lambda p, q: g.heading_from_quat(p[..., 3:]),
+    ],
+)
+def test_one_alone_is_what_it_is_among_many_to_the_bit(function) -> None:
+    p, q = random_poses(3, 400), random_poses(5, 400)
+    p[::7, 3:], q[::11, :3], p[::13, [3, 5]] = [0, 0, 0, 1], 0, 0
+    p[:, 3:] = g.normalized(p[:, 3:])
+    many = function(p, q)
+    for k in range(len(p)):
+        one = np.asarray(function(p[k], q[k]))
+        assert one.dtype == many.dtype
+        assert one.tobytes() == many[k].tobytes()
+
+
+def test_one_ground_pose_is_what_it_is_among_many_to_the_bit() -> None:
+    rng = np.random.default_rng(0)
+    xz, heading = rng.normal(size=(100, 2)), rng.uniform(-9, 9, 100)
+    many = g.ground_pose(xz, heading, 0.25)
+    for k in range(len(xz)):
+        assert g.ground_pose(xz[k], float(heading[k]), 0.25).tobytes() == many[k].tobytes()

@@ -30,8 +30,8 @@ REACHING_PARTS: dict[Hand, tuple[str, str]] = {
 }
 """They may be in the thing on which the point lies: what is taken from a shelf is taken from inside it."""
 WAYS_KEPT = 1000
-"""Paths of a body's hand that are remembered, 30 kB each: a home has about 500, one for each height of its surfaces and distance
-of a stand. With 200, as before, half of the time of `is_clear` went into computing them again."""
+"""Paths of a body's hand that are remembered, 30 kB each. A home has about 500: one for each height of its surfaces and
+each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
 ANSWERS_KEPT = 10_000
 """Answers that are remembered, 300 bytes each."""
 SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02

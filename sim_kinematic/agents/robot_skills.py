@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from functools import partial
@@ -172,7 +173,7 @@ class RobotActor:
             elif goal is None or float(np.hypot(*(goal - self.xz))) < AVOIDANCE.via_m:
                 self._step(0.0, 0.0)
             else:
-                self._drive(self._waypoint(goal))
+                self._drive(self._leg(goal)[1])
             yield
         return Ending("done")
 
@@ -225,7 +226,7 @@ class RobotActor:
             if self.agreed:  # nobody else asks for it
                 path = via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)
                 self.path = np.vstack([self.xz, *path, goal])
-            left = float(self.free.geodesic(self.xz, via[0] if len(via) else goal, max_snap_m=1.0))
+            left, waypoint = self._leg(via[0] if len(via) else goal)
             stalled = since > AVOIDANCE.detour_after_steps[0]
             if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and stalled)):
                 error = self._error_to(point[[0, 2]], reach_bearing(self.robot))
@@ -234,7 +235,7 @@ class RobotActor:
                 self._step(0.0, self._turn(error), goal)
                 left = 0.1 * abs(error) - 1.0
             else:
-                self._drive(self._waypoint(via[0] if len(via) else goal), left / self._stride_m)
+                self._drive(waypoint, left / self._stride_m)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
@@ -281,16 +282,18 @@ class RobotActor:
     def _no_faster_than(self, towards: NDArray, error: float) -> float:
         """The forward command, 0..1, at a heading error [rad]: slow enough to turn to a near point instead of circling it."""
         ahead, aside = max(0.0, float(np.cos(error))) ** 2, abs(float(np.sin(error)))
-        turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(*(towards - self.xz)))
+        (x, z), (goal_x, goal_z) = self.xz.tolist(), towards.tolist()
+        turned = self.base.max_turn_rad_s * STEP_S * float(np.hypot(goal_x - x, goal_z - z))
         return min(ahead, 0.5 * turned / max(aside * self._stride_m, 1e-9))
 
     def _turn(self, error: float) -> float:
         """The command that removes a heading error [rad] in one step, if the limit allows."""
-        return float(np.clip(error / (self.base.max_turn_rad_s * STEP_S), -1, 1))
+        return min(max(error / (self.base.max_turn_rad_s * STEP_S), -1.0), 1.0)
 
-    def _waypoint(self, goal: NDArray) -> NDArray:
-        waypoint = self.free.next_waypoint(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
-        return goal if np.isnan(waypoint).any() else waypoint
+    def _leg(self, goal: NDArray) -> tuple[float, NDArray]:
+        """Length of the path to a floor point [2] [m], and where to drive first; infinity and the point where there is none."""
+        length, waypoint = self.free.first_leg(self.xz, goal, beyond_m=self.base.disc_radius_m / 2, max_snap_m=1.0)
+        return length, goal if math.isinf(length) else waypoint
 
     def _pick(self, k: int) -> Skill:
         over, at = self._reach_line(self._hand_target(Action("pick", k)))
@@ -371,12 +374,20 @@ class RobotActor:
 
     def _error_to(self, xz: NDArray, bearing: float = 0.0) -> float:
         """By how much it must turn to have a floor point [2] at a bearing to its left [rad]."""
-        dx, dz = xz - self.xz
+        (x, z), (goal_x, goal_z) = self.xz.tolist(), xz.tolist()
+        dx, dz = goal_x - x, goal_z - z
         return float(wrap_angle(np.arctan2(-dz, dx) - bearing - self.heading))
 
     def _seen(self) -> list[Seen]:
-        """The others; one that holds something has not settled, however long it has been standing."""
-        return [o._replace(settled=o.settled and self.objects.held(o.number) < 0) for o in self.others]
+        """The others that are near enough for `keep_clear`; one that holds something has not settled, however long it has been
+        standing."""
+        xz, near = self.xz.tolist(), []
+        for other in self.others:
+            if math.dist(xz, other.xz.tolist()) <= AVOIDANCE.range_m + other.footprint.extent_m:
+                if other.settled and self.objects.held(other.number) >= 0:
+                    other = other._replace(settled=False)
+                near.append(other)
+        return near
 
     def _step(self, forward: float, turn: float, towards: NDArray | None = None, *, avoid: bool = True) -> None:
         """Moves base, arm and what is held by one step; nothing moves that would touch another agent."""
@@ -384,9 +395,7 @@ class RobotActor:
         if self.avoids and avoid:
             aim = self.xz if towards is None else towards
             others = avoided(self._seen(), agreed=self.agreed)
-            self.command = keep_clear(
-                self.free, self.base, self.xz.copy(), self.heading, self.command, aim, others
-            )  # fmt: skip
+            self.command = keep_clear(self.free, self.base, self.xz, self.heading, self.command, aim, others)
         state = self.state
         xz, heading, joints = state.xz.copy(), state.heading.copy(), state.joints.copy()
         drive_robots(state, self.free, np.array([self.command]), self.base)

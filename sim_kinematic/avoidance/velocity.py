@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from sim_kinematic.motion.spec import STEP_S, BaseSpec
 from sim_kinematic.motion.step import integrate, least_clearance, wrap_angle
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-_CANDIDATES = [(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)]
+_CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
 
 
 @kernel(error_model="numpy")
@@ -60,6 +61,20 @@ def try_command(
     return gap, x, z, heading
 
 
+@kernel(error_model="numpy")
+def try_commands(
+    sdf, origin, cell, x, z, heading, speeds, turns, length, arc, others, velocities, reaches, offsets, disc_radius, hull,
+    steps, stride, doubt, dt, out,
+):  # fmt: skip
+    """`try_command` for each of C commands against each of N discs, into ``out`` [C, N, 4]."""
+    for c in range(len(speeds)):
+        for n in range(len(reaches)):
+            out[c, n, 0], out[c, n, 1], out[c, n, 2], out[c, n, 3] = try_command(
+                sdf, origin, cell, x, z, heading, speeds[c], turns[c], length, arc, others[n], velocities[n], offsets,
+                disc_radius, hull, reaches[n], steps, stride, doubt, dt,
+            )  # fmt: skip
+
+
 class Avoided(NamedTuple):
     """A disc of another agent that a robot keeps clear of."""
 
@@ -82,35 +97,47 @@ def keep_clear(
     That is ``wanted`` itself where it leaves every agent its margin, else the best of 25: first the margin of whoever lacks
     most, then the path to ``towards`` [2].
     """
-    spec = AVOIDANCE
-    others = [other for other in others if np.hypot(*(other.xz - xz)) <= spec.range_m]
+    spec, (here_x, here_z), (goal_x, goal_z) = AVOIDANCE, xz.tolist(), towards.tolist()
+    places = [other.xz.tolist() for other in others]
+    others = [o for o, (x, z) in zip(others, places, strict=True) if np.hypot(x - here_x, z - here_z) <= spec.range_m]
     if not others:
         return wanted
-    offsets, hull = np.array(base.disc_offsets_m), np.array(hull_of(base))
+    discs = (
+        np.array([other.xz for other in others]),
+        np.array([other.velocity for other in others]),
+        np.array([base.disc_radius_m + other.radius_m for other in others]),
+    )
+    offsets, hull = _discs(base)
 
-    def trial(
-        other: Avoided, command: tuple[float, float], length: float = math.inf, arc: float = math.inf
-    ) -> tuple[float, float, float, float]:
-        return try_command(
-            free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, command[0] * base.max_speed_mps,
-            command[1] * base.max_turn_rad_s, length, arc, other.xz, other.velocity, offsets,
-            base.disc_radius_m - spec.wall_tolerance_m, hull, base.disc_radius_m + other.radius_m, spec.horizon_steps,
-            spec.stride_steps, spec.doubt_mps, STEP_S,
+    def trials(
+        commands: NDArray[np.float64], length: float = math.inf, arc: float = math.inf
+    ) -> list[list[list[float]]]:
+        """``(least gap, x, z, heading)`` of commands [C, 2] beside each other agent, [C, N, 4]."""
+        out = np.empty((len(commands), len(others), 4))
+        speeds, turns = commands[:, 0] * base.max_speed_mps, commands[:, 1] * base.max_turn_rad_s
+        try_commands(
+            free.sdf, free.origin, free.cell_m, here_x, here_z, heading, speeds, turns, length, arc, *discs, offsets,
+            base.disc_radius_m - spec.wall_tolerance_m, hull, spec.horizon_steps, spec.stride_steps, spec.doubt_mps,
+            STEP_S, out,
         )  # fmt: skip
+        return out.tolist()
 
-    margins = [min(spec.still_margin_m, trial(o, (0.0, 0.0))[0]) if o.settled else o.margin_m for o in others]
-    dx, dz = (towards - xz).tolist()
+    margins = [other.margin_m for other in others]
+    if any(other.settled for other in others):
+        for k, (gap, *_) in enumerate(trials(_CANDIDATES[:1])[0]):  # of standing still
+            margins[k] = min(spec.still_margin_m, gap) if others[k].settled else margins[k]
+    dx, dz = goal_x - here_x, goal_z - here_z
     length = math.hypot(dx, dz)
     arc = abs(wrap_angle(math.atan2(-dz, dx) - heading)) if length > 0.1 else math.inf
-    if all(trial(other, wanted, length, arc)[0] >= margin for other, margin in zip(others, margins, strict=True)):
+    gaps = trials(np.array([wanted], np.float64), length, arc)[0]
+    if all(gap >= margin for (gap, *_), margin in zip(gaps, margins, strict=True)):
         return wanted
     best, least = wanted, math.inf
-    for forward, turn in _CANDIDATES:
-        tried = [trial(other, (forward, turn)) for other in others]
+    for (forward, turn), tried in zip(_CANDIDATES.tolist(), trials(_CANDIDATES), strict=True):
         lacks = max(margin - gap for margin, (gap, *_) in zip(margins, tried, strict=True))
         _, x, z, new_heading = tried[0]
-        left = math.hypot(x - towards[0], z - towards[1])
-        off = abs(wrap_angle(math.atan2(z - towards[1], towards[0] - x) - new_heading)) if left > 0.1 else 0.0
+        left = math.hypot(x - goal_x, z - goal_z)
+        off = abs(wrap_angle(math.atan2(z - goal_z, goal_x - x) - new_heading)) if left > 0.1 else 0.0
         cost = spec.gap_weight * max(lacks, 0.0) + left + spec.heading_weight_m * off
         cost += spec.turn_weight_m * abs(turn)
         if cost < least:
@@ -118,8 +145,15 @@ def keep_clear(
     return best
 
 
+@lru_cache(maxsize=64)
+def _discs(base: BaseSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets of a base's discs and of those of its hull [m]."""
+    return np.array(base.disc_offsets_m), np.array(hull_of(base))
+
+
 def is_crowded(base: BaseSpec, stands: NDArray, other: Avoided, margin_m: float) -> NDArray[np.bool_]:
     """Whether a robot at stands ``(x, z, heading)`` [N, 3] would be within a margin [m] of another agent now, [N]."""
-    reach, hull = base.disc_radius_m + other.radius_m, np.array(hull_of(base))
-    gaps = [least_gap(x, z, heading, other.xz[0], other.xz[1], hull, reach) for x, z, heading in stands]
+    reach, (_, hull) = base.disc_radius_m + other.radius_m, _discs(base)
+    other_x, other_z = other.xz.tolist()
+    gaps = [least_gap(x, z, heading, other_x, other_z, hull, reach) for x, z, heading in stands.tolist()]
     return np.array(gaps) < margin_m

@@ -51,10 +51,9 @@ class Body(Protocol):
 
 def discs_of(body: Body) -> NDArray[np.float64]:
     """Returns the discs ``(x, z, radius)`` [N, 3] of an agent's footprint in the world."""
-    offsets = np.array(body.footprint.offsets_m)
-    x = body.xz[0] + np.cos(body.heading) * offsets
-    z = body.xz[1] - np.sin(body.heading) * offsets
-    return np.stack([x, z, np.full(len(offsets), body.footprint.radius_m)], axis=1)
+    (x, z), footprint = body.xz.tolist(), body.footprint
+    c, s = float(np.cos(body.heading)), float(np.sin(body.heading))
+    return np.array([(x + c * offset, z - s * offset, footprint.radius_m) for offset in footprint.offsets_m])
 
 
 def avoided(others: Sequence[Seen], *, agreed: bool = False) -> list[Avoided]:

@@ -3,6 +3,7 @@ shapes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -97,8 +98,26 @@ def _world(frames, ends):
 @kernel(error_model="numpy")
 def any_near(ends_a, radii_a, ends_b, radii_b, margin):
     """Whether a capsule with ends [n, 2, 3] and radii [n] is within ``margin`` [m] of another."""
+    spheres = np.empty((len(radii_b), 4))  # around the other's capsules: most pairs need no more than these
+    for b in range(len(radii_b)):
+        half = 0.0
+        for i in range(3):
+            spheres[b, i] = (ends_b[b, 0, i] + ends_b[b, 1, i]) / 2
+            half += (ends_b[b, 1, i] - spheres[b, i]) ** 2
+        spheres[b, 3] = math.sqrt(half) + radii_b[b] + margin
     for a in range(len(radii_a)):
+        x, y, z = (
+            ends_a[a, 0, 0] + ends_a[a, 1, 0],
+            ends_a[a, 0, 1] + ends_a[a, 1, 1],
+            ends_a[a, 0, 2] + ends_a[a, 1, 2],
+        )
+        x, y, z = x / 2, y / 2, z / 2
+        half = math.sqrt((ends_a[a, 1, 0] - x) ** 2 + (ends_a[a, 1, 1] - y) ** 2 + (ends_a[a, 1, 2] - z) ** 2)
+        around = half + radii_a[a] + 1e-9
         for b in range(len(radii_b)):
+            apart = around + spheres[b, 3]
+            if (spheres[b, 0] - x) ** 2 + (spheres[b, 1] - y) ** 2 + (spheres[b, 2] - z) ** 2 > apart * apart:
+                continue
             reach = radii_a[a] + radii_b[b] + margin
             if segment_square(ends_a[a, 0], ends_a[a, 1], ends_b[b, 0], ends_b[b, 1]) <= reach * reach:
                 return True

@@ -65,6 +65,24 @@ def geodesic_many(graph: Graph, starts: NDArray, ends: NDArray, max_snap: float)
 
 
 @kernel()
+def first_leg(
+    graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float, beyond: float
+) -> tuple[float, float, float]:
+    """Length of the shortest path [m] (inf: none) and ``(x, z)`` of the first of its way points that is farther than ``beyond``
+    from its start; of its end if none is."""
+    length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)
+    if not np.isfinite(length):
+        return length, np.nan, np.nan
+    x, z, node = bx, bz, leave
+    while node >= 0:  # from the end to the start: the last that is far enough is the first on the path
+        dx, dz = graph.nodes[node, 0] - ax, graph.nodes[node, 1] - az
+        if np.sqrt(dx * dx + dz * dz) > beyond:
+            x, z = graph.nodes[node, 0], graph.nodes[node, 1]
+        node = graph.previous[enter, node] if node != enter else -1
+    return length, x, z
+
+
+@kernel()
 def path_pair(graph: Graph, ax: float, az: float, bx: float, bz: float, max_snap: float) -> NDArray:
     """Way points of the shortest path, both ends included, shape [k, 2]; k = 0 when there is none."""
     length, enter, leave, ax, az, bx, bz = geodesic_pair(graph, ax, az, bx, bz, max_snap)

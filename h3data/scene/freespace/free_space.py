@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
 from h3data.scene.freespace import store
-from h3data.scene.freespace._geodesic import geodesic_many, path_pair
+from h3data.scene.freespace._geodesic import first_leg, geodesic_many, path_pair
 from h3data.scene.freespace._lattice import Lattice, build_lattice, lattice_step, quick_distance_many
 from h3data.scene.freespace._points import SNAP_M, each_pair, each_point, one_point
 from h3data.scene.freespace._sdf import line_of_sight, sample_sdf, sample_sdf_many, sdf_gradient, sdf_gradient_many
@@ -151,11 +151,15 @@ class FreeSpace(FloorMap):
 
         With ``beyond_m`` way points nearer than that are passed over (an inflated corner is an arc of points 5 cm apart).
         """
-        points = self.path(a, b, max_snap_m=max_snap_m)
-        if not len(points):
-            return np.full(2, np.nan)
-        far = np.linalg.norm(points[1:] - points[0], axis=1) > beyond_m
-        return points[1 + int(np.argmax(far))] if far.any() else points[-1]
+        return self.first_leg(a, b, beyond_m=beyond_m, max_snap_m=max_snap_m)[1]
+
+    def first_leg(
+        self, a: ArrayLike, b: ArrayLike, *, beyond_m: float = 0.0, max_snap_m: float = SNAP_M
+    ) -> tuple[float, NDArray[np.float64]]:
+        """`geodesic` and `next_waypoint` [2] of two points [2], by one search: infinity and NaN when there is no path."""
+        (ax, az), (bx, bz) = one_point(a).tolist(), one_point(b).tolist()
+        length, x, z = first_leg(self.graph, ax, az, bx, bz, float(max_snap_m), float(beyond_m))
+        return length, np.array([x, z])
 
     def distance_field(self, goals: ArrayLike, *, max_snap_m: float = SNAP_M) -> DistanceField:
         """Exact distance to one goal [2], or to the nearest of several [K, 2], and the way there, from anywhere."""

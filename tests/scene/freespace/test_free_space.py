@@ -231,6 +231,10 @@ def test_paths_are_taut_and_free(free):
         assert steps.sum() == pytest.approx(float(free.geodesic(p, q)), abs=1e-5)
         assert edges_inside(free.polygon, path[:-1], path[1:]).all()
         np.testing.assert_array_equal(free.next_waypoint(p, q), path[1])
+        length, waypoint = free.first_leg(p, q, beyond_m=0.4)
+        far = path[1:][np.linalg.norm(path[1:] - path[0], axis=1) > 0.4]
+        assert length == float(free.geodesic(p, q))
+        np.testing.assert_array_equal(waypoint, far[0] if len(far) else path[-1])
         # whoever walks to a way point finds the rest of the same path from there
         assert float(free.geodesic(path[1], q)) == pytest.approx(steps[1:].sum(), abs=1e-5)
 
