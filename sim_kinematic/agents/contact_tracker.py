@@ -58,7 +58,7 @@ class AgentContactTracker:
         """FCL's shapes; in most episodes nobody comes so near that they are needed."""
         return AgentContacts(*(body_shapes(body) for body in self._bodies))
 
-    def track(self, number: int) -> Array:
+    def track(self, number: int) -> NDArray[np.float64]:
         """Returns where an agent was at the start and at the end of every step, [T + 1, 2]; a view."""
         return self._places[number, : self._moments]
 
