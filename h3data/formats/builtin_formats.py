@@ -98,7 +98,7 @@ BUILT_IN = (
         name="rearrange_episodes",
         title="an episode dataset",
         members=_has("episodes"),
-        hint="read it with h3data.habitat.episodes.episode_files.read_episodes",
+        hint="h3data info shows what it holds, h3data generate --episodes-file plays it",
     ),
     Format(
         name="scene_instance",

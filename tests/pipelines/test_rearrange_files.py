@@ -321,3 +321,151 @@ def test_python_plays_and_saves_files(saved: Path, tmp_path: Path) -> None:
         content(again)["episodes"][0]["info"]["h3data"]["goals"]
         == content(saved)["episodes"][0]["info"]["h3data"]["goals"]
     )
+
+
+# --- PARTNR's ---------------------------------------------------------------------------------------------------------
+def partnr_episode(folder: Path, sampled: RearrangeEpisode, *propositions: dict[str, Any]) -> dict[str, Any]:
+    """An episode as partnr-planner writes it: no targets, an instruction and propositions instead."""
+    episode = habitat_episode(folder, sampled)
+    return {
+        **episode,
+        "targets": {},
+        "target_receptacles": [],
+        "goal_receptacles": [],
+        "instruction": "Bring the can and the bowl to the table.",
+        "evaluation_propositions": list(propositions),
+        "evaluation_proposition_dependencies": [],
+        "evaluation_constraints": [{"type": "TerminalSatisfactionConstraint", "args": {"proposition_indices": [0]}}],
+        "object_states": {},
+    }
+
+
+def on_top(objects: list[str], furniture: list[str], **more: Any) -> dict[str, Any]:
+    args = {"object_handles": objects, "receptacle_handles": furniture, "number": 1, **more}
+    return {"function_name": "is_on_top", "args": args}
+
+
+def table_of(folder: Path) -> str:
+    """Handle of the dining table in the exported scene."""
+    scene = json.loads(next(folder.glob("data/home/scenes/*.json")).read_text())
+    table = next(t for t in scene["object_instances"] if t["user_defined"]["h3data"]["name"] == "dining_table_0")
+    return f"{table['template_name']}_:0000"
+
+
+def test_partnr_episodes_are_played_where_they_ask_for_places(
+    folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    handles, table = list(habitat_episode(folder, sampled)["targets"]), table_of(folder)
+    both = on_top(handles, [table], number=2)
+    clean = {"function_name": "is_clean", "args": {"object_handles": handles}}
+    twice = on_top(handles[:1], [table])
+    file = written(
+        tmp_path / "partnr.json.gz",
+        [
+            partnr_episode(folder, sampled, both),
+            partnr_episode(folder, sampled, both, clean),
+            partnr_episode(folder, sampled, twice, twice),
+            partnr_episode(folder, sampled, on_top(handles, ["moon_:0000"])),
+        ],
+    )
+    args = (
+        "generate",
+        "rearrange",
+        "--episodes-file",
+        file,
+        "--assets",
+        folder,
+        "--policy",
+        "solo",
+        "--max-steps",
+        1200,
+    )
+    result = run_json(capsys, *args, "-o", tmp_path / "ds", code=1)
+    assert "asks for is_clean, which h3data does not play" in result["left_out"][0]
+    assert "more than once" in result["left_out"][1]
+    assert "no such furniture" in result["failed"][0]
+    info = h3data.open(tmp_path / "ds").recording(0).episode.info
+    assert info["ended"] == "success"
+    assert [goal["object"] for goal in info["goals"]] == handles
+    assert {goal["to"].partition("|")[0] for goal in info["goals"]} == {table}
+    a, b = (np.array(goal["position"]) for goal in info["goals"])
+    assert np.hypot(*(a - b)[[0, 2]]) > 0.05
+    shown = run_json(capsys, "info", file)["found"][0]
+    assert (shown["episodes"], shown["tasks"]) == (4, {"collaboration (PARTNR)": 4})
+    assert shown["predicates"] == {"is_on_top": 5, "is_clean": 1}
+    assert shown["instructions"] == ["Bring the can and the bowl to the table."]
+    assert sum(shown["unplayable"].values()) == 2
+
+
+def test_episodes_of_one_file_may_differ_in_their_number_of_objects(
+    folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = habitat_episode(folder, sampled)
+    one = {**two, "targets": dict(list(two["targets"].items())[:1])}
+    file = written(tmp_path / "val.json.gz", [one, two, one])
+    args = ("--assets", folder, "--policy", "still", "--partner", "both", "--max-steps", 10, "-o", tmp_path / "ds")
+    result = run_json(capsys, "generate", "rearrange", "--episodes-file", file, *args)
+    assert (result["episodes"], result["failed"]) == (3, [])
+    shapes = [r.columns["object_pose"].shape[1] for r in h3data.open(tmp_path / "ds")]
+    assert shapes == [1, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("proposition", "told"),
+    [
+        ({"function_name": "is_on_top", "args": {"object_handles": 3}}, "Expected array"),
+        (on_top([], ["a"]), "asks for 1 of 0 objects on 1 pieces of furniture"),
+        (on_top(["a"], []), "asks for 1 of 1 objects on 0 pieces of furniture"),
+        ({"args": {}}, "missing required field function_name"),
+    ],
+)
+def test_hostile_propositions_end_in_one_line(
+    folder: Path,
+    sampled: RearrangeEpisode,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    proposition: dict[str, Any],
+    told: str,
+) -> None:
+    file = written(tmp_path / "bad.json", [partnr_episode(folder, sampled, proposition)])
+    args = ("generate", "rearrange", "--episodes-file", file, "--assets", folder, "-o", tmp_path / "ds")
+    error = run_json(capsys, *args, code=2)["error"]
+    assert told in error
+    assert "\n" not in error
+
+
+# --- info -------------------------------------------------------------------------------------------------------------
+def test_info_tells_what_files_hold(
+    saved: Path, folder: Path, sampled: RearrangeEpisode, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    episode = habitat_episode(folder, sampled)
+    file = written(tmp_path / "val.json.gz", [episode, {**episode, "targets": {"x": np.eye(4).tolist()}}])
+    (tmp_path / "cut.json.gz").write_bytes(saved.read_bytes()[:-40])
+    ours, theirs, cut = run_json(capsys, "info", saved, file, tmp_path / "cut.json.gz", code=1)["found"]
+    assert (ours["kind"], ours["episodes"], ours["tasks"], ours["complete"]) == (
+        "episodes",
+        1,
+        {"rearrange (h3data)": 1},
+        1,
+    )
+    assert ours["scenes"] == {"small:1": 1}
+    assert ours["apart_m"]["least"] >= 5
+    assert sum(ours["destinations"].values()) == ours["goals"]["greatest"] == 2
+    assert (theirs["episodes"], theirs["tasks"], theirs["complete"]) == (2, {"rearrange (Habitat)": 2}, 0)
+    assert theirs["templates"][BOWL] == 1
+    assert list(theirs["sources"]) == list(episode["name_to_receptacle"].values())
+    straight = [np.hypot(*(t.start[[0, 2]] - t.goal[[0, 2]])) for t in sampled.targets]
+    assert theirs["carry_m"]["mean"] == pytest.approx(np.mean(straight), abs=1e-4)
+    assert "its target 'x' is none of its objects" in next(iter(theirs["unplayable"]))
+    assert "amaged" in cut["error"]
+    assert main(["info", str(file)]) == 0
+    text = capsys.readouterr().out
+    for line in ("rearrange (Habitat) (2)", "starts       sampled when they are played", "from objects to their goals"):
+        assert line in text
+
+
+def test_info_of_real_files(real: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = real / "habitat-lab"
+    demo, teleop = run_json(capsys, "info", folder / "demo.json.gz", folder / "hitl_teleop_episodes.json.gz")["found"]
+    assert (demo["episodes"], len(demo["scenes"]), demo["objects"]["greatest"]) == (2, 2, 7)
+    assert (teleop["episodes"], teleop["goals"]["mean"]) == (2000, 1)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix, quat_from_heading
+from h3data.habitat.episodes.partnr_goals import Placement, placements_of
 from h3data.habitat.episodes.rearrange_episode import (
     Matrix,
     RearrangeEpisode,
@@ -61,6 +62,8 @@ class StoredRearrangement(msgspec.Struct, frozen=True, kw_only=True):
     """All that a simulator needs besides the scene."""
 
     goals: tuple[StoredGoal, ...]
+    placements: tuple[Placement, ...] = ()
+    """Further objects, for whose goals a place on one of some pieces of furniture is sampled from the seed."""
     robot_start: Start | None = None
     """None, as in Habitat's files: it is sampled from the seed."""
     human_start: Start | None = None
@@ -139,21 +142,23 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
 
     Raises:
         FormatError: ours, but damaged or from a newer version.
-        InputError: Habitat's, but a target is no object of it, or a pose is none.
+        InputError: Habitat's, but a target is no object of it, or a pose is none; PARTNR's, but it asks for something that is
+            not played.
     """
     if task_of(episode) == TASK:
         record = read_info_block(episode, TASK, StoredRearrangement)
         assert record is not None
         _require_finite(record)
-        if not record.goals:
+        if not record.goals and not record.placements:
             raise InputError(f"Episode {episode.episode_id!r} has no objects to rearrange: goals is empty.")
         return record
-    if task_of(episode) is not None or not episode.targets:
+    if task_of(episode) is not None:
         return None
-    return _of_habitat(episode)
+    placements = placements_of(episode)
+    return _of_habitat(episode, placements or ()) if placements is not None or episode.targets else None
 
 
-def _of_habitat(episode: RearrangeEpisode) -> StoredRearrangement:
+def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
     where = f"Episode {episode.episode_id!r}"
     handles = instance_handles(episode)
     objects = tuple(
@@ -162,7 +167,7 @@ def _of_habitat(episode: RearrangeEpisode) -> StoredRearrangement:
     )
     starts = {thing.name: thing.pose for thing in objects}
     goals = []
-    for k, (name, matrix) in enumerate(episode.targets.items()):
+    for k, (name, matrix) in enumerate(() if placements else episode.targets.items()):
         if name not in starts:
             listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
             raise InputError(f"{where}: its target {name!r} is none of its objects ({listed}).")
@@ -179,6 +184,7 @@ def _of_habitat(episode: RearrangeEpisode) -> StoredRearrangement:
         )
     return StoredRearrangement(
         goals=tuple(goals),
+        placements=placements,
         objects=objects,
         object_paths=episode.additional_obj_config_paths,
         com_frames=True,

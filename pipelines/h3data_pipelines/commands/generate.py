@@ -34,7 +34,14 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
-from h3data_pipelines.jobs.episode_files import FileJobs, claim_episode_file, file_jobs, notes_on, save_episodes
+from h3data_pipelines.jobs.episode_files import (
+    FileJobs,
+    claim_episode_file,
+    file_jobs,
+    notes_on,
+    save_episodes,
+    widest_episode,
+)
 from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
@@ -157,7 +164,8 @@ class Generate:
             require_same_options(out, jobs, cameras=self.camera)
         else:
             claim_folder(out, force=False)
-        with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume) as writer:
+        like = widest_episode(jobs)
+        with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
         written = ReadBack(

@@ -1,4 +1,4 @@
-"""``h3data info``: contents of recordings and datasets, without measuring or rendering."""
+"""``h3data info``: contents of recordings, datasets and episode files, without measuring or rendering."""
 
 from __future__ import annotations
 
@@ -12,30 +12,36 @@ import tyro
 from h3data.errors import H3DataError, InputError
 from h3data.recording.finding import find_episodes
 from h3data.recording.storage import AnyPath, place
-from h3data_pipelines.command import JsonFlag, Outcome
+from h3data_pipelines.command import JsonFlag, Outcome, counted
 
 if TYPE_CHECKING:
     from h3data.recording import Dataset, Recording
 
 
+EPISODE_ENDINGS = (".json.gz", ".json", ".pickle")
+
+
 @dataclass(frozen=True)
 class Info:
-    """Show what recordings and datasets hold: task, scene, agents, steps, columns.
+    """Show what recordings and datasets hold: task, scene, agents, steps, columns; and what episode files hold: tasks,
+    scenes, objects, receptacles, distances.
 
     Examples:
         h3data info out/demo/episode.mcap
         h3data info ds/
         h3data info ds#3 --json
         h3data info recordings/
+        h3data info social_rearrange.json.gz
     """
 
     paths: tyro.conf.Positional[tuple[Path, ...]]
-    """.mcap files, datasets, single episodes (ds#3), folders of these, or their URIs."""
+    """.mcap files, datasets, single episodes (ds#3), folders of these, or their URIs; episode files (.json.gz, .json,
+    .pickle) of Habitat, PARTNR and h3data."""
     json: JsonFlag = False
 
     def run(self) -> Outcome:
         if not self.paths:
-            raise InputError("Expected at least one recording (.mcap) or dataset.")
+            raise InputError("Expected at least one recording (.mcap), dataset or episode file.")
         described = [part for path in map(place, self.paths) for part in _described(path)]
         faults = sum("error" in data for _, data in described)
         if faults == len(described) == 1:
@@ -54,6 +60,8 @@ def _described(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
 
     if path.is_dir() and is_dataset(path):
         return [_of_dataset(Dataset(path))]
+    if isinstance(path, Path) and path.name.endswith(EPISODE_ENDINGS) and path.is_file():
+        return [_of_episode_file(path)]
     described = []
     for source in find_episodes([path]):
         try:
@@ -83,6 +91,18 @@ def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
         "without_steps": failed,
         "columns": {c.name: {"dtype": c.dtype, "shape": list(c.shape)} for c in dataset.schema.columns},
     }
+
+
+def _of_episode_file(path: Path) -> tuple[str, dict[str, Any]]:
+    from h3data.habitat.episodes.episode_files import read_episodes
+    from h3data.habitat.episodes.episode_summary import summary_of
+
+    try:
+        summary = summary_of(read_episodes(path))
+    except H3DataError as error:
+        return f"{path}: {error}", {"path": str(path), "error": str(error)}
+    text = f"{path}: {counted(summary.episodes, 'episode')}\n{summary.to_text()}"
+    return text, {"path": str(path), "kind": "episodes", **summary.to_dict()}
 
 
 def _outcome(recording: Recording) -> list[str]:

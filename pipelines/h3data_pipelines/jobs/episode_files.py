@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
+from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile
 from h3data_pipelines.command import claim_file
 from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, refuse_beside
+from h3data_pipelines.jobs.failed_episodes import is_failed
+from h3data_pipelines.jobs.running import simulate_job
 
 if TYPE_CHECKING:
     from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
@@ -136,6 +140,19 @@ def _ranges(numbers: Sequence[int]) -> str:
             parts.append([number])
     shown = ", ".join("-".join(map(str, part)) for part in parts[:8])
     return shown + (f", ... ({len(numbers)} in all)" if len(parts) > 8 else "")
+
+
+def widest_episode(jobs: Sequence[Job]) -> tuple[Recording, ...]:
+    """One step of an episode with the most objects, for the columns of a dataset whose episodes differ in that."""
+    counts = [getattr(job.spec, "objects", 0) for job in jobs]
+    if len(set(counts)) < 2:
+        return ()
+    for count in sorted(set(counts), reverse=True):
+        job = jobs[counts.index(count)]
+        recording = simulate_job(replace(job, spec=replace(job.spec, max_steps=1)))
+        if not is_failed(recording):
+            return (recording,)
+    return ()
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------

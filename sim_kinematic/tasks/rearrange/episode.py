@@ -38,6 +38,8 @@ PAIR = ("robot", "human")
 ATTEMPTS = 200
 REDRAW = 10
 """After so many attempts the starts are drawn anew as well."""
+SPOT_ATTEMPTS = 20
+"""Rounds over at most twelve surfaces in search of a free spot."""
 LIFT_M = 0.001
 """Things float this much over their surface, so that a collision check does not call them stuck in it."""
 HANDLING_S = 4.5
@@ -216,6 +218,26 @@ def seconds_alone(
 ) -> float:
     """Estimated time a person alone takes for all objects [s]; infinite where an object or a goal is out of reach."""
     return _Draw(scene, free, spec, robot, human, []).seconds_alone(starts, targets)
+
+
+def free_spot(
+    scene: Scene,
+    free: FreeSpace,
+    spec: RearrangeSpec,
+    robot: Robot,
+    human: Humanoid,
+    surfaces: list[tuple[Instance, Receptacle]],
+    rng: np.random.Generator,
+    thing: Instance,
+    taken: list[tuple[Array, float]],
+) -> tuple[Array, str] | None:
+    """A free spot [3] for a thing on one of some surfaces that both agents reach, and its receptacle; None: there is none.
+
+    ``taken`` lists positions [3] and radii [m] of other things; the spot is added to it.
+    """
+    draw = _Draw(scene, free, spec, robot, human, surfaces)
+    tries = (draw._place(rng, thing, taken, np.zeros(2), np.inf) for _ in range(SPOT_ATTEMPTS))
+    return next((spot for spot in tries if spot is not None), None)
 
 
 def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:

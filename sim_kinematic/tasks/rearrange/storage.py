@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, ClassVar
 
@@ -14,6 +14,7 @@ from h3data.bodies import Robot, load_humanoid, load_robot
 from h3data.errors import InputError, SceneError
 from h3data.geometry import Array, quat_rotate
 from h3data.habitat.episodes.episode_objects import read_object_template, search_in, search_of, with_objects
+from h3data.habitat.episodes.partnr_goals import Placement
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.habitat.episodes.stored_episodes import plain
 from h3data.habitat.episodes.stored_rearrangements import (
@@ -25,6 +26,7 @@ from h3data.habitat.episodes.stored_rearrangements import (
 )
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneSource
+from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
@@ -36,6 +38,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     RearrangeEpisode,
     RearrangeSpec,
     Target,
+    free_spot,
     seconds_alone,
     starts_of,
 )
@@ -86,14 +89,15 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         return record if record is None or self.is_complete(record) else msgspec.structs.replace(record, seed=seed)
 
     def is_complete(self, record: StoredRearrangement) -> bool:
-        return record.robot_start is not None and record.human_start is not None
+        return record.robot_start is not None and record.human_start is not None and not record.placements
 
     def rules(self, record: StoredRearrangement) -> RearrangeSpec:
+        count = len(record.goals) + len(record.placements)
         if not record.rules:
-            return RearrangeSpec(objects=len(record.goals))
+            return RearrangeSpec(objects=count)
         spec = rules_from_json(record.rules)
-        if spec.objects != len(record.goals):
-            raise InputError(f"The episode has {len(record.goals)} goals, its rules say {spec.objects} objects.")
+        if spec.objects != count:
+            raise InputError(f"The episode has {count} goals, its rules say {spec.objects} objects.")
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
@@ -105,8 +109,9 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
 
     def episode(self, record: StoredRearrangement, place: EpisodePlace) -> RearrangeEpisode:
         spec: RearrangeSpec = place.spec
-        if spec.objects != len(record.goals):
-            raise InputError(f"The episode has {len(record.goals)} objects: leave out --rule objects={spec.objects}.")
+        count = len(record.goals) + len(record.placements)
+        if spec.objects != count:
+            raise InputError(f"The episode has {count} objects: leave out --rule objects={spec.objects}.")
         pair = (
             place.robot or record.robot.removeprefix("robot/") or ROBOT_BODY,
             place.human or record.human.removeprefix("humanoid/") or HUMAN_BODY,
@@ -116,6 +121,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             if isinstance(body, Robot):
                 body.require_arm()
         scene, targets = self._furnished(record, place)
+        if record.placements:
+            targets += placed(scene, place.free, record.seed, spec, record.placements, pair)
         starts, complete = self._starts(record, place, scene, targets, pair)
         unchanged = (
             complete
@@ -145,7 +152,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             search = search_of(scene, record.object_paths, place.assets)
             scene, origins = with_objects(scene, record.objects, search)
         movable = {i.name for i in scene.instances if i.motion == "kinematic"}
-        lost = [goal.object for goal in record.goals if goal.object not in movable]
+        lost = [goal.object for goal in (*record.goals, *record.placements) if goal.object not in movable]
         if lost:
             raise SceneError(
                 f"The scene {scene.name!r} has no movable thing {', '.join(map(repr, lost[:4]))}. Expected the scene for "
@@ -215,6 +222,45 @@ def sampled_starts(
     if not np.isfinite(best[0]):
         _log.warning("%s: a person cannot reach all objects and goals of an episode from any start tried", scene.name)
     return best[1]
+
+
+def placed(
+    scene: Scene,
+    free: FreeSpace,
+    seed: int,
+    spec: RearrangeSpec,
+    placements: Sequence[Placement],
+    pair: tuple[str, str],
+) -> tuple[Target, ...]:
+    """Goals for objects that may come to lie anywhere on some pieces of furniture: free spots that both agents reach.
+
+    Raises:
+        SceneError: the furniture has none.
+    """
+    things = {i.name: i for i in scene.instances}
+    named = {p.object for p in placements}
+    taken: list[tuple[Array, float]] = [
+        (i.pose[:3], object_extent(scene, i)[0])
+        for i in scene.instances
+        if i.motion == "kinematic" and i.name not in named
+    ]
+    targets = []
+    for number, placement in enumerate(placements):
+        surfaces = [(i, r) for i, r in scene.receptacles() if i.name.partition("/")[0] in placement.receptacles]
+        rng = generator(seed, "rearrange_places", step=number)
+        spot = free_spot(scene, free, spec, load_robot(pair[0]), load_humanoid(pair[1]), surfaces, rng,
+                         things[placement.object], taken)  # fmt: skip
+        if spot is None:
+            raise SceneError(
+                f"Found no place for {placement.object!r} within reach of both agents on {' or '.join(placement.receptacles)}: "
+                + (
+                    f"{len(surfaces)} surfaces were tried."
+                    if surfaces
+                    else "there is no such furniture with a surface."
+                )
+            )
+        targets.append(Target(placement.object, things[placement.object].pose, spot[0], placement.source, spot[1]))
+    return tuple(targets)
 
 
 def goal_record(target: Target) -> StoredGoal:
