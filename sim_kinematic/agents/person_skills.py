@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies.people.reach import Hand, reacher
-from h3data.geometry import Array, ground_pose, heading_from_quat, wrap_angle
+from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.person import Person, SkillResult
 from sim_kinematic.agents.person import Skill as Motion
@@ -77,7 +78,7 @@ class PersonActor:
 
     @property
     def xz(self) -> NDArray:
-        return self.person.base[[0, 2]]
+        return self.person.base[0:3:2].copy()
 
     @property
     def heading(self) -> float:
@@ -241,7 +242,8 @@ class PersonActor:
     def _gait_here(self) -> HumanState:
         """The gait so far; one of standing where something else has moved the person since."""
         gait = self._gait
-        if np.any(gait.xz[0] != self.xz) or abs(wrap_angle(gait.heading[0] - self.heading)) > 1e-6:
+        turned = math.remainder(gait.heading.item(0) - self.heading, math.tau)
+        if gait.xz[0].tolist() != self.xz.tolist() or abs(turned) > 1e-6:
             self._gait = gait = self._set_off()
         return gait
 

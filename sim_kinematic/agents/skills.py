@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -87,6 +88,7 @@ class Ending(NamedTuple):
 Skill = Generator[None, None, Ending]
 
 
+@lru_cache(maxsize=64)
 def choices(objects: int, *, robot: bool = True) -> tuple[Action, ...]:
     """What can be chosen among, as a learned policy numbers it: each of the four skills with each of the objects, ``wait``
     and, for robots, the four primitives: 4 K + 5 or 4 K + 1 actions."""
@@ -131,8 +133,8 @@ class Objects:
 
     def held(self, agent: int) -> int:
         """Index of what an agent holds, -1 = nothing."""
-        found = np.flatnonzero(self.held_by == agent)
-        return int(found[0]) if len(found) else -1
+        holders = self.held_by.tolist()
+        return holders.index(agent) if agent in holders else -1
 
     def why_not(self, agent: int, action: Action) -> str:
         """The pre-conditions that both kinds of actors share."""

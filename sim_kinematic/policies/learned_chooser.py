@@ -35,7 +35,7 @@ class LearnedChooser:
         return self.choices[int(np.argmax(scores))]
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `sim_kinematic.policies.rearrange.HighLevelPolicy.interrupts`."""
+        """As `sim_kinematic.policies.rearrange.HighLevelPolicy` says."""
         return "agents_close" if view.close and "interrupted" in self.network.observations else ""
 
 

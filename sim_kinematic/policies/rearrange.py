@@ -39,14 +39,14 @@ STRAIGHT_ON_STEPS = 10
 
 
 class HighLevelPolicy(Protocol):
-    """The upper layer."""
+    """The upper layer.
+
+    A policy that may abort what it is doing also has ``interrupts(view) -> str``, asked in every step of an action: a reason
+    to abort it, or nothing. One without is not asked, which saves making up the view.
+    """
 
     def act(self, view: RearrangeView) -> Action:
         """What to do next; asked when the last action has ended or was interrupted."""
-        ...
-
-    def interrupts(self, view: RearrangeView) -> str:
-        """Asked in every step of an action: a reason to abort it, or nothing."""
         ...
 
 
@@ -76,9 +76,6 @@ class Planner:
                 return errand(view, k)
             self._passed, self._tries = self._passed + 1, 0
         return Action("wait")
-
-    def interrupts(self, view: RearrangeView) -> str:
-        return ""
 
 
 @dataclass

@@ -49,7 +49,7 @@ class Sense(NamedTuple):
 
 def _gps(points: Callable[[RearrangeView], Floats]) -> Sense:
     return Sense(
-        lambda view: gps_compass(view.xz, view.heading, points(view)[:, [0, 2]]),
+        lambda view: gps_compass(view.xz, view.heading, points(view)[:, 0:3:2]),
         (0.0, -np.pi),
         (FAR_M, np.pi),
         "objects",

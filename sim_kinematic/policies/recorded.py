@@ -182,11 +182,12 @@ class RecordedPolicy:
         return self._running
 
     def interrupts(self, view: RearrangeView) -> str:
-        """As `HighLevelPolicy.interrupts`."""
+        """As `HighLevelPolicy` says."""
         asked = self.own is not None and view.step >= self.since
         if asked and view.step == self.since > 0:
             return RESUMED
-        reason = self.own.interrupts(view) if asked and self.own is not None else ""
+        interrupts = getattr(self.own, "interrupts", None)
+        reason = interrupts(view) if asked and interrupts is not None else ""
         return reason or (self._aborted_before(view.step) if view.step < self.until else "")
 
     def _aborted_before(self, step: int) -> str:

@@ -55,6 +55,10 @@ class ObservationSet:
         self.pictures = AgentPictures(body, self.names, agent=agent, depth_size=depth_size, rgb_size=rgb_size)
         self.states = tuple(name for name in self.names if name not in self.pictures.names)
         self.limits = {n: states[n] if n in self.states else self.pictures.limits(n) for n in self.names}
+        # as exact values are: clipping doubles by floats casts twice
+        self._bounds = {
+            n: (np.asarray(one.low, np.float64), np.asarray(one.high, np.float64)) for n, one in self.limits.items()
+        }
         self._noise = {name: model for name, model in (noise or {}).items() if name in self.names}
         self._agent = agent
 
@@ -80,7 +84,7 @@ class ObservationSet:
                 near, far = DEPTH_RANGE_M
                 values = (values.clip(near, far) - near) / (far - near)
             elif name in self._noise or name in self.states:
-                values = values.clip(limits.low, limits.high)
+                values = values.clip(*self._bounds[name])
                 values = np.rint(values) if limits.dtype == np.uint8 else values
             shown[name] = values.astype(limits.dtype, copy=False)
         return shown

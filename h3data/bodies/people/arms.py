@@ -40,5 +40,7 @@ def draw_in(quats: Array, arms: ArrayLike) -> None:
     if shares.any():
         from h3data.bodies.people.kernels.clips import tuck_all
 
-        every = np.ascontiguousarray(np.broadcast_to(np.clip(shares, 0.0, 1.0), (len(quats), 2)))
+        every = shares.clip(0.0, 1.0)
+        if every.shape != (len(quats), 2):
+            every = np.ascontiguousarray(np.broadcast_to(every, (len(quats), 2)))
         tuck_all(quats, every, _SHOULDERS, _IN)

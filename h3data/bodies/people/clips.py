@@ -250,8 +250,9 @@ def sample_clips(
     )
     if not len(motion) == len(phase) == len(blend):
         motion, phase, blend = (np.ascontiguousarray(a) for a in np.broadcast_arrays(motion, phase, blend))
-    if motion.size and (motion.min() < 0 or motion.max() >= len(table.frames)):
-        raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {motion.min()}..{motion.max()}.")
+    low, high = (motion[0], motion[0]) if len(motion) == 1 else (motion.min(initial=0), motion.max(initial=0))
+    if low < 0 or high >= len(table.frames):
+        raise InputError(f"Expected motion ids 0..{len(table.frames) - 1}, got {low}..{high}.")
     quats, pelvis = np.empty((len(motion), 55, 4)), np.empty((len(motion), 3))
     floor = _FLAT if ground is None else _floor_heights(ground, len(motion))
     sample_all(table.arrays, motion, phase, blend, floor, quats, pelvis)
@@ -260,8 +261,13 @@ def sample_clips(
 
 def nearest_clip(clips: Sequence[Clip], speed_mps: float) -> int:
     """Index of the clip whose speed is nearest in ratio; a standing clip below `STAND_BELOW_MPS`."""
-    speeds = np.array([c.speed_mps for c in clips])
-    speed = abs(speed_mps)
+    return _nearest_speed(tuple([c.speed_mps for c in clips]), abs(float(speed_mps)))
+
+
+@lru_cache(maxsize=256)
+def _nearest_speed(clip_speeds: tuple[float, ...], speed: float) -> int:
+    """As `nearest_clip`: the same walker asks in every step."""
+    speeds = np.array(clip_speeds)
     if speed < STAND_BELOW_MPS or not np.any(speeds > 0):
         return int(np.argmin(speeds))
     ratio = np.abs(np.log(np.where(speeds > 0, speeds, 1e-9) / speed))

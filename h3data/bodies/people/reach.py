@@ -149,6 +149,7 @@ def hand_points(joint_matrices: Array, body: Humanoid, hand: Hand = "right") -> 
     return frames[:, :3, :3] @ grasp_point(body, hand) + frames[:, :3, 3]
 
 
+@lru_cache(maxsize=64)
 def grasp_point(body: Humanoid, hand: Hand) -> Array:
     """The palm's grasp point in the wrist's frame, shape [3] [m]."""
     return PALM_SHARE * body.joint_offsets[JOINT_INDEX[f"{hand}_middle1"]] - [0, PALM_DROP * _shoulder(body), 0]

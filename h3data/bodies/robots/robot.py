@@ -213,7 +213,9 @@ class Robot:
         """World matrices of the link frames, [T, L, 4, 4], from agent roots [T, 7] and joint positions [T, J]."""
         from h3data.bodies.robots.kinematics import link_frames  # numba: robots can be read without it
 
-        roots = np.ascontiguousarray(pose_to_matrix(np.asarray(base_pose, np.float64)) @ self.to_base)
+        bases = np.asarray(base_pose, np.float64)
+        matrices = pose_to_matrix(bases[0])[None] if len(bases) == 1 else pose_to_matrix(bases)  # one alone is cheaper
+        roots = np.ascontiguousarray(matrices @ self.to_base)
         positions = np.ascontiguousarray(joint_pos, np.float64)
         if positions.shape != (len(roots), len(self.joint_names)):
             raise InputError(

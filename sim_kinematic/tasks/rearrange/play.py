@@ -249,7 +249,7 @@ class RearrangePlay:
                 self.encounters.moved(runner.number)
             self.encounters.end_step()
             self._write_people()
-            self.before, self.places = self.places, np.array([[*a.xz, a.heading] for a in self.actors])
+            self.before, self.places = self.places, np.array([[*a.xz.tolist(), a.heading] for a in self.actors])
             self.at_goal = self._at_goal()
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
