@@ -56,7 +56,15 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: i
 
 def test_the_built_in_table_is_sound() -> None:
     assert len({one.name for one in BUILT_IN}) == len(BUILT_IN)
-    assert list(export_options()) == ["gfx-replay", "gltf", "foxglove", "lerobot", "robomimic", "csv"]
+    assert list(export_options()) == [
+        "gfx-replay",
+        "gltf",
+        "foxglove",
+        "lerobot",
+        "robomimic",
+        "habitat-episodes",
+        "csv",
+    ]
     for one in BUILT_IN:
         for field in ("read", "write"):
             if getattr(one, field) is not None:

@@ -90,22 +90,51 @@ def export_habitat_dataset(
         name: Name of the dataset; by default that of its only scene, else of the folder.
         force: Replace a folder that an earlier export made; any other is refused still.
     """
-    folder = Path(folder)
     if not scenes:
         raise InputError("Expected at least one scene to export.")
     handles = [_file_name(s.name) for s in scenes]
     if len(set(handles)) < len(handles):
         raise InputError(f"Scenes of one dataset need different names, got {', '.join(sorted(handles))}.")
-    name = _file_name(name or (handles[0] if len(scenes) == 1 else folder.name))
-    _refuse(folder, force=force)
-    files = _Files()
-    for handle, scene in zip(handles, scenes, strict=True):
-        _add_scene(files, handle, scene)
-    config = f"{name}{DATASET_ENDING}"
-    files.json(config, {**_dataset_config(), "navmesh_instances": files.navmeshes})
-    files.json(_LEXICON, {"classes": [{"id": k, "name": v} for k, v in sorted(files.classes.items())]})
-    _write(folder, files.content, force=force)
-    return folder / config
+    name = name or (handles[0] if len(scenes) == 1 else Path(folder).name)
+    dataset = DatasetExport(folder, name, force=force)
+    for scene in scenes:
+        dataset.add_scene(scene)
+    return dataset.write()
+
+
+class DatasetExport:
+    """A scene dataset that is put together scene by scene; see `export_habitat_dataset`."""
+
+    def __init__(self, folder: str | Path, name: str, *, force: bool = False) -> None:
+        """Refuses a folder that holds anything, unless ``force`` and an earlier export made it."""
+        self.folder, self._force = Path(folder), force
+        self.config = self.folder / f"{_file_name(name)}{DATASET_ENDING}"
+        self._files = _Files()
+        _refuse(self.folder, force=force)
+
+    def add_scene(self, scene: Scene) -> tuple[Path, Mapping[str, str]]:
+        """Path of the scene instance that will be written, and Habitat's names of the scene's receptacles by ours.
+
+        Scenes need different names.
+        """
+        handle = _file_name(scene.name)
+        return self.folder / f"scenes/{handle}.scene_instance.json", _add_scene(self._files, handle, scene)
+
+    def add_object(self, scene: Scene, instance: Instance) -> str:
+        """File name of the object template of an instance that is in no scene of the dataset."""
+        asset = scene.assets[instance.asset]
+        self._files.classes.setdefault(int(instance.semantic_id), asset.category)
+        return (
+            f"{self._files.template(scaled_asset(asset, instance.scale), int(instance.semantic_id))}.object_config.json"
+        )
+
+    def write(self) -> Path:
+        """Writes the folder; returns the path of the dataset's config."""
+        files = self._files
+        files.json(self.config.name, {**_dataset_config(), "navmesh_instances": files.navmeshes})
+        files.json(_LEXICON, {"classes": [{"id": k, "name": v} for k, v in sorted(files.classes.items())]})
+        _write(self.folder, files.content, force=self._force)
+        return self.config
 
 
 @dataclass
@@ -153,7 +182,8 @@ def _dataset_config() -> dict[str, Any]:
 
 
 # --- one scene --------------------------------------------------------------------------------------------------------
-def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
+def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
+    """Adds the files of a scene; returns Habitat's names of its receptacles by ours."""
     for instance in scene.instances:
         if not (np.isfinite(instance.pose).all() and np.isfinite(instance.scale).all() and np.all(instance.scale)):
             raise SceneError(f"Scene {scene.name!r}: {instance.name!r} has a pose or scale that cannot be written.")
@@ -167,7 +197,8 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
             f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
         )
     _add_stage(files, handle, scene, stage)
-    objects, receptacles = [], [f"stage|{e['name']}" for _, e in _stage_receptacles(scene, stage)]
+    objects: list[dict[str, Any]] = []
+    receptacles = {ours: f"stage|{e['name']}" for ours, _, e in _stage_receptacles(scene, stage)}
     counts: dict[str, int] = {}
     inside = {i.name for i in stage}
     for instance in scene.instances:
@@ -178,7 +209,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
         template = files.template(scaled_asset(asset, instance.scale), int(instance.semantic_id))
         objects.append(_object_instance(instance, template, asset.category))
         number = counts[template] = counts.get(template, -1) + 1
-        receptacles += [f"{template}_:{number:04d}|{r.name}" for r in asset.receptacles]
+        receptacles |= {f"{instance.name}|{r.name}": f"{template}_:{number:04d}|{r.name}" for r in asset.receptacles}
     regions = _region_annotations(scene.rooms)
     filter_file = f"scene_filter_files/{handle}.rec_filter.json"
     instance_file = {
@@ -191,11 +222,12 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> None:
         "user_defined": {"scene_filter_file": filter_file},
     }
     files.json(f"scenes/{handle}.scene_instance.json", instance_file)
-    files.json(filter_file, _receptacle_filter(receptacles))
+    files.json(filter_file, _receptacle_filter(list(receptacles.values())))
     files.json(f"lighting/{handle}.lighting_config.json", light_setup())
     files.json(f"navmeshes/{handle}.navmesh_settings.json", NAVMESH_SETTINGS)
     if regions:
         files.json(f"semantics/scenes/{handle}.semantic_config.json", {"region_annotations": regions})
+    return receptacles
 
 
 def _add_navmesh(files: _Files, handle: str, scene: Scene) -> bool:
@@ -267,7 +299,7 @@ def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instanc
         "units_to_meters": 1.0,
         "is_collidable": True,
         "shader_type": SHADER,
-        "user_defined": dict(_stage_receptacles(scene, stage)),
+        "user_defined": {key: entry for _, key, entry in _stage_receptacles(scene, stage)},
     }
     files.json(f"stages/{handle}.stage_config.json", config)
 
@@ -297,8 +329,8 @@ def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[ND
     return replace(mesh, faces=np.ascontiguousarray(mesh.faces[kept]), face_textures=textures)
 
 
-def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, dict[str, Any]]]:
-    """Receptacles of the building (name, entry), in the world frame."""
+def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, str, dict[str, Any]]]:
+    """Receptacles of the building (our name, key, entry), in the world frame."""
     found = []
     for instance in stage:
         matrix = instance_matrix(instance)
@@ -308,7 +340,7 @@ def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[st
             entry = _receptacle(receptacle, size, f"{instance.name}_{receptacle.name}")
             entry["position"] = (matrix[:3, :3] @ np.array(entry["position"]) + matrix[:3, 3]).tolist()
             entry["rotation"] = [w, x, y, z]
-            found.append((_receptacle_key(entry["name"]), entry))
+            found.append((f"{instance.name}|{receptacle.name}", _receptacle_key(entry["name"]), entry))
     return found
 
 

@@ -197,6 +197,13 @@ BUILT_IN = (
         write_options=("agent",),
         many=True,
     ),
+    Format(
+        name="habitat_episodes",
+        title="rearrangement episodes of Habitat, with their scenes",
+        write="h3data.exporters.habitat_episodes:export_habitat_episodes",
+        target="folder",
+        many=True,
+    ),
     Format(name="csv", title="CSV tables", write="h3data.exporters.csv_tables:export_csv", target="folder"),
 )
 JSON = Format(name="json", title="JSON of an unknown kind")

@@ -10,12 +10,16 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError, SceneError
+from h3data.geometry import Array
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
 from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_block, plain, read_info_block
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
 from sim_kinematic.tasks.episode import MAX_STEPS, Episode
+
+SNAP_M = 0.05
+"""A stored point may be this far off the free floor: files round to a centimeter, navigation meshes to a cell."""
 
 R = TypeVar("R", bound=StoredEpisode)
 
@@ -150,7 +154,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
         starts = np.array(record.starts, np.float64).reshape(-1, 3)
         if len(starts) != len(roster):
             raise InputError(f"The episode has starts for {len(starts)} agents, --agents names {len(roster)}.")
-        require_starts(place.free, record.starts)
+        starts = starts_on_floor(place.free, record.starts)
         return Episode(
             scene=place.scene,
             free=place.free,
@@ -180,11 +184,19 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
     return spec
 
 
-def require_starts(free: FreeSpace, starts: Sequence[Start]) -> None:
-    """Raises a `SceneError` for starts off the free floor: it is another scene."""
-    points = np.array(starts, np.float64)[:, :2]
-    if not free.is_navigable(points).all():
+def starts_on_floor(free: FreeSpace, starts: Sequence[Start]) -> Array:
+    """Starts [A, 3]; those that rounding has put beside the free floor are moved onto it.
+
+    Raises:
+        SceneError: one is farther off: it is another scene.
+    """
+    places = np.array(starts, np.float64).reshape(-1, 3)
+    off = ~free.is_navigable(places[:, :2])
+    if off.any():
+        places[off, :2] = free.snap(places[off, :2], max_distance_m=SNAP_M)
+    if np.isnan(places).any():
         raise SceneError(
             "Starts of the episode are not on the free floor of this scene. Expected the scene for which the episode was "
             "made."
         )
+    return places

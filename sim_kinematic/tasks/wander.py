@@ -18,7 +18,7 @@ from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
 from sim_kinematic.tasks.episode import Episode, Outcome
-from sim_kinematic.tasks.play import Play, WorldPlay
+from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
 
@@ -88,9 +88,6 @@ class Wander(Task):
         others = [policy.name for policy in policies]
         what += "" if set(others) == {"wander"} else f":{','.join(others)}"
         return str(uuid.uuid5(uuid.NAMESPACE_URL, what))
-
-    def hindsight(self, episode: Episode, play: Play, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
-        return {}
 
     def run_info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         return {}

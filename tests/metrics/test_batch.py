@@ -129,9 +129,10 @@ def test_an_episode_that_cannot_be_measured_is_left_out_by_name(tmp_path, capsys
     table = measure_files([tmp_path])
     assert table.episode_ids == ("e000",)
     assert table.left_out == {"needs a robot and a human": (str(tmp_path / "nobody.mcap"), f"{root}#1")}
-    assert (
-        main(["metrics", str(tmp_path), "--series", str(tmp_path / "s.csv"), "--events", str(tmp_path / "e.csv")]) == 0
-    )
+    files = ("--series", str(tmp_path / "s.csv"), "--events", str(tmp_path / "e.csv"))
+    assert main(["metrics", str(tmp_path), *files]) == 1  # as report: done, but something is left out
+    assert main(["report", str(tmp_path), "-o", str(tmp_path / "r.html"), "--pictures", "0"]) == 1
+    assert main(["metrics", f"{root}#0"]) == 0
     assert f"needs a robot and a human: {tmp_path / 'nobody.mcap'}, {root}#1" in capsys.readouterr().out
     assert "e001" not in (tmp_path / "s.csv").read_text()
     with pytest.raises(InputError, match="'e001' has no human"):

@@ -39,6 +39,7 @@ def test_a_cast_of_three_is_resumed_logged_measured_and_simulated_again(
         assert recordings_equal(a, b) == []
         assert recordings_equal(a, h3data.open(tmp_path / "a" / "mcap" / f"{k:06d}.mcap")) == []
         assert [agent.model for agent in a.agents] == ["robot/quad_arm", "humanoid/female_1", "humanoid/male_1"]
+        assert a.episode.info["ended"] == "max_steps"
     assert whole["metrics"]["profile"] == "task"
     assert run_json(capsys, "replay", tmp_path / "b", "--verify", "--json")["equal"] == 3
     other = run_json(capsys, *WANDER, tmp_path / "b", "--agents", "robot", "--episodes", "3", "--resume", code=2)

@@ -130,7 +130,7 @@ def rearrangement_entry(
         start_rotation=(float(rotation[0]), float(rotation[1]), float(rotation[2]), float(rotation[3])),
         rigid_objects=tuple(rigid_objects),
         targets=names,
-        target_receptacles=tuple((on[name].partition("|")[0], None) for name in names),
+        target_receptacles=tuple((on.get(name, "").partition("|")[0], None) for name in names),
         goal_receptacles=tuple((name.partition("|")[0], None) for name in goal_receptacles),
         name_to_receptacle=on,
         info={**info, **info_block(TASK, record)},

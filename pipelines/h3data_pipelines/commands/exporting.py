@@ -35,6 +35,7 @@ class Export:
     gfx-replay: Habitat's own replay (.json, .json.gz) with GLB files beside it. gltf: one animated .glb for three.js and
     Blender. foxglove: a .foxglove.mcap of standard messages for Foxglove and Lichtblick. csv: a folder of tables and NumPy
     arrays. lerobot and robomimic: demonstrations to learn from, of one or many recordings.
+    habitat-episodes: rearrangement as habitat-lab's episodes, with their scenes.
 
     Examples:
         h3data export out/demo/episode.mcap --to gfx-replay -o episode.gfx_replay.json.gz
@@ -44,14 +45,16 @@ class Export:
         h3data export ds/ --to lerobot -o lerobot/ --agent robot
         h3data export ds/ --to lerobot --camera robot_arm --camera human_head -o lerobot/
         h3data export ds/ --to robomimic -o demos.hdf5
+        h3data export ds/ --to habitat-episodes -o data/h3
     """
 
     recording: tyro.conf.Positional[Path]
-    """A .mcap file or one episode of a dataset (ds#3); for lerobot and robomimic also a dataset or a folder of recordings."""
+    """A .mcap file or one episode of a dataset (ds#3); for lerobot, robomimic and habitat-episodes also a dataset or a
+    folder of recordings."""
     to: Annotated[str, NameOf(export_options)]
     """Format to write: a built-in one, one of an installed plug-in, or module:name."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot)."""
+    """The file (gfx-replay, gltf, foxglove, robomimic) or folder (csv, lerobot, habitat-episodes)."""
     agent: str | None = None
     """Whose actions are learned, for lerobot and robomimic (default: the first robot that acts)."""
     assets: tuple[Path, ...] = ()

@@ -87,10 +87,12 @@ class Metrics:
             write_series(recordings(sources, self.profile), self.series, profile=self.profile)
         if self.events is not None:
             write_events(recordings(sources, self.profile), self.events, profile=self.profile)
+        exit_code = 1 if first.left_out else 0
         if len(tables) < 2:
-            return Outcome(text=first.to_text(), data=first.to_dict())
+            return Outcome(text=first.to_text(), data=first.to_dict(), exit_code=exit_code)
         text = "\n\n".join(f"{t.episodes[0].task}: {len(t)} episodes\n{t.to_text()}" for t in tables)
-        return Outcome(text=text, data={"tables": [{"task": t.episodes[0].task, **t.to_dict()} for t in tables]})
+        data = {"tables": [{"task": t.episodes[0].task, **t.to_dict()} for t in tables]}
+        return Outcome(text=text, data=data, exit_code=exit_code)
 
     def _compare(self) -> Outcome:
         from h3data.metrics.batch import measure_files
@@ -110,7 +112,8 @@ class Metrics:
         differences = compare_tables(first, second, names=(a, b) if a != b else ("A", "B"))
         if self.out is not None:
             write_text(self.out, differences.to_json() + "\n")
-        return Outcome(text=differences.to_text(), data=differences.to_dict())
+        exit_code = 1 if first.left_out or second.left_out else 0
+        return Outcome(text=differences.to_text(), data=differences.to_dict(), exit_code=exit_code)
 
 
 def _list() -> Outcome:

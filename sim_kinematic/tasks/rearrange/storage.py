@@ -25,7 +25,7 @@ from h3data.habitat.episodes.stored_rearrangements import (
     rearrangement_entry,
 )
 from h3data.scene import FreeSpace, Scene, scene_digest
-from h3data.scene.scene_sets import SceneSource
+from h3data.scene.scene_sets import SceneFile, SceneSource
 from sim_kinematic.agents.driven.object_room import object_extent
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
 from sim_kinematic.agents.stands import robot_fits
@@ -43,7 +43,7 @@ from sim_kinematic.tasks.rearrange.episode import (
     starts_of,
 )
 from sim_kinematic.tasks.social_nav.episode import Starts, sample_pair_starts
-from sim_kinematic.tasks.storage import EpisodePlace, EpisodeStorage, read_rules, require_starts
+from sim_kinematic.tasks.storage import EpisodePlace, EpisodeStorage, read_rules, starts_on_floor
 
 START_ATTEMPTS = 20
 """Pairs of starts that are tried for a file without starts before a person need not be able to do the work in time."""
@@ -101,8 +101,8 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
         return spec
 
     def stand_ins(self, record: StoredRearrangement, source: SceneSource) -> tuple[str, ...]:
-        if not record.objects:
-            return ()
+        if not record.objects or not (record.com_frames or isinstance(source, SceneFile)):
+            return ()  # a home that is built again has its things
         search = search_in(source, record.object_paths)
         read = [read_object_template(config, search) for config in {thing.config: None for thing in record.objects}]
         return tuple(found.missing for found in read if found.missing)
@@ -148,9 +148,11 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     def _furnished(self, record: StoredRearrangement, place: EpisodePlace) -> tuple[Scene, tuple[Target, ...]]:
         """The scene with the episode's own objects, and what has to go where in it."""
         scene, origins = place.scene, {}
-        if record.objects:
+        there = {i.name for i in scene.instances}
+        objects = [thing for thing in record.objects if record.com_frames or thing.name not in there]
+        if objects:
             search = search_of(scene, record.object_paths, place.assets)
-            scene, origins = with_objects(scene, record.objects, search)
+            scene, origins = with_objects(scene, objects, search)
         movable = {i.name for i in scene.instances if i.motion == "kinematic"}
         lost = [goal.object for goal in (*record.goals, *record.placements) if goal.object not in movable]
         if lost:
@@ -181,14 +183,13 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
     ) -> tuple[Starts, bool]:
         """Starts of the pair, and whether the file has them."""
         known = [start for start in (record.robot_start, record.human_start) if start is not None]
-        if known:
-            require_starts(place.free, known)
+        on_floor = starts_on_floor(place.free, known)
         if len(known) == 2:
-            return Starts.of(np.array(known)), True
+            return Starts.of(on_floor), True
         starts = sampled_starts(scene, place.free, record.seed, place.spec, targets, pair)
         places = starts.places
-        for row, start in enumerate((record.robot_start, record.human_start)):
-            places[row] = places[row] if start is None else start
+        if len(known) == 1:
+            places[0 if record.robot_start is not None else 1] = on_floor[0]
         return Starts.of(places), False
 
 

@@ -26,9 +26,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
 from sim_kinematic.tasks.episode import Episode
-
-SNAP_M = 0.05
-"""A stored point may be this far off the free floor: files round to a centimetre, navigation meshes to a cell."""
+from sim_kinematic.tasks.storage import SNAP_M
 
 
 @dataclass(frozen=True, kw_only=True)
