@@ -33,7 +33,7 @@ check-lerobot: setup  ## datasets and exports open with lerobot's own loader, do
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check datasets==4.8.5 huggingface-hub==0.35.3
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r tests/export/lerobot_loader/requirements.txt
 	$(BIN)/h3data generate social_nav --episodes 2 --seed 5 --max-steps 150 $(LEROBOT_CAMERAS) --force -o out/lerobot/ds
-	$(BIN)/h3data generate rearrange --episodes 2 --seed 5 --max-steps 60 --force -o out/lerobot/plain
+	$(BIN)/h3data generate rearrange --episodes 1 --seed 5 --force -o out/lerobot/plain
 	$(BIN)/h3data export out/lerobot/ds --to lerobot --force -o out/lerobot/export
 	$(BIN)/h3data export out/lerobot/plain --to lerobot --camera robot_arm --force -o out/lerobot/rearrange
 	$(BIN)/h3data rerender 'out/lerobot/ds#0' 'out/lerobot/ds#1' $(LEROBOT_CAMERAS) --format png --force -o out/lerobot/pictures

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from h3data.recording import Dataset, Episodes, Recording
     from h3data.replay import Replay
     from h3data.scene import HomeSpec, Scene, build_home
-    from h3data_pipelines.api import evaluate, export, generate, import_, report, rerender, view
+    from h3data_pipelines.api import card, evaluate, export, generate, import_, pull, push, report, rerender, view
 
 _HOMES = {
     "make": "h3data.api",
@@ -35,10 +35,13 @@ _HOMES = {
     "session": "h3data.api",
     "simulate": "h3data.api",
     "measure": "h3data.api",
+    "card": "h3data_pipelines.api",
     "evaluate": "h3data_pipelines.api",
     "export": "h3data_pipelines.api",
     "generate": "h3data_pipelines.api",
     "import_": "h3data_pipelines.api",
+    "pull": "h3data_pipelines.api",
+    "push": "h3data_pipelines.api",
     "report": "h3data_pipelines.api",
     "rerender": "h3data_pipelines.api",
     "view": "h3data_pipelines.api",
@@ -61,6 +64,7 @@ __all__ = [
     "Replay",
     "Scene",
     "build_home",
+    "card",
     "evaluate",
     "export",
     "generate",
@@ -68,6 +72,8 @@ __all__ = [
     "make",
     "measure",
     "open",
+    "pull",
+    "push",
     "render_frame",
     "report",
     "rerender",

@@ -26,7 +26,7 @@ from h3data.replay.replay import Replay
 from h3data.scene import FreeSpace
 
 Check = Literal[
-    "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets"
+    "unreadable", "schema", "time", "values", "quaternions", "hash", "jumps", "penetration", "feet", "assets", "video"
 ]
 Severity = Literal["error", "warning"]
 

@@ -222,6 +222,58 @@ def view(
     return _result(View, locals())
 
 
+def card(
+    dataset: AnyPath,
+    *,
+    title: str = "",
+    license: str = "unknown",
+    repo: str = "user/name",
+    force: bool = False,
+) -> Path:
+    """Writes README.md for a dataset; options as of ``h3data card``.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: the dataset has one.
+    """
+    from h3data_pipelines.hub.card import Card
+
+    return _result(Card, locals())
+
+
+def push(dataset: AnyPath, repo: str, *, private: bool = False, message: str = "") -> str:
+    """Uploads a dataset to the Hugging Face Hub; options as of ``h3data push``.
+
+    Returns:
+        Its address.
+
+    Raises:
+        MissingExtraError: the extra ``hub`` is not installed.
+        InputError: there is no token, it has no right to write, or the Hub cannot be reached.
+    """
+    from h3data_pipelines.hub.pushing import Push
+
+    return _result(Push, locals())
+
+
+def pull(repo: str, out: AnyPath, *, revision: str = "main", force: bool = False) -> Path:
+    """Downloads a dataset from the Hugging Face Hub; options as of ``h3data pull``.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        MissingExtraError: the extra ``hub`` is not installed.
+        InputError: there is no such dataset, or the Hub cannot be reached.
+        FormatError: what came is not what was pushed.
+    """
+    from h3data_pipelines.hub.pulling import Pull
+
+    return _result(Pull, locals())
+
+
 def _result(command: type[Command], options: dict[str, Any], *, several: tuple[str, ...] = ()) -> Any:
     """Runs a command with options as Python has them: paths as text, lists instead of tuples, one path for several."""
     from h3data_pipelines.options import options_of

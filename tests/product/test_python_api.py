@@ -24,6 +24,9 @@ from h3data_pipelines.commands.evaluating import Evaluate
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
+from h3data_pipelines.hub.card import Card
+from h3data_pipelines.hub.pulling import Pull
+from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.options import options_of
 from h3data_pipelines.pictures.report import ReportCommand
 from h3data_pipelines.pictures.rerender import Rerender
@@ -37,6 +40,9 @@ COMMANDS: list[tuple[Callable[..., Any], type[Command]]] = [
     (api.export, Export),
     (api.rerender, Rerender),
     (api.view, View),
+    (api.card, Card),
+    (api.push, Push),
+    (api.pull, Pull),
 ]
 
 

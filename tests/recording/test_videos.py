@@ -199,12 +199,16 @@ def test_videos_go_where_their_episodes_go(tmp_path):
     assert [number_in(f) for f in both.video(3, "eye").frames()] == list(range(8))
 
 
-def test_damaged_videos_are_named(tmp_path):
+def test_damaged_videos_are_named(tmp_path, capsys):
     dataset = written(tmp_path / "ds", (10,))
     (path,) = (tmp_path / "ds/videos").rglob("*.mp4")
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(FormatError, match=r"file-000\.mp4"):
         list(dataset.video(0, "eye").frames())
+    from h3data_pipelines.cli import main
+
+    assert main(["validate", str(tmp_path / "ds")]) == 1
+    assert "video" in capsys.readouterr().out
     path.unlink()
     with pytest.raises(FormatError, match="missing"):
         list(dataset.video(0, "eye").frames())

@@ -15,6 +15,7 @@ from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.recording.episodes import StoredEpisode, common_cameras
 from h3data.recording.finding import find_episodes
+from h3data.recording.storage import place
 from h3data_pipelines.command import (
     ForceFlag,
     JsonFlag,
@@ -25,6 +26,7 @@ from h3data_pipelines.command import (
     open_episode,
     remove_dataset,
 )
+from h3data_pipelines.hub.provenance import command_line, read_commands, write_commands
 from h3data_pipelines.pictures.rendering import core_count
 
 
@@ -93,6 +95,10 @@ class Export:
             progress=_progress,
         )
         exported = load(form, "write")(recordings, request)
+        if form.target == "dataset":
+            roots = dict.fromkeys(source.name.rpartition("#")[0] for source in sources)
+            made = [command for root in roots if root for command in read_commands(place(root))]
+            write_commands(place(self.out), [*dict.fromkeys(made), command_line("export", self)])
         return Outcome(
             text=exported.text, data={"to": form.option, "out": str(self.out), **exported.data}, result=self.out
         )

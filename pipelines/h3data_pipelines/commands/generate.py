@@ -34,6 +34,7 @@ from h3data_pipelines.command import (
     remove_dataset,
     uninterrupted,
 )
+from h3data_pipelines.hub.provenance import command_line, write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
     claim_episode_file,
@@ -168,6 +169,7 @@ class Generate:
         with keeping(lambda: _kept(out)), DatasetWriter(out, resume=self.resume, like=like) as writer:
             done = len(writer)
             self._simulate(jobs[done:], writer)
+        write_commands(out, [command_line("generate", self)])
         written = ReadBack(
             Dataset(out), out / "mcap" if self.mcap else None, share_in=out if self.share_scenes else None
         )

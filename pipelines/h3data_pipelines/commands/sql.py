@@ -54,7 +54,9 @@ _READ_ONLY = {"enable_external_access": "false", "python_enable_replacements": "
 
 @dataclass(frozen=True)
 class Sql:
-    """Query Parquet datasets with SQL (DuckDB; pip install "h3data[sql]"). Reads only what the query needs, writes nothing.
+    """Query Parquet datasets with SQL.
+
+    By DuckDB: pip install "h3data[sql]". Reads only what the query needs, writes nothing.
 
     Views (the columns of a dataset: h3data sql "describe steps" ds/; all of them: docs/queries.md):
         steps      one row per step. Names with a dot need quotes: "agent_0.action"[1]; lists count from 1.

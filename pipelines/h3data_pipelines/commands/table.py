@@ -19,6 +19,9 @@ from h3data_pipelines.commands.recovering import Recover
 from h3data_pipelines.commands.replaying import ReplayCommand
 from h3data_pipelines.commands.sql import Sql
 from h3data_pipelines.commands.validating import Validate
+from h3data_pipelines.hub.card import Card
+from h3data_pipelines.hub.pulling import Pull
+from h3data_pipelines.hub.pushing import Push
 from h3data_pipelines.machine.bench import Bench
 from h3data_pipelines.machine.completion import Completion
 from h3data_pipelines.machine.doctor import Doctor
@@ -47,6 +50,9 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "robots": ROBOTS,
     "replay": ReplayCommand,
     "convert": Convert,
+    "card": Card,
+    "push": Push,
+    "pull": Pull,
     "validate": Validate,
     "recover": Recover,
     "doctor": Doctor,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ _SHOWN = 4
 
 @dataclass(frozen=True)
 class Validate:
-    """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets.
+    """Check recordings: schema, time, values, unit quaternions, hash chain, jumps, penetrations, sliding feet, missing assets,
+    videos.
 
     An error means that the recording is wrong, a warning that something about it is unusual. Exit code 1 if a recording has
     errors.
@@ -66,6 +67,13 @@ class Validate:
             recording = source.read()
             steps = len(recording)
             findings = validate_recording(recording, assets=library)
+            for video in source.read_videos():
+                try:
+                    deque(video.frames(), maxlen=0)
+                except FormatError as error:
+                    findings.append(
+                        Finding(check="video", severity="error", subject=video.feature.camera, text=str(error))
+                    )
         except H3DataError as error:
             if alone and not isinstance(error, FormatError):
                 raise

@@ -32,7 +32,9 @@ _PACKAGES = (
 
 @dataclass(frozen=True)
 class Doctor:
-    """Show what works on this machine: renderers, video, collision, GPU, versions.
+    """Show what works on this machine.
+
+    Renderers, video, collision, the GPU, the Hugging Face Hub, and versions of packages.
 
     Examples:
         h3data doctor
@@ -49,6 +51,7 @@ class Doctor:
             "Rerun files": _rerun,
             "built-in bodies and robots": _builtin,
             "GPU (torch CUDA)": _gpu,
+            "Hugging Face Hub": _hub,
         }
         results = {name: _attempt(check) for name, check in checks.items()}
         versions = {name: _version(name) for name in ("h3data", *_PACKAGES)}
@@ -59,7 +62,7 @@ class Doctor:
             "checks": results,
             "versions": versions,
         }
-        required = [name for name in results if not name.startswith("GPU")]
+        required = [name for name in results if name not in ("GPU (torch CUDA)", "Hugging Face Hub")]
         broken = [name for name in required if not results[name]["ok"]]
         lines = [f"Python {data['python']} on {data['platform']}, {data['cpus']} CPUs", ""]
         lines += [f"  {'ok ' if r['ok'] else 'no '} {name:<28} {r['detail']}" for name, r in results.items()]
@@ -136,6 +139,15 @@ def _builtin() -> str:
     if not bodies or not robots:
         raise RuntimeError(f"expected bodies and robots, found {bodies} and {robots}")
     return ", ".join([*bodies, *robots])
+
+
+def _hub() -> str:
+    try:
+        import huggingface_hub
+    except ImportError:
+        raise RuntimeError('for push and pull: pip install "h3data[hub]"') from None
+    token = "a token" if huggingface_hub.get_token() else "no token: hf auth login"
+    return f"huggingface_hub {huggingface_hub.__version__}, {token}"
 
 
 def _gpu() -> str:

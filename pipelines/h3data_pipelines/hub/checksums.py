@@ -1,0 +1,66 @@
+"""SHA-256 of every file of a dataset, in ``h3/checksums.json``: a copy can be compared with the original."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from h3data.errors import FormatError
+from h3data.progress import progress
+
+FILE = "h3/checksums.json"
+PARTS = ("meta", "data", "h3", "videos")
+"""Folders of a dataset. Its card, which people edit on the Hub, is not compared."""
+_BLOCK = 8 << 20
+
+
+def files_of(root: Path) -> list[str]:
+    """Paths of all files of a dataset below its root, without leftovers of an interrupted writer and the checksums."""
+    found = (path for part in PARTS for path in (root / part).rglob("*") if path.is_file())
+    names = (path.relative_to(root).as_posix() for path in found if path.suffix != ".part")
+    return sorted(name for name in names if name != FILE)
+
+
+def checksums_of(root: Path, names: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of files by their path below ``root``."""
+    return {name: _sha256(root / name) for name in progress(names, desc="checksums", unit="file", leave=False)}
+
+
+def to_json(checksums: Mapping[str, str]) -> bytes:
+    """Contents of `FILE`."""
+    return json.dumps({"sha256": dict(checksums)}, indent=0).encode()
+
+
+def require_checksums(root: Path) -> int:
+    """Compares the files of a copy with the checksums that came along; returns their number, 0 if there are none.
+
+    Raises:
+        FormatError: files are missing or damaged; the message names them.
+    """
+    path = root / FILE
+    if not path.is_file():
+        return 0
+    try:
+        expected = {str(name): str(digest) for name, digest in json.loads(path.read_bytes())["sha256"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise FormatError(f"The checksums are damaged ({error!r}): {path}") from None
+    present = set(files_of(root))
+    missing = sorted(expected.keys() - present)
+    found = checksums_of(root, sorted(expected.keys() & present))
+    damaged = [name for name, digest in found.items() if digest != expected[name]]
+    more = sorted(present - expected.keys())
+    faults = [f"{len(names)} {what} ({', '.join(names[:3])})" for what, names in (
+        ("missing", missing), ("damaged", damaged), ("that do not belong to it", more)) if names]  # fmt: skip
+    if faults:
+        raise FormatError(f"The copy differs from the dataset that was pushed: files {'; '.join(faults)}: {root}")
+    return len(expected)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()

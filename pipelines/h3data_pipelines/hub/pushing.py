@@ -1,0 +1,123 @@
+"""``h3data push``: a dataset onto the Hugging Face Hub."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from h3data.errors import InputError
+from h3data.files import size_text
+from h3data.progress import progress
+from h3data.recording.storage import local
+from h3data_pipelines.command import JsonFlag, Outcome, counted, keeping
+from h3data_pipelines.hub.card import CARD, PICTURE, write_card
+from h3data_pipelines.hub.checksums import FILE as CHECKSUMS
+from h3data_pipelines.hub.checksums import PARTS, checksums_of, files_of, to_json
+from h3data_pipelines.hub.client import TYPE, checked_repo, hub_api, hub_errors
+
+VERSION_TAG = "v3.0"
+"""LeRobot loads the revision that is tagged with the version of its format."""
+_BATCH = 16
+"""Files uploaded between two updates of the progress bar."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """Upload a dataset to the Hugging Face Hub.
+
+    Needs pip install "h3data[hub]". Everything appears in one commit, or nothing. After an interruption the same command goes
+    on: files that are uploaded are not uploaded again. The token comes from `hf auth login` or HF_TOKEN, the server from
+    HF_ENDPOINT.
+
+    Examples:
+        h3data push ds/ user/name
+        h3data push ds/ user/name --private
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    repo: tyro.conf.Positional[str]
+    """Name on the Hub, as user/name; created if it does not exist."""
+    private: bool = False
+    """Create it as a private dataset. One that exists stays as it is."""
+    message: str = ""
+    """Message of the commit."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data.recording import Dataset
+
+        dataset, repo = Dataset(local(self.dataset)), checked_repo(self.repo)
+        root, api = Path(str(dataset.root)), hub_api()
+        if not len(dataset):
+            raise InputError(f"The dataset has no episodes: {root}")
+        if not (root / CARD).exists():
+            write_card(dataset, repo=repo)
+        names = files_of(root)
+        checksums = to_json(checksums_of(root, names))
+        names += [name for name in (CARD, PICTURE) if (root / name).is_file()]
+        size = sum((root / name).stat().st_size for name in names)
+        kept = f"what was uploaded to {repo} is not uploaded again by the same command"
+        with hub_errors(repo, to="push"), keeping(lambda: kept):
+            if not api.repo_exists(repo, repo_type=TYPE):
+                api.create_repo(repo, repo_type=TYPE, private=self.private or None, exist_ok=True)
+            additions = _uploaded(api, repo, root, names, checksums)
+            message = self.message or f"{counted(len(dataset), 'episode')} by h3data"
+            commit = api.create_commit(
+                repo,
+                [*additions, *_deletions(api, repo, {*names, CHECKSUMS})],
+                commit_message=message,
+                repo_type=TYPE,
+            )
+            _tag(api, repo)
+        url = f"{api.endpoint}/datasets/{repo}"
+        text = f"pushed {counted(len(dataset), 'episode')}, {counted(len(names), 'file')}, {size_text(size)}: {url}"
+        data = {
+            "repo": repo,
+            "url": url,
+            "episodes": len(dataset),
+            "files": len(names),
+            "bytes": size,
+            "commit": commit.oid,
+        }
+        return Outcome(text=text, data=data, result=url)
+
+
+def _uploaded(api: Any, repo: str, root: Path, names: Sequence[str], checksums: bytes) -> list[Any]:
+    """Operations of a commit whose large files are on the server already.
+
+    `HfApi.upload_folder` would do as much in one call, and `upload_large_folder` in many commits, of which an interruption
+    leaves some: a dataset without its last shards looks whole to LeRobot.
+    """
+    from huggingface_hub import CommitOperationAdd
+
+    additions = [CommitOperationAdd(path_in_repo=name, path_or_fileobj=str(root / name)) for name in names]
+    with progress(total=len(additions), desc="upload", unit="file") as bar:
+        for k in range(0, len(additions), _BATCH):
+            batch = additions[k : k + _BATCH]
+            api.preupload_lfs_files(repo, batch, repo_type=TYPE, free_memory=False)
+            bar.update(len(batch))
+    return [*additions, CommitOperationAdd(path_in_repo=CHECKSUMS, path_or_fileobj=checksums)]
+
+
+def _deletions(api: Any, repo: str, names: set[str]) -> list[Any]:
+    """Operations that delete files of an earlier version: LeRobot reads every data file that is there."""
+    from huggingface_hub import CommitOperationDelete
+
+    present = api.list_repo_files(repo, repo_type=TYPE)
+    old = [name for name in present if name.partition("/")[0] in PARTS and name not in names]
+    return [CommitOperationDelete(path_in_repo=name) for name in old]
+
+
+def _tag(api: Any, repo: str) -> None:
+    """Moves the tag by which LeRobot finds datasets of its version to the latest commit."""
+    from huggingface_hub.errors import HfHubHTTPError
+
+    with suppress(HfHubHTTPError):  # there was none
+        api.delete_tag(repo, tag=VERSION_TAG, repo_type=TYPE)
+    api.create_tag(repo, tag=VERSION_TAG, repo_type=TYPE, exist_ok=True)
