@@ -16,12 +16,13 @@ from h3data.bodies.people.reach import Hand
 from h3data.geometry import IDENTITY_POSE
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
-from h3data.scene.freespace.free_space import sample_sdf
 from sim_kinematic.motion.spec import ArmRoomSpec
 from sim_kinematic.motion.state import HumanState
 
 ROUNDING = 1e-9
 """Far more than rounding can make of a comparison in `_draw_in_worlds`."""
+BLOCK = 256
+"""Lines that are followed together: their numbers fit into the first cache."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """In the order of `HumanState.arms`."""
 
@@ -33,37 +34,66 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
     Distances differ by no more than the path between two points, so where there is room a line is followed by as much. What
     it asks for is the most of its looks. A line is left as soon as no further look can change the arm.
 
-    All lines advance by one look in turn: on a line each look has to wait for the one before, so one line after the other
-    takes 1.7 times as long.
+    On a line each look has to wait for the one before, so all lines of a block advance by one look in turn, in loops over
+    arrays that compile to vector instructions but for the look-up itself (`sample_sdf`, bit for bit). Line after line takes
+    three times as long. Skipping looks by a remembered clearance would spare little: in furnished homes four lines in five
+    come near something.
     """
     worlds, end = len(heading), within + fade
-    x, z, c, s = np.empty(2 * worlds), np.empty(2 * worlds), np.empty(worlds), np.empty(worlds)
-    along, most, enough = np.full(2 * worlds, -end), np.zeros(2 * worlds), np.empty(2 * worlds)
-    lines, count = np.empty(2 * worlds, np.intp), 0
-    for w in range(worlds):
-        c[w], s[w] = math.cos(heading[w]), math.sin(heading[w])
-        for k in range(2):
-            line, side = 2 * w + k, 2.0 * k - 1.0
-            x[line], z[line] = xz[w, 0] + s[w] * side * aside, xz[w, 1] + c[w] * side * aside
-            enough[line] = min(arms[w, k] + rate + ROUNDING, 1.0)
-            lines[count] = line
-            count += k != busy
-    while count > 0:
-        left = 0
-        for n in range(count):
-            line = lines[n]
-            w, at, before = line >> 1, along[line], most[line]
-            room = sample_sdf(sdf, origin, cell, x[line] + c[w] * at, z[line] - s[w] * at)
-            need = min((free - room) / (free - tight), 1.0) - max(abs(at) - within, 0.0) / fade
-            need = max(need, before)
-            at += max(room - free, step)
-            along[line], most[line] = at, need
-            lines[left] = line
-            left += (at <= end) & (need < enough[line]) & (at - within < (1.0 - need) * fade + ROUNDING)
-        count = left
-    for w in range(worlds):
-        for k in range(2):
-            arms[w, k] += min(max(most[2 * w + k] - arms[w, k], -rate), rate)
+    flat, columns = sdf.reshape(-1), sdf.shape[1]
+    most_x, most_z, last_x, last_z = sdf.shape[0] - 1.0, sdf.shape[1] - 1.0, sdf.shape[0] - 2.0, sdf.shape[1] - 2.0
+    numbers = np.empty((14, min(2 * worlds, BLOCK)))
+    # one by one: rows of a slice would not be known to be contiguous
+    x, z, c, s, along, most, enough = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6]
+    a, b, off_x, off_z, cells, room, asks = (
+        numbers[7], numbers[8], numbers[9], numbers[10], numbers[11], numbers[12], numbers[13],
+    )  # fmt: skip
+    low_x, low_z = origin[0], origin[1]
+    lines, goes_on = np.empty(numbers.shape[1], np.intp), np.empty(numbers.shape[1], np.uint8)
+    for begin in range(0, worlds, BLOCK // 2):
+        stop, count = min(begin + BLOCK // 2, worlds), 0
+        for w in range(begin, stop):
+            cosine, sine = math.cos(heading[w]), math.sin(heading[w])
+            for k in range(2):
+                line, side = 2 * (w - begin) + k, 2.0 * k - 1.0
+                asks[line], along[count], most[count], lines[count] = 0.0, -end, 0.0, line
+                x[count], z[count] = xz[w, 0] + sine * side * aside, xz[w, 1] + cosine * side * aside
+                c[count], s[count], enough[count] = cosine, sine, min(arms[w, k] + rate + ROUNDING, 1.0)
+                count += k != busy
+        while count > 0:
+            for n in range(count):  # cells, and places in them
+                fx = (x[n] + c[n] * along[n] - low_x) / cell - 0.5
+                fz = (z[n] - s[n] * along[n] - low_z) / cell - 0.5
+                cx, cz = fx if fx > 0.0 else 0.0, fz if fz > 0.0 else 0.0
+                cx, cz = cx if cx < most_x else most_x, cz if cz < most_z else most_z
+                i, j = np.floor(cx), np.floor(cz)
+                i, j = i if i < last_x else last_x, j if j < last_z else last_z
+                a[n], b[n], off_x[n], off_z[n], cells[n] = cx - i, cz - j, fx - cx, fz - cz, i * columns + j
+            for n in range(count):  # distances
+                k = np.uint64(np.int64(cells[n]))  # unsigned: a negative index would have to be looked for
+                below = k + np.uint64(columns)
+                near = (1.0 - a[n]) * ((1.0 - b[n]) * flat[k] + b[n] * flat[k + np.uint64(1)])
+                far = a[n] * ((1.0 - b[n]) * flat[below] + b[n] * flat[below + np.uint64(1)])
+                room[n] = near + far
+                if off_x[n] != 0.0 or off_z[n] != 0.0:
+                    room[n] -= cell * np.hypot(off_x[n], off_z[n])
+            for n in range(count):  # what they ask for, and where the next look is
+                share, beyond, stride = (free - room[n]) / (free - tight), abs(along[n]) - within, room[n] - free
+                need = (share if share < 1.0 else 1.0) - (beyond if beyond > 0.0 else 0.0) / fade
+                need = need if need > most[n] else most[n]
+                at = along[n] + (stride if stride > step else step)
+                along[n], most[n] = at, need
+                goes_on[n] = (at <= end) & (need < enough[n]) & (at - within < (1.0 - need) * fade + ROUNDING)
+            left = 0
+            for n in range(count):
+                asks[lines[n]] = most[n]
+                x[left], z[left], c[left], s[left] = x[n], z[n], c[n], s[n]
+                along[left], most[left], enough[left], lines[left] = along[n], most[n], enough[n], lines[n]
+                left += goes_on[n]
+            count = left
+        for w in range(begin, stop):
+            for k in range(2):
+                arms[w, k] += min(max(asks[2 * (w - begin) + k] - arms[w, k], -rate), rate)
 
 
 def draw_arms(
