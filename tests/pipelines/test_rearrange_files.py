@@ -469,3 +469,48 @@ def test_info_of_real_files(real: Path, capsys: pytest.CaptureFixture[str]) -> N
     demo, teleop = run_json(capsys, "info", folder / "demo.json.gz", folder / "hitl_teleop_episodes.json.gz")["found"]
     assert (demo["episodes"], len(demo["scenes"]), demo["objects"]["greatest"]) == (2, 2, 7)
     assert (teleop["episodes"], teleop["goals"]["mean"]) == (2000, 1)
+
+
+def test_habitats_own_assets_are_played_in_their_frames(
+    real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In habitat-sim's test scene: a chair whose center of mass is 22 cm off its origin, and a donut on the table."""
+    assets = real / "habitat-sim" / "data" / "test_assets"
+    donut, chair = np.eye(4), np.eye(4)
+    donut[:3, 3] = 0.85, 1.21, -0.25
+    chair[:3, 3] = 2.5, 0.6, 2.5
+    there, turned = donut.copy(), pose_to_matrix(np.array([2.0, 0.7, 3.0, 0, np.sin(0.6), 0, np.cos(0.6)]))
+    there[:3, 3] = 0.2, 1.21, -0.85
+    episode = {
+        "episode_id": "0",
+        "scene_id": "data/test_assets/scenes/simple_room.stage_config.json",
+        "scene_dataset_config": "default",
+        "additional_obj_config_paths": ["data/test_assets/objects/"],
+        "rigid_objs": [["donut.object_config.json", donut.tolist()], ["chair.object_config.json", chair.tolist()]],
+        "targets": {"donut_:0000": there.tolist(), "chair_:0000": turned.tolist()},
+        "info": {"object_labels": {"donut_:0000": "any_targets|0", "chair_:0000": "any_targets|1"}},
+        "instruction": "Put the donut across the table.",
+    }
+    one = {**episode, "targets": {"donut_:0000": there.tolist()}}
+    file = written(tmp_path / "eps.json", [episode, one])
+    args = ("--assets", assets.parent, "--spawn-distance", 2, "--policy", "solo", "-o", tmp_path / "ds")
+    result = run_json(capsys, "generate", "rearrange", "--episodes-file", file, *args)
+    assert (result["warnings"], result["failed"]) == ([], [])
+    both, alone = (recording.episode.info for recording in h3data.open(tmp_path / "ds"))
+    assert (alone["ended"], alone["instruction"]) == ("success", episode["instruction"])
+    middle = np.array([-0.07404434, -0.20700817, 0.00593796])  # of the chair, from its mesh's box
+    np.testing.assert_allclose(both["goals"][1]["start"][:3], chair[:3, 3] - middle, atol=1e-6)
+    np.testing.assert_allclose(both["goals"][1]["position"], turned[:3, 3] - turned[:3, :3] @ middle, atol=1e-6)
+    np.testing.assert_allclose(both["goals"][0]["start"][:3], donut[:3, 3], atol=1e-6)
+
+
+def test_episodes_that_cannot_be_sampled_are_left_out_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ("--scenes", "small", "--episodes", 2, "--homes", 2, "--dry-run", "-o", tmp_path / "ds")
+    refused = ("--save-episodes", tmp_path / "x.json", "--spawn-distance", 90)
+    told = run_json(capsys, "generate", "rearrange", *args, *refused, code=2)["error"]
+    assert "Found no start poses 90.0 m apart" in told
+    assert not (tmp_path / "x.json").exists()
+    told = run_json(capsys, "generate", "rearrange", *args, "--save-episodes", tmp_path / "x.txt", code=2)["error"]
+    assert "ends in .json.gz or .json" in told

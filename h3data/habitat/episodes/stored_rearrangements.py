@@ -222,6 +222,7 @@ def rearrangement_of(recording: Recording) -> StoredRearrangement:
                 "scene_source": plain(info.get("scene_source", {})),
                 "rules": plain(info.get("spec", {})),
                 "recording": recording.episode.uid,
+                "instruction": str(info.get("instruction") or ""),
             },
             StoredRearrangement,
         )

@@ -152,11 +152,12 @@ class Generate:
             raise InputError("--share-scenes is for logs (--mcap): a dataset stores each scene once anyway.")
         out = place(self.out)
         if self.save_episodes is not None:
-            claim_episode_file(self.save_episodes, force=self.force)
+            claim_episode_file(self.save_episodes, force=self.force or self.resume)
         asked = self._jobs()
         jobs = asked.jobs
         if self.save_episodes is not None:
-            save_episodes(jobs, self.save_episodes)
+            unsaved = save_episodes(jobs, self.save_episodes)
+            asked = asked._replace(left_out=(*asked.left_out, *unsaved))
         if self.dry_run:
             return self._plan(asked)
         if self.force:

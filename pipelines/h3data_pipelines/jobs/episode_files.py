@@ -18,6 +18,7 @@ from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
 if TYPE_CHECKING:
+    from h3data.habitat.episodes.rearrange_episode import EpisodeSet
     from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode as FileEntry
     from sim_kinematic.tasks.task import Task
 
@@ -78,8 +79,8 @@ def file_jobs(
     given = {"seed": seed != 0, "spawn_distance": choices.spawn_distance is not None}
     if not storage.samples_starts:
         refuse_beside("--episodes-file", **given)
-    there = read_episodes(path).episodes
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    read = read_episodes(path)
+    there, digest = read.episodes, _digest(path, read)
     jobs: list[Job] = []
     stand_ins: dict[str, None] = {}
     left_out: dict[str, list[int]] = {}
@@ -113,6 +114,16 @@ def file_jobs(
         ),
         tuple(stand_ins),
     )
+
+
+def _digest(path: Path, read: EpisodeSet) -> str:
+    """SHA-256 (hex) of the file; of a set that is split by scene also of its episodes."""
+    from h3data.habitat.episodes.episode_json import encode_episode
+
+    digest = hashlib.sha256(path.read_bytes())
+    for entry in read.episodes if read.contents else ():
+        digest.update(encode_episode(entry))
+    return digest.hexdigest()
 
 
 def _not_of_task(entry: FileEntry, task: Task, path: Path) -> str:
@@ -163,26 +174,30 @@ def claim_episode_file(path: Path, *, force: bool) -> None:
     claim_file(path, force=force)
 
 
-def save_episodes(jobs: Sequence[Job], path: Path) -> None:
-    """Writes the episodes of jobs as a file that `file_jobs` makes the same ones of.
+def save_episodes(jobs: Sequence[Job], path: Path) -> tuple[str, ...]:
+    """Writes the episodes of jobs as a file that `file_jobs` makes the same ones of; returns why others are left out.
 
     Raises:
-        SceneError: an episode cannot be sampled.
+        SceneError: none can be sampled.
     """
     from h3data.habitat.episodes.episode_files import write_episodes
     from h3data.habitat.episodes.rearrange_episode import EpisodeSet
 
-    entries = []
+    entries: list[FileEntry] = []
+    faults: dict[int, H3DataError] = {}
     for job in progress(jobs, desc="episodes", unit="episode", at_least=5):
         storage = job.found_task.storage()
         config = job.source.path if isinstance(job.source, SceneFile) and job.source.scene else "default"
+        try:
+            record = storage.record(job.episode())
+        except H3DataError as fault:
+            faults[job.index] = fault
+            continue
         entries.append(
-            storage.entry(
-                storage.record(job.episode()),
-                episode_id=str(job.index),
-                scene_id=job.scene,
-                scene_dataset_config=config,
-            )
+            storage.entry(record, episode_id=str(job.index), scene_id=job.scene, scene_dataset_config=config)
         )
+    if not entries:
+        raise next(iter(faults.values()))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_episodes(EpisodeSet(episodes=tuple(entries)), path)
+    return tuple(f"episode {index} of {path.name}: {fault}" for index, fault in faults.items())

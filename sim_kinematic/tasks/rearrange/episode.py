@@ -117,6 +117,8 @@ class RearrangeEpisode(Episode):
     """Objects of ``scene`` that the file of the episode added to it."""
     object_paths: tuple[str, ...] = ()
     """Folders with their templates."""
+    wording: str = ""
+    """The instruction in the file of the episode; empty: it follows from the targets."""
     is_sampled: bool = True
     """Whether the episode follows from its seed and the rules; else its identity includes starts and targets."""
 

@@ -72,6 +72,7 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             scene_sha256=scene_digest(episode.scene),
             scene_source=plain(dict(episode.scene.source)),
             rules=rules_to_json(episode.spec),
+            instruction=episode.wording,
         )
         if episode.is_sampled:
             record = msgspec.structs.replace(record, sampled_sha256=content_digest(record))
@@ -142,14 +143,16 @@ class RearrangeStorage(EpisodeStorage[StoredRearrangement]):
             pair_starts=starts,
             added=record.objects,
             object_paths=record.object_paths,
+            wording=record.instruction,
             is_sampled=unchanged,
         )
 
     def _furnished(self, record: StoredRearrangement, place: EpisodePlace) -> tuple[Scene, tuple[Target, ...]]:
         """The scene with the episode's own objects, and what has to go where in it."""
         scene, origins = place.scene, {}
-        there = {i.name for i in scene.instances}
-        objects = [thing for thing in record.objects if record.com_frames or thing.name not in there]
+        # an exported home lacks what moves; the home itself, built again, has it
+        built = {i.name for i in scene.instances} if scene.source.get("kind") == "home" else set()
+        objects = [thing for thing in record.objects if thing.name not in built]
         if objects:
             search = search_of(scene, record.object_paths, place.assets)
             scene, origins = with_objects(scene, objects, search)

@@ -162,6 +162,7 @@ class Rearrange(Task):
             targets=tuple(map(target_of, goals)),
             pair=pair_of(roster),
             pair_starts=Starts.of(np.array(first)),
+            wording=str(info.get("instruction") or ""),
         )
 
     def assign(self, episode: Episode, chosen: Assigned | None = None) -> list[AssignedPolicy]:
@@ -262,7 +263,9 @@ class Rearrange(Task):
 
     def instruction(self, episode: Episode) -> str:
         assert isinstance(episode, RearrangeEpisode)
-        errands = [f"bring the {spoken(t.name)} to the {spoken(t.destination)}" for t in episode.targets]
+        if episode.wording:
+            return episode.wording
+        errands = [f"bring the {spoken(t.name) or 'object'} to {_there(t.destination)}" for t in episode.targets]
         return " and ".join(errands)
 
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
@@ -408,11 +411,19 @@ def solo_steps_of(episode: RearrangeEpisode) -> int:
 def spoken(name: str) -> str:
     """The kind of thing that an instance or receptacle is named after: ``tv_stand_0|top_left`` is a "tv stand".
 
-    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``).
+    Habitat's names have numbers at both ends and colons (``003_cracker_box_:0000``), or are hashes, which have no words.
     """
     instance = name.partition("|")[0].partition(":")[0].rpartition("/")[2]
-    words = " ".join(re.split(r"[_\W]+", instance)).strip()
-    return re.sub(r"^(\d+ )+|( \d+)+$", "", words) or instance
+    words = [word for word in re.split(r"[_\W]+", instance) if word and not _HASH.fullmatch(word)]
+    return re.sub(r"^(\d+ )+|( \d+)+$", "", " ".join(words)) or ("" if _HASH.search(instance) else instance)
+
+
+_HASH = re.compile(r"(?=[0-9a-f]*\d)[0-9a-f]{12,}")
+
+
+def _there(destination: str) -> str:
+    words = spoken(destination)
+    return f"the {words}" if words else "its goal"
 
 
 def pair_of(roster: Sequence[AgentSpec]) -> tuple[str, str]:
