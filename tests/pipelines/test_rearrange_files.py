@@ -198,7 +198,10 @@ def test_habitat_episodes_are_saved_with_their_starts(
         ({"targets": {"ghost_:0000": np.eye(4).tolist()}}, "its target 'ghost_:0000' is none of its objects"),
         ({"rigid_objs": []}, "is none of its objects (it has none)"),
         ({"targets": {}}, "names no targets"),
-        ({"rigid_objs": [[f"{BOWL}.object_config.json", np.zeros((4, 4)).tolist()]]}, "is no rotation and translation"),
+        (
+            {"targets": {f"{BOWL}_:0000": np.zeros((4, 4)).tolist()}},
+            "the goal of '024_bowl_:0000' is no rotation and translation",
+        ),
         ({"rigid_objs": [[f"{BOWL}.object_config.json", [[float("nan")] * 4] * 4]]}, "Expected finite numbers"),
         ({"scene_id": "data/gone.scene_instance.json", "scene_dataset_config": "default"}, "Cannot find the scene"),
     ],

@@ -48,7 +48,7 @@ def scene_of_episode(
     if found is not None:
         options = {"assets": tuple(map(str, assets)), "allow_missing": allow_missing}
         return SceneFile(path=found[0], scene=found[1], **options)
-    why = "" if stored is None else "it is no home, and "
+    why = "it is no home, and " if source else ""
     why = "this version of h3data makes another home from its specification, and " if home is not None else why
     named = " or ".join(
         name for name in (episode.scene_id, episode.scene_dataset_config) if name not in ("", "default")

@@ -13,7 +13,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.geometry import pose_from_matrix, quat_from_heading
@@ -161,27 +160,30 @@ def read_rearrangement(episode: RearrangeEpisode) -> StoredRearrangement | None:
 def _of_habitat(episode: RearrangeEpisode, placements: tuple[Placement, ...]) -> StoredRearrangement:
     where = f"Episode {episode.episode_id!r}"
     handles = instance_handles(episode)
+    asked = {} if placements else episode.targets
+    strangers = asked.keys() - set(handles)
+    if strangers:
+        listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
+        raise InputError(f"{where}: its target {min(strangers)!r} is none of its objects ({listed}).")
+    matrices = [*(thing.matrix for thing in episode.rigid_objects), *asked.values()]
+    what = [*(f"the pose of {name!r}" for name in handles), *(f"the goal of {name!r}" for name in asked)]
+    poses = _poses(matrices, what, where)
+    starts = dict(zip(handles, poses, strict=False))
     objects = tuple(
-        EpisodeObject(name=name, config=thing.config, pose=tuple(_pose(thing.matrix, f"{where}: the pose of {name!r}")))
+        EpisodeObject(name=name, config=thing.config, pose=tuple(starts[name]))
         for name, thing in zip(handles, episode.rigid_objects, strict=True)
     )
-    starts = {thing.name: thing.pose for thing in objects}
-    goals = []
-    for k, (name, matrix) in enumerate(() if placements else episode.targets.items()):
-        if name not in starts:
-            listed = ", ".join(handles[:6]) + (", ..." if len(handles) > 6 else "") if handles else "it has none"
-            raise InputError(f"{where}: its target {name!r} is none of its objects ({listed}).")
-        goal = _pose(matrix, f"{where}: the goal of {name!r}")
-        goals.append(
-            StoredGoal(
-                object=name,
-                start=list(starts[name]),
-                position=goal[:3],
-                rotation=goal[3:],
-                source=episode.name_to_receptacle.get(name) or _at(episode.target_receptacles, k),
-                destination=_at(episode.goal_receptacles, k),
-            )
+    goals = [
+        StoredGoal(
+            object=name,
+            start=starts[name],
+            position=goal[:3],
+            rotation=goal[3:],
+            source=episode.name_to_receptacle.get(name) or _at(episode.target_receptacles, k),
+            destination=_at(episode.goal_receptacles, k),
         )
+        for k, (name, goal) in enumerate(zip(asked, poses[len(handles) :], strict=True))
+    ]
     return StoredRearrangement(
         goals=tuple(goals),
         placements=placements,
@@ -236,10 +238,15 @@ def _at(receptacles: Sequence[tuple[str, int | None]], index: int) -> str:
     return receptacles[index][0] if index < len(receptacles) else ""
 
 
-def _pose(matrix: NDArray[np.float64], what: str) -> list[float]:
-    if not is_rigid(matrix):
-        raise InputError(f"{what} is no rotation and translation.")
-    return pose_from_matrix(np.asarray(matrix, np.float64)).astype(np.float64).tolist()
+def _poses(matrices: Sequence[Matrix], what: Sequence[str], where: str) -> list[list[float]]:
+    """pose7 of each matrix."""
+    if not matrices:
+        return []
+    stacked = np.stack(matrices).astype(np.float64)
+    rigid = is_rigid(stacked)
+    if not rigid.all():
+        raise InputError(f"{where}: {what[int(np.argmin(rigid))]} is no rotation and translation.")
+    return pose_from_matrix(stacked).astype(np.float64).tolist()
 
 
 def _require_finite(record: StoredRearrangement) -> None:

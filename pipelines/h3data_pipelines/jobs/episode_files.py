@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.task import Task
 
 
+_SHOWN = 20
+
+
 class FileJobs(NamedTuple):
     """The episodes of a file."""
 
@@ -49,7 +52,11 @@ class Lacking(Protocol):
 
 def notes_on(made: Lacking) -> str:
     """Lines on what a file lacks, each after a line break."""
-    lines = [*(f"left out {text}" for text in made.left_out), *(f"warning: {text}" for text in made.warnings)]
+    lines = []
+    for word, texts in (("left out", made.left_out), ("warning:", made.warnings)):
+        lines += [f"{word} {text}" for text in texts[:_SHOWN]]
+        if len(texts) > _SHOWN:
+            lines.append(f"{word} {len(texts) - _SHOWN} more like these (--json lists all)")
     return "".join(f"\n{line}" for line in lines)
 
 
@@ -85,7 +92,8 @@ def file_jobs(
     stand_ins: dict[str, None] = {}
     left_out: dict[str, list[int]] = {}
     faults: list[H3DataError] = []
-    for i, entry in enumerate(there[: chosen_count(episodes, len(there), path.name)]):
+    count = chosen_count(episodes, len(there), path.name)
+    for i, entry in enumerate(progress(there[:count], desc="read episodes", unit="episode", at_least=1000)):
         try:
             stored = storage.read(entry, seed=episode_seed(seed, i))
             if stored is None:
