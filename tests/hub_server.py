@@ -194,6 +194,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path, hub = unquote(urlsplit(self.path).path), self.hub
+        if found := re.fullmatch(r"/api/datasets/([^/]+/[^/]+)/refs", path):
+            if repo := self.visible(found[1]):
+                tags = [{"name": t, "ref": f"refs/tags/{t}", "targetCommit": sha} for t, sha in repo.tags.items()]
+                self.answer({"branches": [], "converts": [], "tags": tags})
+            return
         found = re.fullmatch(r"/(?:api/)?datasets/([^/]+/[^/]+)(?:/(revision|tree|resolve)/([^/]+)(?:/(.+))?)?", path)
         if not found:
             self.refuse(404)

@@ -214,6 +214,20 @@ def test_damaged_videos_are_named(tmp_path, capsys):
         list(dataset.video(0, "eye").frames())
 
 
+def test_videos_are_stored_and_read_at_a_uri(tmp_path):
+    root = f"mock://{tmp_path.name}/ds"
+    with DatasetWriter(root, episodes_per_file=2) as writer:
+        for k in range(3):
+            writer.add(simple_recording(steps=10, seed=k), videos=[filmed(tmp_path, k, 10)])
+    with DatasetWriter(root, resume=True) as writer:
+        writer.add(simple_recording(steps=10, seed=3), videos=[filmed(tmp_path, 3, 10)])
+    dataset = Dataset(root)
+    for k in range(4):
+        assert [number_in(f) for f in dataset.video(k, "eye").frames()] == [100 * k + step for step in range(10)]
+    dataset.all().save(tmp_path / "ds")
+    assert looked_up(tmp_path / "ds", 3, np.arange(10) / 30) == [300 + step for step in range(10)]
+
+
 def test_a_dataset_is_replaced_with_its_videos(tmp_path):
     written(tmp_path / "ds", (10,))
     with DatasetWriter(tmp_path / "ds", overwrite=True) as writer:

@@ -7,6 +7,7 @@ or ``DATASET=PICTURES`` with a folder of ``<anything>#<episode>.<camera>.rgb/<st
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from pathlib import Path
@@ -57,7 +58,9 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 BACKEND = os.environ.get("LEROBOT_BACKEND", "pyav")
 """lerobot's name of a decoder: pyav or torchcodec."""
 LEAST_DB = 28.0
-"""A frame of another step, or of another camera, has less than 25 dB."""
+"""Least similarity of a decoded frame and the picture that was rendered for its step."""
+ALIKE_DB = 32.0
+"""Pictures of neighbouring steps that are more alike than this do not tell which of them a frame shows."""
 
 
 def check(root: Path, pictures: Path | None) -> str:
@@ -66,7 +69,7 @@ def check(root: Path, pictures: Path | None) -> str:
     table = pq.read_table(root / "data").to_pydict()
     cameras = dataset.meta.video_keys
     assert len(dataset) == len(table["index"]) > 0, (len(dataset), len(table["index"]))
-    worst, compared = np.inf, 0
+    worst, compared, told_apart = np.inf, 0, 0
     for k in range(len(dataset)):
         row = dataset[k]
         for name, values in table.items():
@@ -76,15 +79,21 @@ def check(root: Path, pictures: Path | None) -> str:
         for camera in cameras:
             assert tuple(row[camera].shape[-2:]) == tuple(dataset.meta.features[camera]["shape"][:2])
             if pictures is not None:
-                found = psnr_db(
-                    row[camera], rendered(pictures, camera, table["episode_index"][k], table["frame_index"][k])
-                )
+                episode, step = table["episode_index"][k], table["frame_index"][k]
+                picture = rendered(pictures, camera, episode, step)
+                found = psnr_db(row[camera], picture)
                 assert found > LEAST_DB, (camera, k, found)
                 worst, compared = min(worst, found), compared + 1
+                for other in (step - 1, step + 1):
+                    neighbour = rendered(pictures, camera, episode, other)
+                    if neighbour is not None and psnr_db(as_frame(neighbour), picture) < ALIKE_DB:
+                        assert found > psnr_db(row[camera], neighbour), (camera, k, other)
+                        told_apart += 1
     assert {camera: dataset.meta.stats[camera]["mean"].shape for camera in cameras} == dict.fromkeys(cameras, (3, 1, 1))
     if "action" in table:
         check_windows(root, dataset, cameras)
-    seen = f", {compared} frames of {len(cameras)} cameras as rendered (at least {worst:.1f} dB)" if compared else ""
+    seen = f", {compared} frames of {len(cameras)} cameras as rendered (at least {worst:.1f} dB" if compared else ""
+    seen += f", {told_apart} times nearer than to a neighbour)" if compared else ""
     tasks = ", ".join(map(repr, dataset.meta.tasks.index))
     rows = f"{len(dataset)} rows of {len(table)} columns are equal"
     return f"{root}: {dataset.meta.total_episodes} episodes ({tasks}), {rows}{seen}"
@@ -104,11 +113,18 @@ def check_windows(root: Path, dataset: LeRobotDataset, cameras: list[str]) -> No
             assert torch.equal(window[0], dataset[before][camera]), (camera, k)
 
 
-def rendered(pictures: Path, feature: str, episode: int, step: int) -> np.ndarray:
-    """The picture of a step that ``h3data rerender --format png`` made."""
+@functools.lru_cache(maxsize=16)
+def rendered(pictures: Path, feature: str, episode: int, step: int) -> np.ndarray | None:
+    """The picture of a step that ``h3data rerender --format png`` made; None: there is no such step."""
     camera = feature.removeprefix("observation.images.")
-    (path,) = pictures.glob(f"*#{episode}.{camera}.rgb/{step:06d}.png")
-    return np.asarray(Image.open(path))
+    (folder,) = pictures.glob(f"*#{episode}.{camera}.rgb")
+    path = folder / f"{step:06d}.png"
+    return np.asarray(Image.open(path)) if path.exists() else None
+
+
+def as_frame(picture: np.ndarray) -> torch.Tensor:
+    """A picture in the form of a decoded frame."""
+    return torch.from_numpy(picture / 255).permute(2, 0, 1)
 
 
 def psnr_db(frame: torch.Tensor, picture: np.ndarray) -> float:
