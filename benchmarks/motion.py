@@ -10,7 +10,7 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
 ``turning_share``
     Steps in which the root turns without getting anywhere, of all steps.
 ``foot_slide``
-    How far the planted foot moves along the floor: the lowest point of a sole that is within 5 mm of it before and after a
+    How far the planted foot moves along the floor: the lowest point of a sole that is within 2 mm of it before and after a
     step. Where both are, that of the foot that moves less, as a swinging foot may graze the floor. Mean and 99th percentile.
 ``jerk``
     Mean length of the third derivative of the paths of head, wrists and ankles while the root moves [m/s^3].
@@ -43,7 +43,7 @@ from sim_kinematic.motion.spec import STEP_S
 Emit = Callable[[str, float, str], None]
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 POP_M, STEADY_ROOM = 0.12, 1.1
-AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.005
+AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
 BODY_JOINTS = 22
 """Joints without jaw, eyes and fingers, which the wrists stand for."""
 JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]

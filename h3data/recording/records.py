@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import FormatError
 
-SCHEMA_VERSION = "1.4"
+SCHEMA_VERSION = "1.5"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
 STEP_NS = 33_333_333

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
@@ -28,6 +30,9 @@ from h3data.replay.records import (
 )
 from h3data.scene import Mesh, Scene, load_scene
 
+PLANTED_SINCE = (1, 5)
+"""Schema version since which people recorded by clips walk with planted feet."""
+
 
 class PosedRecording:
     """Everything in a recording, posed at any step.
@@ -38,8 +43,8 @@ class PosedRecording:
             placeholders and listed in `missing`.
         detail: Whether to use the full (True) or the reduced (False) meshes of people. By default, images use whichever is
             sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
-        stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`). Affects
-            appearance only.
+        stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
+            who were recorded by clips walk with planted feet. Affects appearance only.
     """
 
     def __init__(
@@ -229,16 +234,40 @@ class PosedRecording:
         prefix, columns = f"agent_{agent}.", self.recording.columns
         if prefix + "joint_quat" in columns:
             return body.joint_matrices_free(columns[prefix + "root_pose"][steps], columns[prefix + "joint_quat"][steps])
+        arms = columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None
+        if self.stepping and self.plants_feet:
+            quats, pelvis = pose_planted(body.gait_tables, self._gait_of(agent, body)[steps])
+            if arms is not None:
+                draw_in(quats, arms)
+            return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
         quats, pelvis = body.clip_pose(
             columns[prefix + "motion_id"][steps],
             columns[prefix + "motion_phase"][steps],
             columns[prefix + "motion_blend"][steps],
-            arms=columns[prefix + "motion_arms"][steps] if prefix + "motion_arms" in columns else None,
+            arms=arms,
         )
         if self.stepping:
             feet = self._feet_of(agent)
             quats, pelvis = turned(body, quats, pelvis, feet.yaw[steps], feet.lift[steps])
         return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
+
+    @cached_property
+    def plants_feet(self) -> bool:
+        """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`): since schema
+        1.5. Older recordings are posed as they were when they were made."""
+        version = self.recording.episode.schema_version.split(".")
+        return tuple(int(part) if part.isdigit() else 0 for part in version) >= PLANTED_SINCE
+
+    def _gait_of(self, agent: int, body: Humanoid) -> Array:
+        if agent not in self._gaits:
+            base = self.recording.agent_column(agent, "base_pose")
+            time_s = self.recording.columns["time_ns"].astype(np.float64) * 1e-9
+            self._gaits[agent] = planted_states(body.gait_tables, base, time_s)
+        return self._gaits[agent]
+
+    @cached_property
+    def _gaits(self) -> dict[int, Array]:
+        return {}
 
     def _feet_of(self, agent: int) -> TurningFeet:
         if agent not in self._feet:

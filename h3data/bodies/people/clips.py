@@ -41,7 +41,7 @@ CLIP_FRAMES = 128
 """Frames are interpolated linearly: planted feet creep less than 0.1 mm (measured over all bodies)."""
 _FLAT = np.zeros((0, 2))
 """Heights of a floor that is level with the root."""
-_TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
+TO_ROOT = quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.pi / 2)
 """Body frame (+Z forward) to agent root frame (x forward)."""
 
 
@@ -100,8 +100,12 @@ class Gaits:
         """Postures of moving at speeds [T] [m/s]: fitted values between the fitted speeds are interpolated."""
         if np.all(speed_mps > JOG_ABOVE_MPS):
             return gait_posture(JOG, self.legs, self.stride_m(speed_mps), self.jog, phase)
-        values = np.stack([np.interp(speed_mps, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=1)
-        return gait_posture(WALK, self.legs, self.stride_m(speed_mps), values, phase)
+        return gait_posture(WALK, self.legs, self.stride_m(speed_mps), self.walk_values(speed_mps), phase)
+
+    def walk_values(self, speed_mps: ArrayLike) -> Array:
+        """Values [..., P] of walking at speeds [...] [m/s], between those fitted."""
+        speed = np.asarray(speed_mps, np.float64)
+        return np.stack([np.interp(speed, WALK_SPEEDS_MPS, column) for column in self.walk.T], axis=-1)
 
 
 def make_clips(gaits: Gaits) -> tuple[Clip, ...]:
@@ -141,8 +145,8 @@ def _clip(
 def _posed(legs: Legs, posture: Posture) -> tuple[Array, Array]:
     """Local rotations [T, 55, 4] and pelvis places [T, 3] of a posture in the agent root frame."""
     quats = solve_legs(legs, posture).quats
-    quats[:, 0] = quat_multiply(_TO_ROOT, quats[:, 0])
-    return quats, quat_rotate(_TO_ROOT, posture.pelvis)
+    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
+    return quats, quat_rotate(TO_ROOT, posture.pelvis)
 
 
 def pose_at_speed(
@@ -185,8 +189,8 @@ def _blended(legs: Legs, moving: Posture, phase: Array, blend: Array, ground: Ar
 
     quats, pelvis, ankle, foot = (a.copy() for a in (moving.quats, moving.pelvis, moving.ankle, moving.foot))
     settle_all(legs.measures, _standing_arrays(legs), quats, pelvis, ankle, foot, phase, blend, ground)
-    quats[:, 0] = quat_multiply(_TO_ROOT, quats[:, 0])
-    return quats, quat_rotate(_TO_ROOT, pelvis)
+    quats[:, 0] = quat_multiply(TO_ROOT, quats[:, 0])
+    return quats, quat_rotate(TO_ROOT, pelvis)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -214,7 +218,7 @@ class ClipTable:
 
         return ClipArrays(
             legs=self.legs.measures, first=self.first, frames=self.frames, quats=self.quats, pelvis=self.pelvis,
-            ankle=self.ankle, foot=self.foot, stand=_standing_arrays(self.legs), to_root=_TO_ROOT,
+            ankle=self.ankle, foot=self.foot, stand=_standing_arrays(self.legs), to_root=TO_ROOT,
         )  # fmt: skip
 
 

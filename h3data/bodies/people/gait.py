@@ -89,7 +89,7 @@ def amplitude(legs: Legs, stride_m: Array) -> Array:
 
 def start_phase(style: GaitStyle, values: Array, stride_m: float) -> float:
     """Phase at which the left foot stands exactly where it stands in the standing pose: where a walk begins."""
-    return float(_ahead(style, values[PARAMETERS.index("shift")]) - STAND_ANKLE_Z_M / stride_m)
+    return float(strike_ahead(style, values[PARAMETERS.index("shift")]) - STAND_ANKLE_Z_M / stride_m)
 
 
 TURN_START_PHASE = _TURN_STANCE / 2
@@ -132,7 +132,7 @@ def gait_posture(
     return Posture(quats=quats, pelvis=np.stack([sway, height, 0 * sway], axis=1), ankle=ankle, foot=foot)
 
 
-def _ahead(style: GaitStyle, shift: Array | float) -> Array | float:
+def strike_ahead(style: GaitStyle, shift: Array | float) -> Array | float:
     """How far ahead of the pelvis a foot strikes, in strides."""
     return style.stance / 2 - 0.045 + shift
 
@@ -182,7 +182,7 @@ def _foot_path(
         pitch = _pitch_curve(style, loose, at, scale)
         pivot = np.where((pitch > 0)[:, None], points[0], points[1])
         ankle = pivot - (rotation(X, -pitch) @ pivot[..., None])[..., 0]
-        travel = stride * (_ahead(style, p["shift"]) - at)
+        travel = stride * (strike_ahead(style, p["shift"]) - at)
         return np.stack([0 * at, ankle[:, 1] + ankle_height, ankle[:, 2] + travel], axis=1), pitch
 
     on_floor, pitch = standing(phase)

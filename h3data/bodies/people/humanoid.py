@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,9 @@ from h3data.bodies.people.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_ARRAY
 from h3data.bodies.people.skinning import Skin, apply_skin, build_skin, skin_chunks
 from h3data.geometry import Array, normalized
 from h3data.mesh.mesh import Mesh
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.kernels.planted import GaitTables
 
 LOD_BELOW_PX = 220.0
 """Up to this height in a picture a person is drawn with the light mesh: its error (4 mm) is then below half a pixel."""
@@ -118,6 +122,13 @@ class Humanoid:
     @cached_property
     def _clip_table(self) -> ClipTable:
         return clip_table(self.clips, self.gaits.legs)
+
+    @cached_property
+    def gait_tables(self) -> GaitTables:
+        """For `h3data.bodies.people.planted_gait`; made at first use (40 ms)."""
+        from h3data.bodies.people.planted_gait import gait_tables
+
+        return gait_tables(self.gaits)
 
     @cached_property
     def _capsule_arrays(self) -> tuple[NDArray[np.intp], Array, Array, Array]:

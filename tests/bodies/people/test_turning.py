@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,8 +25,10 @@ from tests.simulated import simulate_wander
 
 @pytest.fixture(scope="module")
 def wandering() -> Recording:
+    """As recordings were before people walked with planted feet."""
     home = build_home(HomeSpec(preset="small", seed=5))
-    return simulate_wander(home, "robot,human,male_1", seed=1, steps=240)
+    recording = simulate_wander(home, "robot,human,male_1", seed=1, steps=240)
+    return replace(recording, episode=replace(recording.episode, schema_version="1.4"))
 
 
 def _soles(replay: Replay, agent: int) -> np.ndarray:

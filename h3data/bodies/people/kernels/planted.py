@@ -1,0 +1,602 @@
+"""Planted walking, compiled: what a person's feet do while the root moves in any way, and the pose of any moment of it.
+
+`step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
+where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
+during the stance. Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase runs as fast as
+speed, turning or feet that stand wrong demand, and rests when both feet stand where a standing person's do.
+
+`pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
+
+In the body frame (+Z forward, +Y up, +X left) with the origin at the root; feet are ``(left, forward, yaw)`` there and
+``(x, z, heading)`` in the world.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from h3data.bodies.people.kernels.legs import LegMeasures, lowest, write_legs
+from h3data.bodies.people.kernels.tuple_math import from_vector, multiply, nlerp, put, row3, row4, turned
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.geometry import Array
+from h3data.kernels import kernel, kernel_part
+
+# columns of a state
+PHASE, SHOWN, SPEED, TURN, SINK, IDLE, TIME, X, Z, HEADING, AHEAD, STYLE = range(12)
+"""``PHASE``: of the feet, 0 where the left one strikes; ``SHOWN``: of trunk and arms, which follow it smoothly; ``SPEED`` of
+the gait, negative backwards, and ``STYLE``, that of trunk and arms [m/s]; ``TURN`` [rad/s], smoothed; ``SINK`` of the pelvis
+[m]; ``IDLE``: how far the person breathes and sways as one who stands, 0..1; ``TIME`` [s]; the root; ``AHEAD``: its speed,
+nearly [m/s]."""
+FOOT = 12
+"""Where the columns of the left foot begin."""
+AIR, SHARE, SINCE = 0, 1, 2
+"""Whether the foot swings, how far it has got 0..1, and what that was when it began (above 0 in the first step of a walk)."""
+PLANT, LEFT_AT, LANDS_AT = 3, 6, 9
+"""Where it is planted in the world [3]; by how much it was off the gait when it left the floor [3], and will be when it lands
+[3]."""
+SHAPE_OFF = 12
+"""By how much its pitch, bend [deg], ankle forward and up [m] differ from the gait's since it left the floor or landed [4]."""
+FOOT_COLUMNS = 16
+STATE_COLUMNS = FOOT + 2 * FOOT_COLUMNS
+
+ACCELERATION = 9.0
+"""The gait follows the root's speed no faster than this [m/s^2]."""
+CATCH_UP = 0.015
+"""Cycles per step by which the phase of trunk and arms comes nearer to that of the feet after a jump."""
+STYLE_ACCELERATION = 3.0
+"""Trunk and arms follow no faster than this [m/s^2]."""
+TURN_SHARE = 0.35
+"""Share of a change of the turning rate that a step takes over."""
+CYCLES_PER_RAD = 0.7
+"""Turning on the spot takes so many cycles of two steps per radian: a foot is set anew every 41 degrees."""
+SETTLE_HZ = 1.5
+"""Cadence at which feet that stand wrong are set right."""
+SETTLED_M, SETTLED_RAD = 0.02, 0.10
+"""A foot this near to its place stands right."""
+TWIST_RAD = 0.6
+"""A foot lands turned from the body by no more than this."""
+OFF_M = 0.45
+"""A foot lands no further than this from where the steady gait has it."""
+LANDING_M, LANDING_RAD = 0.06, 0.20
+"""The place where a swinging foot will land moves by no more than this in a step."""
+FIRST_SHARE = 0.25
+"""Where in its stance the foot is that stays while the other one makes the first step."""
+JUMP_M = 0.5
+"""A root that moves further in one step has been put there: the person stands."""
+MOST_STEPS, LEAST_S = 30, 1e-3
+"""Rows that are further apart are gone through in no more steps than this; a step is no shorter than this."""
+RISE_MPS = 0.5
+"""The pelvis comes back up no faster."""
+LIFT, LIFT_MOST_M = 0.18, 0.06
+"""A foot that goes to a place of its own is lifted by this share of the distance, up to so far, beside the gait's own lift."""
+SHAPE_LEFT = 0.78
+"""Share of `SHAPE_OFF` that is left after a step."""
+STRETCHED = 0.994
+"""A leg is stretched to this share of its length: straighter knees would snap."""
+LETS_GO = 0.4
+"""Over this share of its swing the pelvis stops minding whether a foot is within reach."""
+EARLY_M, EARLY_SHARE = 0.04, 0.5
+"""A foot behind the body that the pelvis would have to sink for by more than this leaves early, if the other one stands, in
+this part of its stance or later."""
+AHEAD_ACCELERATION = 25.0
+"""The place where feet land follows the root's speed no faster than this [m/s^2]."""
+CLEARANCE_M = 0.012
+"""A swinging foot keeps so far off the floor."""
+IDLE_IN, IDLE_OUT = 0.6, 3.0
+"""Rates [1/s] at which standing sway begins and ends."""
+LOOK_S, LOOK_RAD = 0.30, 0.6
+"""The head looks where the root will be turned so much later, by no more than that."""
+
+_NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
+_SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
+
+
+class GaitTables(NamedTuple):
+    """A body's gaits by speed (rows, from standing on) and phase or share of stance or swing (columns)."""
+
+    legs: LegMeasures
+    half_width: float
+    ankle_height: float
+    speeds: Array
+    """Rising from 0, [R] [m/s]."""
+    travel: Array
+    """Length of a cycle, [R] [m]; 0 at rest."""
+    cadence: Array
+    """Cycles per second, [R]."""
+    stance: Array
+    """Share of the cycle that a foot is on the floor, [R]."""
+    strike: Array
+    """Where a foot strikes ahead of the pelvis, in cycles, [R]."""
+    middle: Array
+    """Where the feet are when nothing travels, [R] [m]."""
+    quats: Array
+    """[R, P, 55, 4] in the body frame; those of legs are not used."""
+    pelvis: Array
+    """[R, P, 3] [m]."""
+    stand_foot: Array
+    """Pitch and bend of a foot on the floor, [R, S, 2] [deg]."""
+    swing_foot: Array
+    """Pitch and bend of a swinging foot, [R, S, 2] [deg]."""
+    swing_path: Array
+    """Ankle of a swinging foot from an eased line between its places on the floor: forward and up, [R, S, 2] [m]."""
+    to_root: Array
+    """Rotation from the body frame to the agent root frame, [4]."""
+
+
+@kernel_part()
+def _row(table, speed):
+    """Row below a speed, and the share of the next one."""
+    v = abs(speed)
+    last = len(table.speeds) - 1
+    if v >= table.speeds[last]:
+        return last - 1, 1.0
+    k = 0
+    while table.speeds[k + 1] <= v:
+        k += 1
+    return k, (v - table.speeds[k]) / (table.speeds[k + 1] - table.speeds[k])
+
+
+@kernel_part()
+def _at(column, k, f):
+    return column[k] + f * (column[k + 1] - column[k])
+
+
+@kernel_part()
+def _eased(u):
+    return u * u * (3 - 2 * u)
+
+
+@kernel_part()
+def _wrapped(angle):
+    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+
+
+@kernel_part()
+def _to_world(x, z, heading, left, ahead, yaw):
+    c, s = math.cos(heading), math.sin(heading)
+    return x + c * ahead - s * left, z - s * ahead - c * left, heading + yaw
+
+
+@kernel_part()
+def _to_body(x, z, heading, px, pz, ph):
+    c, s = math.cos(heading), math.sin(heading)
+    dx, dz = px - x, pz - z
+    return -s * dx - c * dz, c * dx - s * dz, _wrapped(ph - heading)
+
+
+@kernel_part()
+def _gait_ahead(table, k, f, speed, phase):
+    """How far ahead of the pelvis the steady gait has a foot on the floor at its own phase, 0 at its strike."""
+    way = math.copysign(1.0, speed) * _at(table.travel, k, f)
+    return _at(table.middle, k, f) + way * (_at(table.strike, k, f) - phase)
+
+
+@kernel_part()
+def _swing_ahead(table, k, f, speed, share):
+    stance = _at(table.stance, k, f)
+    off, on = _gait_ahead(table, k, f, speed, stance), _gait_ahead(table, k, f, speed, 0.0)
+    return off + _eased(share) * (on - off)
+
+
+@kernel_part()
+def _own_phase(phase, foot):
+    own = phase - 0.5 * foot
+    return own - math.floor(own)
+
+
+@kernel_part()
+def _swing_place(table, k, f, state, foot):
+    """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
+    at = FOOT + foot * FOOT_COLUMNS
+    share, since = state[at + SHARE], state[at + SINCE]
+    done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
+    side = table.half_width if foot == 0 else -table.half_width
+    left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
+    ahead = _swing_ahead(table, k, f, state[SPEED], share)
+    ahead += (1 - done) * state[at + LEFT_AT + 1] + done * state[at + LANDS_AT + 1]
+    yaw = (1 - done) * state[at + LEFT_AT + 2] + done * state[at + LANDS_AT + 2]
+    return left, ahead, yaw, done
+
+
+@kernel_part()
+def _foot_place(table, k, f, state, foot):
+    """Where a foot is over the floor, in the body frame: left, ahead, yaw."""
+    at = FOOT + foot * FOOT_COLUMNS
+    if state[at + AIR] > 0.0:
+        left, ahead, yaw, _ = _swing_place(table, k, f, state, foot)
+        return left, ahead, yaw
+    return _to_body(state[X], state[Z], state[HEADING], state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2])
+
+
+@kernel_part()
+def _curve(curves, k, f, share, i):
+    place = min(max(share, 0.0), 1.0) * (curves.shape[1] - 1)
+    low = min(int(place), curves.shape[1] - 2)
+    part = place - low
+    below = curves[k, low, i] + part * (curves[k, low + 1, i] - curves[k, low, i])
+    above = curves[k + 1, low, i] + part * (curves[k + 1, low + 1, i] - curves[k + 1, low, i])
+    return below + f * (above - below)
+
+
+@kernel_part()
+def _gait_shape(table, k, f, state, foot):
+    """Pitch, bend [deg], and the ankle's place forward and up from a foot's place on the floor, as the gait has them."""
+    at = FOOT + foot * FOOT_COLUMNS
+    if state[at + AIR] == 0.0:
+        share = _own_phase(state[PHASE], foot) / _at(table.stance, k, f)
+        forwards = 1.0 if state[SPEED] >= 0.0 else 0.0
+        pitch = forwards * _curve(table.stand_foot, k, f, share, 0)
+        return pitch, forwards * _curve(table.stand_foot, k, f, share, 1), 0.0, 0.0
+    share = state[at + SHARE]
+    forwards = 1.0 if state[SPEED] >= 0.0 else 0.3
+    pitch, bend = _curve(table.swing_foot, k, f, share, 0), _curve(table.swing_foot, k, f, share, 1)
+    along, up = _curve(table.swing_path, k, f, share, 0), _curve(table.swing_path, k, f, share, 1)
+    off = math.hypot(state[at + LEFT_AT] - state[at + LANDS_AT], state[at + LEFT_AT + 1] - state[at + LANDS_AT + 1])
+    off += 0.2 * abs(state[at + LEFT_AT + 2] - state[at + LANDS_AT + 2])
+    arc = math.sin(math.pi * min(max((share - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6), 0.0), 1.0))
+    return forwards * pitch, forwards * bend, forwards * along, up + min(LIFT * off, LIFT_MOST_M) * arc * arc
+
+
+@kernel_part()
+def _shape(table, k, f, state, foot):
+    """As `_gait_shape`, as it is: a foot on the floor pivots about heel or ball, one in the air does not enter the floor."""
+    at, feet = FOOT + foot * FOOT_COLUMNS, table.legs.feet[foot]
+    pitch, bend, along, up = _gait_shape(table, k, f, state, foot)
+    pitch, bend = pitch + state[at + SHAPE_OFF], max(bend + state[at + SHAPE_OFF + 1], 0.0)
+    if state[at + AIR] == 0.0:
+        bend = max(-pitch, 0.0)
+        pivot = 0 if pitch > 0.0 else 1
+        c, s = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
+        y, z = feet[pivot, 1], feet[pivot, 2]
+        return pitch, bend, z - (c * z - s * y), y - (c * y + s * z) + table.ankle_height
+    along, up = along + state[at + SHAPE_OFF + 2], up + state[at + SHAPE_OFF + 3]
+    share = (state[at + SHARE] - state[at + SINCE]) / max(1 - state[at + SINCE], 1e-6)
+    clear = CLEARANCE_M * min(1.0, 8 * share, 12 * (1 - share))
+    return pitch, bend, along, up + max(clear - lowest(feet, up, pitch, bend), 0.0)
+
+
+@kernel_part()
+def _ankle(table, k, f, state, foot):
+    """Ankle in the body frame, pitch, bend [deg] and yaw [rad] of a foot."""
+    left, ahead, yaw = _foot_place(table, k, f, state, foot)
+    pitch, bend, along, up = _shape(table, k, f, state, foot)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return (left + s * along, up, ahead + c * along), pitch, bend, yaw
+
+
+@kernel_part()
+def _keep_shape(table, k, f, state, foot, shape):
+    """Lets a foot that has just left the floor, or landed, look as it did before: (pitch, bend, forward, up)."""
+    at = FOOT + foot * FOOT_COLUMNS
+    now = _gait_shape(table, k, f, state, foot)
+    state[at + SHAPE_OFF], state[at + SHAPE_OFF + 1] = shape[0] - now[0], shape[1] - now[1]
+    in_air = state[at + AIR]
+    state[at + SHAPE_OFF + 2], state[at + SHAPE_OFF + 3] = in_air * (shape[2] - now[2]), in_air * (shape[3] - now[3])
+
+
+@kernel_part()
+def _plant(state, foot, place):
+    at = FOOT + foot * FOOT_COLUMNS
+    x, z, heading = _to_world(state[X], state[Z], state[HEADING], place[0], place[1], place[2])
+    state[at + AIR] = 0.0
+    state[at + PLANT], state[at + PLANT + 1], state[at + PLANT + 2] = x, z, heading
+
+
+@kernel_part()
+def _leave(table, k, f, state, foot, share):
+    """The foot leaves the floor, with a share of its swing behind it."""
+    at = FOOT + foot * FOOT_COLUMNS
+    left, ahead, yaw = _foot_place(table, k, f, state, foot)
+    side = table.half_width if foot == 0 else -table.half_width
+    shape = _shape(table, k, f, state, foot)
+    state[at + AIR], state[at + SHARE], state[at + SINCE] = 1.0, share, share
+    state[at + LEFT_AT] = left - side
+    state[at + LEFT_AT + 1] = ahead - _swing_ahead(table, k, f, state[SPEED], share)
+    state[at + LEFT_AT + 2] = yaw
+    for i in range(3):
+        state[at + LANDS_AT + i] = 0.0
+    _keep_shape(table, k, f, state, foot, shape)
+
+
+@kernel_part()
+def stand_at(table, state, x, z, heading):
+    """A state that stands at a root."""
+    for i in range(len(state)):
+        state[i] = 0.0
+    state[X], state[Z], state[HEADING] = x, z, heading
+    for foot in range(2):
+        side = table.half_width if foot == 0 else -table.half_width
+        _plant(state, foot, (side, table.middle[0], 0.0))
+    _settle_pelvis(table, 0, 0.0, state, 0.0)
+
+
+@kernel_part()
+def is_settled(table, state):
+    """Whether both feet stand where a standing person's do."""
+    for foot in range(2):
+        at = FOOT + foot * FOOT_COLUMNS
+        if state[at + AIR] > 0.0:
+            return False
+        left, ahead, yaw = _foot_place(table, 0, 0.0, state, foot)
+        side = table.half_width if foot == 0 else -table.half_width
+        if math.hypot(left - side, ahead - table.middle[0]) > SETTLED_M or abs(yaw) > SETTLED_RAD:
+            return False
+    return True
+
+
+@kernel_part()
+def _begin(table, k, f, state):
+    """The first step: the foot that stands more wrongly makes it, or the one on the side to which the root turns."""
+    worst, wrong = 1 if state[TURN] < 1e-3 else 0, 0.0
+    for foot in range(2):
+        left, ahead, yaw = _foot_place(table, 0, 0.0, state, foot)
+        side = table.half_width if foot == 0 else -table.half_width
+        off = math.hypot(left - side, ahead - table.middle[0]) + 0.2 * abs(yaw)
+        if off > wrong + SETTLED_M:
+            worst, wrong = foot, off
+    stance = _at(table.stance, k, f)
+    own = FIRST_SHARE * stance + 0.5
+    state[PHASE] = (own + 0.5 * worst) % 1.0
+    state[SHOWN] = state[PHASE] if abs(state[SPEED]) < 0.3 else state[SHOWN]
+    _leave(table, k, f, state, worst, max((own - stance) / (1 - stance), 0.0))
+
+
+@kernel_part()
+def _change_speed(table, state, velocity, most):
+    """Brings the gait's speed nearer to the root's, with the feet where they are: what they are off it fades later."""
+    k, f = _row(table, state[SPEED])
+    was = state[SPEED]
+    speed = was + min(max(velocity - was, -most), most)
+    below, part = _row(table, speed)
+    for foot in range(2):
+        at = FOOT + foot * FOOT_COLUMNS
+        old = _gait_shape(table, k, f, state, foot)
+        if state[at + AIR] > 0.0:
+            ahead = _swing_ahead(table, k, f, was, state[at + SHARE])
+            off = ahead - _swing_ahead(table, below, part, speed, state[at + SHARE])
+            state[at + LEFT_AT + 1] += off
+            state[at + LANDS_AT + 1] += off
+        state[SPEED] = speed
+        new = _gait_shape(table, below, part, state, foot)
+        state[SPEED] = was
+        for i in range(2):
+            state[at + SHAPE_OFF + i] += old[i] - new[i]
+        if state[at + AIR] > 0.0:
+            for i in range(2, 4):
+                state[at + SHAPE_OFF + i] += old[i] - new[i]
+    state[SPEED] = speed
+
+
+@kernel_part()
+def step_gait(table, state, x, z, heading, dt):
+    """Brings a state on by one step in which the root gets to (x, z, heading)."""
+    dx, dz = x - state[X], z - state[Z]
+    way = math.hypot(dx, dz)
+    if not way <= JUMP_M:
+        stand_at(table, state, x, z, heading)
+        return
+    turned_by = _wrapped(heading - state[HEADING])
+    middle = state[HEADING] + turned_by / 2
+    forward = math.cos(middle) * dx - math.sin(middle) * dz
+    rests = way < 1e-4 and abs(turned_by) < 1e-4
+    velocity = math.copysign(way, forward) / dt
+    state[X], state[Z], state[HEADING] = x, z, heading
+    state[TIME] += dt
+    state[TURN] += TURN_SHARE * (turned_by / dt - state[TURN])
+    gain = AHEAD_ACCELERATION * dt
+    state[AHEAD] += min(max(velocity - state[AHEAD], -gain), gain)
+    _change_speed(table, state, velocity, ACCELERATION * dt)
+    slow = STYLE_ACCELERATION * dt
+    state[STYLE] += min(max(state[SPEED] - state[STYLE], -slow), slow)
+    if rests and abs(state[TURN]) < 0.02:
+        state[TURN] = 0.0
+    k, f = _row(table, state[SPEED])
+    stands = state[FOOT + AIR] == 0.0 and state[FOOT + FOOT_COLUMNS + AIR] == 0.0
+    calm = abs(state[SPEED]) < 0.02 and abs(velocity) < 0.02 and abs(state[TURN]) < 0.1
+    if stands and calm and is_settled(table, state):
+        state[IDLE] = min(state[IDLE] + IDLE_IN * dt, 1.0)
+        state[FOOT + SHARE] = state[FOOT + FOOT_COLUMNS + SHARE] = 0.0
+    else:
+        state[IDLE] = max(state[IDLE] - IDLE_OUT * dt, 0.0)
+        rate = abs(state[SPEED]) / _at(table.travel, k, f) if k > 0 else table.cadence[0]
+        rate = max(rate, CYCLES_PER_RAD * abs(state[TURN]))
+        rate = max(rate, SETTLE_HZ) if velocity == 0.0 else rate
+        flies = state[FOOT + AIR] + state[FOOT + FOOT_COLUMNS + AIR]
+        if flies == 1.0:  # a foot that is left behind needs the other one soon
+            behind = 0 if state[FOOT + AIR] == 0.0 else 1
+            rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
+        if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
+            _begin(table, k, f, state)
+        ahead = min(rate * dt, 0.12)
+        _advance(table, k, f, state, ahead, rate, rests)
+        _show(state, ahead)
+    _settle_pelvis(table, k, f, state, dt)
+
+
+@kernel_part()
+def _advance(table, k, f, state, ahead, rate, rests):
+    """Runs the phase on by ``ahead`` cycles: feet leave the floor, fly and land."""
+    stance = _at(table.stance, k, f)
+    span = stance / max(rate, 0.3)
+    landed, shapes = -1, (0.0, 0.0, 0.0, 0.0)
+    for foot in range(2):
+        at = FOOT + foot * FOOT_COLUMNS
+        for i in range(4):
+            state[at + SHAPE_OFF + i] *= SHAPE_LEFT
+        own = _own_phase(state[PHASE], foot)
+        after = own + ahead
+        if state[at + AIR] == 0.0:
+            stands = state[FOOT + (1 - foot) * FOOT_COLUMNS + AIR] == 0.0
+            if stands and stance > after > EARLY_SHARE * stance and _lacks(table, k, f, state, foot) > EARLY_M:
+                _leave(table, k, f, state, foot, 0.0)
+            elif after >= stance and after < 1.0:
+                _leave(table, k, f, state, foot, 0.0)
+                state[at + SHARE] = min((after - stance) / (1 - stance), 1.0)
+        else:
+            state[at + SHARE] += (1 - state[at + SHARE]) * min(ahead / max(1.0 - own, 1e-9), 1.0)
+        if state[at + AIR] > 0.0:
+            _aim(table, k, f, state, foot, span)
+            if after >= 1.0:
+                state[at + SHARE] = 1.0
+                left, onward, yaw, _ = _swing_place(table, k, f, state, foot)
+                past = _gait_ahead(table, k, f, state[SPEED], after - 1.0) - _gait_ahead(table, k, f, state[SPEED], 0.0)
+                shape = _shape(table, k, f, state, foot)
+                _plant(state, foot, (left, onward + past, yaw))
+                landed, shapes = foot, shape
+    state[PHASE] = (state[PHASE] + ahead) % 1.0
+    if rests and state[FOOT + AIR] > 0.0 and state[FOOT + FOOT_COLUMNS + AIR] > 0.0:
+        # the root stopped in flight: who is nearer to the floor lands now
+        landed = 0 if state[FOOT + SHARE] >= state[FOOT + FOOT_COLUMNS + SHARE] else 1
+        left, onward, yaw, _ = _swing_place(table, k, f, state, landed)
+        shapes = _shape(table, k, f, state, landed)
+        _plant(state, landed, (left, onward, yaw))
+        state[FOOT + landed * FOOT_COLUMNS + SHARE] = 1.0
+        state[PHASE] = 0.5 * landed
+    if landed >= 0:
+        _keep_shape(table, k, f, state, landed, shapes)
+
+
+@kernel_part()
+def _aim(table, k, f, state, foot, span):
+    """Moves the place where a swinging foot will land: half of what the root does in its stance beyond the gait, ahead."""
+    at = FOOT + foot * FOOT_COLUMNS
+    half = span / 2
+    yaw = min(max(state[TURN] * half, -TWIST_RAD), TWIST_RAD)
+    ahead = min(max((state[AHEAD] - state[SPEED]) * half, -OFF_M), OFF_M)
+    left = min(max(state[SPEED] * state[TURN] * half * half / 2, -0.12), 0.12)
+    for i, aim, most in ((0, left, LANDING_M), (1, ahead, LANDING_M), (2, yaw, LANDING_RAD)):
+        step = aim - state[at + LANDS_AT + i]
+        state[at + LANDS_AT + i] += min(max(step, -most), most)
+
+
+@kernel_part()
+def _show(state, ahead):
+    """Trunk and arms follow the phase of the feet, which has gone on by ``ahead`` cycles."""
+    gap = state[PHASE] - state[SHOWN] - ahead
+    gap -= math.floor(gap + 0.5)
+    state[SHOWN] = (state[SHOWN] + ahead + min(max(0.15 * gap, -CATCH_UP), CATCH_UP)) % 1.0
+
+
+@kernel_part()
+def _columns(table, phase):
+    place = phase * table.quats.shape[1]
+    low = int(math.floor(place)) % table.quats.shape[1]
+    return low, (low + 1) % table.quats.shape[1], place - math.floor(place)
+
+
+@kernel_part()
+def _pelvis(table, state):
+    k, f = _row(table, state[STYLE])
+    low, high, share = _columns(table, state[SHOWN])
+    x, y, z = 0.0, 0.0, 0.0
+    for row, weight in ((k, 1 - f), (k + 1, f)):
+        a, b = row3(table.pelvis[row], low), row3(table.pelvis[row], high)
+        x += weight * (a[0] + share * (b[0] - a[0]))
+        y += weight * (a[1] + share * (b[1] - a[1]))
+        z += weight * (a[2] + share * (b[2] - a[2]))
+    idle = _eased(state[IDLE])
+    x += idle * 0.009 * math.sin(2 * math.pi * state[TIME] / 5.3)
+    y -= idle * 0.003 * (1 - math.cos(2 * math.pi * state[TIME] / 5.3))
+    return x, y, z
+
+
+@kernel_part()
+def _joint(table, k, f, low, high, share, j):
+    below = nlerp(row4(table.quats[k, low], j), row4(table.quats[k, high], j), share)
+    if f == 0.0:
+        return below
+    above = nlerp(row4(table.quats[k + 1, low], j), row4(table.quats[k + 1, high], j), share)
+    return nlerp(below, above, f)
+
+
+@kernel_part()
+def _pelvis_turn(table, state):
+    k, f = _row(table, state[STYLE])
+    low, high, share = _columns(table, state[SHOWN])
+    return _joint(table, k, f, low, high, share, 0)
+
+
+@kernel_part()
+def _lacks(table, k, f, state, foot):
+    """How far the pelvis of the gait must sink for a foot to be within reach [m]."""
+    place, turn = _pelvis(table, state), _pelvis_turn(table, state)
+    ankle, _, _, _ = _ankle(table, k, f, state, foot)
+    hip = turned(turn, row3(table.legs.hips, foot))
+    aside, onward = place[0] + hip[0] - ankle[0], place[2] + hip[2] - ankle[2]
+    longest = STRETCHED * (table.legs.thigh + table.legs.shank)
+    room = math.sqrt(max(longest * longest - aside * aside - onward * onward, 0.0))
+    return place[1] + hip[1] - ankle[1] - room
+
+
+@kernel_part()
+def _settle_pelvis(table, k, f, state, dt):
+    """How far the pelvis must be below that of the gait for the planted feet: down at once, up at leisure."""
+    sink = 0.0
+    for foot in range(2):
+        at = FOOT + foot * FOOT_COLUMNS
+        done = min((state[at + SHARE] - state[at + SINCE]) / LETS_GO, 1.0) if state[at + AIR] > 0.0 else 0.0
+        sink = max(sink, (1 - _eased(done)) * _lacks(table, k, f, state, foot))
+    state[SINK] = max(sink, state[SINK] - RISE_MPS * dt)
+
+
+@kernel_part()
+def pose_state(table, state, quats, pelvis, ankle, foot, angles):
+    """The pose of a state, into quats [55, 4] and pelvis [3] in the agent root frame."""
+    k, f = _row(table, state[STYLE])
+    low, high, share = _columns(table, state[SHOWN])
+    for j in range(quats.shape[0]):
+        put(quats, j, _joint(table, k, f, low, high, share, j))
+    idle = _eased(state[IDLE])
+    breath = idle * 0.010 * math.sin(2 * math.pi * state[TIME] / 3.7)
+    sway = -idle * 0.012 * math.sin(2 * math.pi * state[TIME] / 5.3)
+    for j in _SPINES:
+        put(quats, j, multiply(row4(quats, j), from_vector(-breath, 0.0, sway)))
+    look = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
+    for j in (_NECK, _HEAD):
+        put(quats, j, multiply(from_vector(0.0, 0.5 * look, 0.0), row4(quats, j)))
+    place = _pelvis(table, state)
+    pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - state[SINK], place[2]
+    k, f = _row(table, state[SPEED])
+    for side in range(2):
+        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
+        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
+        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    to_root = row4(table.to_root.reshape(1, 4), 0)
+    put(quats, 0, multiply(to_root, row4(quats, 0)))
+    pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
+
+
+@kernel(error_model="numpy")
+def run_gaits(table, xz, heading, seconds, step_s, states):
+    """States [T, K] of a root that is at ``xz`` [T, 2] and ``heading`` [T]; it stands in the first row, and after jumps.
+
+    Rows are ``seconds`` [T] after the one before; those that are further apart than ``step_s`` are gone through in several
+    steps along a straight line.
+    """
+    for t in range(len(states)):
+        if t == 0:
+            stand_at(table, states[0], xz[0, 0], xz[0, 1], heading[0])
+            continue
+        states[t] = states[t - 1]
+        count = min(max(int(seconds[t] / step_s + 0.5), 1), MOST_STEPS)
+        turn = _wrapped(heading[t] - heading[t - 1])
+        if not math.hypot(xz[t, 0] - xz[t - 1, 0], xz[t, 1] - xz[t - 1, 1]) <= JUMP_M * count:
+            stand_at(table, states[t], xz[t, 0], xz[t, 1], heading[t])
+            continue
+        for part in range(1, count + 1):
+            share = part / count
+            x = xz[t - 1, 0] + share * (xz[t, 0] - xz[t - 1, 0])
+            z = xz[t - 1, 1] + share * (xz[t, 1] - xz[t - 1, 1])
+            step_gait(table, states[t], x, z, heading[t - 1] + share * turn, max(seconds[t] / count, LEAST_S))
+
+
+@kernel(error_model="numpy")
+def pose_gaits(table, states, quats, pelvis):
+    """Poses of states [T, K], into quats [T, 55, 4] and pelvis [T, 3] in the agent root frame."""
+    ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
+    for t in range(len(states)):
+        pose_state(table, states[t], quats[t], pelvis[t], ankle, foot, angles)

@@ -1,0 +1,104 @@
+"""Walking with planted feet along any track of the root: `h3data.bodies.people.kernels.planted` with a body's own gaits.
+
+`planted_states` goes through a track once; any of its moments can then be posed alone (`pose_planted`). A track is all that
+is needed, so recordings of people hold no more than their roots.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from h3data.bodies.people.clips import JOG_ABOVE_MPS, TO_ROOT, Gaits
+from h3data.bodies.people.gait import JOG, PARAMETERS, WALK, gait_posture, stand_posture, strike_ahead
+from h3data.bodies.people.legs import Posture
+from h3data.bodies.people.skeleton import JOINT_COUNT
+from h3data.geometry import Array, heading_from_quat
+
+if TYPE_CHECKING:
+    from h3data.bodies.people.kernels.planted import GaitTables
+
+SPEEDS_MPS = (0.0, 0.35, 0.6, 1.0, 1.3, 1.6, 2.5, 3.0, 4.0)
+"""Rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)."""
+PHASES, SHARES = 64, 49
+STEP_S = 1 / 30
+
+
+def gait_tables(gaits: Gaits) -> GaitTables:
+    """The gaits of a body, sampled (40 ms)."""
+    from h3data.bodies.people.kernels.planted import GaitTables
+
+    legs, rows = gaits.legs, len(SPEEDS_MPS)
+    stand = stand_posture(legs)
+    quats, pelvis = np.empty((rows, PHASES, JOINT_COUNT, 4)), np.empty((rows, PHASES, 3))
+    quats[0], pelvis[0] = stand.quats[0], stand.pelvis[0]
+    travel, stance, strike, middle = np.zeros((4, rows))
+    middle[0] = stand.ankle[0, 0, 2]
+    stand_foot, swing_foot, swing_path = np.zeros((3, rows, SHARES, 2))
+    swing_path[0, :, 1] = legs.ankle_height
+    share = np.linspace(0, 1, SHARES)
+    for k, speed in enumerate(SPEEDS_MPS[1:], 1):
+        style, values = (JOG, gaits.jog) if speed > JOG_ABOVE_MPS else (WALK, gaits.walk_values(speed))
+        travel[k], stance[k] = float(gaits.stride_m(speed)), style.stance
+        strike[k] = float(strike_ahead(style, values[PARAMETERS.index("shift")]))
+
+        def moment(phase: Array, style=style, values=values, stride=travel[k]) -> Posture:
+            return gait_posture(style, legs, stride, values, phase)
+
+        cycle = moment(np.arange(PHASES) / PHASES)
+        quats[k], pelvis[k] = cycle.quats, cycle.pelvis
+        stand_foot[k] = moment(share * style.stance * (1 - 1e-9)).foot[:, 0, ::2]
+        swing = moment(style.stance + share * (1 - style.stance) * (1 - 1e-9))
+        swing_foot[k] = swing.foot[:, 0, ::2]
+        line = travel[k] * (strike[k] - style.stance + share * share * (3 - 2 * share) * style.stance)
+        swing_path[k] = np.stack([swing.ankle[:, 0, 2] - line, swing.ankle[:, 0, 1]], axis=-1)
+    stance[0], strike[0] = stance[1], strike[1]
+    speeds = np.array(SPEEDS_MPS)
+    cadence = speeds / np.maximum(travel, 1e-9)
+    cadence[0] = cadence[1]
+    return GaitTables(
+        legs=legs.measures,
+        half_width=legs.half_width,
+        ankle_height=float(legs.ankle_height),
+        speeds=speeds,
+        travel=travel,
+        cadence=cadence,
+        stance=stance,
+        strike=strike,
+        middle=middle,
+        quats=quats,
+        pelvis=pelvis,
+        stand_foot=stand_foot,
+        swing_foot=swing_foot,
+        swing_path=swing_path,
+        to_root=TO_ROOT,
+    )
+
+
+def planted_states(tables: GaitTables, base: ArrayLike, time_s: ArrayLike | None = None) -> Array:
+    """The states [T, K] of a person whose root is at ``base`` [T, 7], one step after the other.
+
+    ``time_s`` [T] is when; by default rows are 1/30 s apart. After rows that are not finite (the person is absent) and jumps
+    of the root they stand.
+    """
+    from h3data.bodies.people.kernels.planted import STATE_COLUMNS, run_gaits
+
+    base = np.asarray(base, np.float64)
+    seconds = np.full(len(base), STEP_S)
+    if time_s is not None and len(base):
+        seconds = np.diff(np.asarray(time_s, np.float64), prepend=0.0)
+    states = np.empty((len(base), STATE_COLUMNS))
+    xz, heading = np.ascontiguousarray(base[:, [0, 2]]), heading_from_quat(base[:, 3:])
+    run_gaits(tables, xz, heading, seconds, STEP_S, states)
+    return states
+
+
+def pose_planted(tables: GaitTables, states: Array) -> tuple[Array, Array]:
+    """Local rotations [T, 55, 4] and pelvis places [T, 3] in the agent root frame, of states [T, K]."""
+    from h3data.bodies.people.kernels.planted import pose_gaits
+
+    quats, pelvis = np.empty((len(states), JOINT_COUNT, 4)), np.empty((len(states), 3))
+    pose_gaits(tables, np.ascontiguousarray(states, np.float64), quats, pelvis)
+    return quats, pelvis

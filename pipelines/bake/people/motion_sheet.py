@@ -1,0 +1,88 @@
+"""docs/pictures/planted.jpg: a person who starts, stops, goes round a curve and turns, frame by frame.
+
+    python -m bake.people.motion_sheet docs/pictures/planted.jpg
+
+Rows are those of `ROWS`. Every third frame is shown, 1/10 s apart.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.bodies import Humanoid, load_humanoid
+from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.geometry import Array, ground_pose
+from h3data.render.image_files import write_image
+from h3data.render.sheets.people_sheet import lined_up
+
+FRAMES, EVERY, WIDTH = 12, 3, 1920
+SPACING_M = 1.15
+Track = tuple[Array, Array]
+"""Speeds [m/s] and turning rates [rad/s], each [T]."""
+
+
+def start(speed: float, acceleration: float) -> Track:
+    """From standing."""
+    steps = FRAMES * EVERY + 6
+    ahead = np.minimum(np.maximum(np.arange(steps) - 6, 0) * acceleration / 30, speed)
+    return ahead, np.zeros(steps)
+
+
+def stop(speed: float, acceleration: float) -> Track:
+    """To standing, from a steady gait."""
+    ahead = np.concatenate([np.minimum(np.arange(90) * 1.5 / 30, speed), speed - np.arange(1, 60) * acceleration / 30])
+    ahead = np.maximum(ahead, 0.0)[: 90 + FRAMES * EVERY - 6]
+    return ahead, np.zeros(len(ahead))
+
+
+def curve(speed: float, turn: float) -> Track:
+    """A quarter of a circle, walking."""
+    ahead = np.minimum(np.arange(60 + FRAMES * EVERY) * 1.5 / 30, speed)
+    return ahead, np.where(np.arange(len(ahead)) > 66, turn, 0.0)
+
+
+def turn(rate: float) -> Track:
+    """On the spot."""
+    steps = FRAMES * EVERY
+    return np.zeros(steps), np.where((np.arange(steps) > 4) & (np.arange(steps) < 34), rate, 0.0)
+
+
+ROWS: dict[str, Callable[[], Track]] = {
+    "start 1.3 m/s": lambda: start(1.3, 1.5),
+    "stop 1.3 m/s": lambda: stop(1.3, 1.5),
+    "curve": lambda: curve(1.2, 1.0),
+    "turn 1.6 rad/s": lambda: turn(1.6),
+    "start 2.5 m/s at once": lambda: start(2.5, 1e9),
+    "stop 2.5 m/s at once": lambda: stop(2.5, 1e9),
+}
+
+
+def row_picture(body: Humanoid, track: Track, *, look: float = 0.0) -> NDArray[np.uint8]:
+    """The last frames of a track side by side, RGB [H, W, 3]."""
+    speed, turning = track
+    heading = np.cumsum(turning) / 30
+    xz = np.cumsum(np.stack([speed * np.cos(heading), -speed * np.sin(heading)], -1), axis=0) / 30
+    states = planted_states(body.gait_tables, ground_pose(xz, heading))
+    rows = np.arange(len(states))[-FRAMES * EVERY :][::EVERY]
+    poses = pose_planted(body.gait_tables, states)
+    pictures = []
+    for k in rows:
+        seen = [(body, poses[0][k : k + 1], poses[1][k : k + 1])]
+        turned = look + float(heading[k] - heading[rows[0]])
+        pictures.append(lined_up(seen, turned, False, 1, WIDTH // FRAMES, spacing=SPACING_M))
+    return np.concatenate(pictures, axis=1)
+
+
+def main(target: str) -> None:
+    """Writes the sheet."""
+    body = load_humanoid("neutral_0")
+    write_image(Path(target), np.concatenate([row_picture(body, track()) for track in ROWS.values()]))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

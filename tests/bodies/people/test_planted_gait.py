@@ -1,0 +1,139 @@
+"""Walking with planted feet along any track of the root."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.motion import figures_of, motion_of
+from h3data.bodies import load_humanoid
+from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
+from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE
+from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.geometry import Array, ground_pose
+
+STEPS = 45
+"""Of each part of a random track."""
+BODIES = ("male_1", "female_3", "neutral_0")
+
+
+def track(speed: Array, turn: Array) -> Array:
+    """Roots [T, 7] of somebody with speeds [m/s] and turning rates [rad/s], [T] each."""
+    heading = np.cumsum(turn) / 30
+    xz = np.cumsum(np.stack([speed * np.cos(heading), -speed * np.sin(heading)], -1), axis=0) / 30
+    return ground_pose(xz, heading)
+
+
+def limited(wanted: Array, most: float) -> Array:
+    """A signal [T] that follows ``wanted`` [T] and changes by no more than ``most`` a step."""
+    out, value = np.empty(len(wanted)), 0.0
+    for k, aim in enumerate(wanted):
+        value += min(max(aim - value, -most), most)
+        out[k] = value
+    return out
+
+
+def walked(name: str, base: Array) -> tuple[Array, Array]:
+    """States and joints."""
+    body = load_humanoid(name)
+    states = planted_states(body.gait_tables, base)
+    return states, body.joint_matrices(base, *pose_planted(body.gait_tables, states))
+
+
+def in_air(states: Array) -> Array:
+    """Whether each foot swings, [T, 2]."""
+    return states[:, [FOOT + AIR, FOOT + FOOT_COLUMNS + AIR]] > 0
+
+
+parts = st.lists(
+    st.tuples(st.sampled_from([0.0, 0.2, 0.6, 1.0, 1.3, 1.8, 2.5]), st.sampled_from([0.0, 0.0, -0.8, 1.0])),
+    min_size=1,
+    max_size=4,
+)
+
+
+def profile(wanted: list[tuple[float, float]]) -> tuple[Array, Array]:
+    """Speeds and turning rates [T] of a person who speeds up by 2 m/s^2 and stops by 2.5; at last they stand."""
+    table = np.repeat(np.array([(0.0, 0.0), *wanted, (0.0, 0.0), (0.0, 0.0)]), STEPS, axis=0)
+    return limited(table[:, 0], 2.0 / 30), limited(table[:, 1], 4.0 / 30)
+
+
+@settings(max_examples=25, deadline=None)
+@given(wanted=parts, name=st.sampled_from(BODIES))
+def test_laws_of_any_profile_of_speeds(wanted: list[tuple[float, float]], name: str) -> None:
+    body = load_humanoid(name)
+    base = track(*profile(wanted))
+    states, joints = walked(name, base)
+    soles = sole_points(body, joints[:, LEG_JOINTS])
+    pivot = np.argmin(soles[1:, ..., 1] + soles[:-1, ..., 1], axis=-1)[..., None]
+    slide = np.take_along_axis(np.linalg.norm(np.diff(soles[..., ::2], axis=0), axis=-1), pivot, axis=-1)[..., 0]
+    planted = ~in_air(states)
+    rests = slide[planted[1:] & planted[:-1]]
+    assert rests.max() < 4e-3, "where the sole goes over from heel to ball"
+    assert rests.mean() < 1e-4
+    assert soles[..., 1].min() > -0.004
+    assert np.abs(soles[planted][..., 1].min(-1)).max() < 0.004
+    figures = figures_of(motion_of(body, base, joints))
+    assert figures["mid_air_stops"] == 0
+    local = joints[:, 1:22, :3, 3] - joints[:, :1, :3, 3]
+    turns = np.abs(np.diff(base[:, 4])).max() if len(base) else 0.0
+    assert np.linalg.norm(np.diff(local, n=2, axis=0), axis=-1).max() < 0.24 + turns
+    assert planted[-1].all(), "they stand at the end"
+    assert states[-1, IDLE] > 0
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5, 0.9, 1.3, 1.7, 2.1, 2.5])
+def test_start_and_stop_are_planted_at_every_speed_even_at_once(speed: float) -> None:
+    moves = np.concatenate([np.zeros(10), np.full(75, speed), np.zeros(45)])
+    base = track(moves, 0 * moves)
+    states, joints = walked("male_1", base)
+    assert not (in_air(states).all(1) & (moves == 0)).any()
+    assert motion_of(load_humanoid("male_1"), base, joints)["mid_air"].sum() == 0
+    assert (~in_air(states[-15:])).all()
+
+
+def test_a_steady_walk_is_the_gait_itself() -> None:
+    body = load_humanoid("male_1")
+    moves = limited(np.full(240, 1.3), 1.5 / 30)
+    states, joints = walked("male_1", track(moves, 0 * moves))
+    clip = body.clip_for_speed(1.3)
+    quats, pelvis = body.clip_pose(np.full(60, clip), states[-60:, 0])
+    steady = body.joint_matrices(track(moves, 0 * moves)[-60:], quats, pelvis)
+    assert np.abs(steady[:, :22, :3, 3] - joints[-60:, :22, :3, 3]).max() < 0.06
+
+
+def test_whoever_turns_on_the_spot_steps_round() -> None:
+    turning = np.concatenate([np.zeros(5), np.full(40, 1.6), np.zeros(30)])
+    base = track(0 * turning, turning)
+    states, joints = walked("female_0", base)
+    found = figures_of(motion_of(load_humanoid("female_0"), base, joints))
+    assert found["foot_slide_mm"] < 0.1
+    assert found["pops_per_minute"] == 0
+    lifts = np.diff(in_air(states).astype(int), axis=0) > 0
+    assert lifts.sum() >= 3
+    assert not in_air(states).all(1).any()
+
+
+def test_any_moment_is_posed_alone_and_does_not_depend_on_later_ones() -> None:
+    body = load_humanoid("male_2")
+    moves = limited(np.repeat([0.0, 1.3, 0.4, 2.2, 0.0], 40), 1.5 / 30)
+    base = track(moves, 0.3 * moves)
+    states = planted_states(body.gait_tables, base)
+    quats, pelvis = pose_planted(body.gait_tables, states)
+    assert np.array_equal(planted_states(body.gait_tables, base[:120]), states[:120])
+    alone = pose_planted(body.gait_tables, states[77:78])
+    assert np.array_equal(alone[0][0], quats[77])
+    assert np.array_equal(alone[1][0], pelvis[77])
+
+
+def test_people_who_stand_breathe_and_those_who_are_put_elsewhere_stand_there() -> None:
+    base = track(np.zeros(300), np.zeros(300))
+    _, joints = walked("male_1", base)
+    chest = joints[:, 9, :3, 3]
+    assert 0.003 < np.ptp(chest, axis=0).max() < 0.04
+    base = track(np.full(60, 1.3), np.zeros(60))
+    base[30:, 0] += 4
+    base[40:50, :] = np.nan
+    states, joints = walked("male_1", base)
+    assert not in_air(states)[[30, 50]].any()
+    assert np.isfinite(joints[50:]).all()
