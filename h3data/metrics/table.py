@@ -15,7 +15,7 @@ from h3data.errors import InputError
 from h3data.metrics.episode import EpisodeMetrics
 from h3data.metrics.metric import Metric
 from h3data.metrics.registry import find_profile, measure
-from h3data.recording.records import Recording
+from h3data.recording.records import Recording, notebook
 from h3data.stats import bootstrap_interval, wilson_interval
 
 _NAMED = 4
@@ -56,6 +56,9 @@ class MetricsTable:
 
     def __len__(self) -> int:
         return len(self.episode_ids)
+
+    def _repr_html_(self) -> str:
+        return notebook().metrics_table_html(self)
 
     def __repr__(self) -> str:
         return f"MetricsTable({self.profile!r}, {len(self)} episodes, {', '.join(self.columns)})"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 import numpy as np
 
 from h3data.errors import H3DataError, InputError, did_you_mean
-from h3data.recording.records import Recording
+from h3data.recording.records import Recording, notebook
 from h3data.recording.storage import AnyPath, RemotePath
 
 if TYPE_CHECKING:
@@ -171,6 +171,9 @@ class Episodes(Sequence[Recording]):
         with DatasetWriter(root, fps=rate, overwrite=overwrite, like=self) as writer:
             for of in self.stored:
                 writer.add(of.read(), videos=[video for video in of.read_videos() if video.feature.camera in cameras])
+
+    def _repr_html_(self) -> str:
+        return notebook().episodes_html(self, "Episodes")
 
     def __repr__(self) -> str:
         names = ", ".join(stored.name for stored in self.stored[:3]) + (", ..." if len(self) > 3 else "")

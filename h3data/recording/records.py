@@ -30,6 +30,7 @@ column                 dtype, shape     meaning (frames and units as in `h3data.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -202,6 +203,13 @@ class Recording:
             raise KeyError(f"no column {key!r}; this recording has {', '.join(self.columns)}")
         return self.columns[key]
 
+    def show(self, viewer: Literal["rerun", "video"] | None = None, **options: Any) -> Any:
+        """Returns a Rerun viewer or a video of the recording that a notebook displays: `h3data_viewers.notebook.show`."""
+        return notebook().show(self, viewer, **options)
+
+    def _repr_html_(self) -> str:
+        return notebook().recording_html(self)
+
     def __repr__(self) -> str:
         e = self.episode
         inputs = f"   inputs {len(self.inputs)}" if self.inputs else ""
@@ -214,6 +222,11 @@ class Recording:
         ]
         lines += [f"  {name:<24} {array.dtype!s:<8} {list(array.shape)}" for name, array in self.columns.items()]
         return "\n".join(lines)
+
+
+def notebook() -> Any:
+    """The module that shows records in notebooks; imported at run time because it belongs to a layer above."""
+    return importlib.import_module("h3data_viewers.notebook")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

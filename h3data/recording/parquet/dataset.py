@@ -19,7 +19,7 @@ from h3data.recording.parquet.folder import DatasetFolder
 from h3data.recording.parquet.records import DAMAGE
 from h3data.recording.parquet.schema import SIDECARS
 from h3data.recording.parquet.videos import EpisodeVideo, episode_video
-from h3data.recording.records import Recording
+from h3data.recording.records import Recording, notebook
 from h3data.recording.schema import Layout, episode_from_dict, layout_from_json, required_columns
 from h3data.recording.storage import RemotePath
 
@@ -178,6 +178,9 @@ class Dataset(DatasetFolder):
             }
         except DAMAGE as error:
             raise self._damage([index], error) from error
+
+    def _repr_html_(self) -> str:
+        return notebook().episodes_html(self.all(), f"Dataset {self.root}")
 
     def __repr__(self) -> str:
         frames = self.rows[-1]["dataset_to_index"] if self.rows else 0

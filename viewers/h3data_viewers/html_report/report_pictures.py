@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
+from h3data.render.image_files import jpeg_data_uri
 from h3data_viewers.html_report.report_charts import series_class
 from h3data_viewers.html_report.report_data import Run, read_whole
 from h3data_viewers.html_report.report_episode import GRID_S, ReportEpisode, Track
@@ -114,7 +114,7 @@ def _drawn(key: str, scene: Scene) -> Plan:
     fit = min(_PLAN_WIDTH / image.shape[1], _PLAN_HEIGHT / image.shape[0])
     return Plan(
         key=key, scene=scene.name, width=image.shape[1] * fit, height=image.shape[0] * fit, scale=scale * fit,
-        origin=(-float(x0) / scale, -float(y0) / scale), image=_jpeg(_pale(image)),
+        origin=(-float(x0) / scale, -float(y0) / scale), image=jpeg_data_uri(_pale(image), quality=_QUALITY),
     )  # fmt: skip
 
 
@@ -312,7 +312,7 @@ def _frames(replay, rows: Sequence[int]) -> list[str]:
 
     track = camera_track(replay, "third_person")
     return [
-        _jpeg(cv2.resize(views[0]["rgb"], _FRAME, interpolation=cv2.INTER_AREA))
+        jpeg_data_uri(cv2.resize(views[0]["rgb"], _FRAME, interpolation=cv2.INTER_AREA), quality=_QUALITY)
         for _, views in replay.frames([track], rows, outputs=("rgb",), threads=2)
     ]
 
@@ -341,14 +341,6 @@ def _sparkline(episode: ReportEpisode) -> str:
 def _pale(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     grey = image.mean(-1, keepdims=True)
     return (0.30 * image + 0.20 * grey + 0.50 * 255).astype(np.uint8)
-
-
-def _jpeg(image: NDArray[np.uint8]) -> str:
-    """RGB [H, W, 3] as a data URI."""
-    import cv2
-
-    _, data = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
 
 
 def _quoted(path: str) -> str:

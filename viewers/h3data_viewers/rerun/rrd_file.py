@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 APPLICATION = "h3data"
 LABELS = ("a", "b")
 """Root entities of two recordings in one file."""
+SKIN_EVERY = 3
+"""Steps between samples of skinned bodies."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +60,7 @@ def write_rrd(
     cameras: Sequence[CameraFeed] = (),
     videos: Mapping[str, Path] | None = None,
     images: ImageStorage = "stills",
-    skin_every: int = 3,
+    skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
 ) -> Path:
     """Writes a recording as a Rerun file with a ready-made layout and returns its path.
@@ -88,7 +90,7 @@ def write_comparison_rrd(
     path: str | Path,
     *,
     images: ImageStorage = "stills",
-    skin_every: int = 3,
+    skin_every: int = SKIN_EVERY,
     overwrite: bool = False,
 ) -> Path:
     """Writes a Rerun file that shows two recordings side by side on one timeline, and returns its path.
@@ -116,30 +118,12 @@ def _write_file(
 ) -> Path:
     if path.exists() and not overwrite:
         raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
-    try:
-        import rerun as rr
-    except ImportError as error:
-        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
-    feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
-    videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
-    missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
-    if missing:
-        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
-
+    stream = _stream(sides)
     path.parent.mkdir(parents=True, exist_ok=True)
-    identity = " ".join(side.recording.episode.uid for side in sides)
-    stream = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
-    labels = LABELS if len(sides) > 1 else ("",)
-    longest = max(sides, key=lambda side: len(side.recording))
     with part_file(path) as part:
         try:
             stream.save(part)
-            _log_properties(stream, sides)
-            logged = []
-            for side, label, group in zip(sides, labels, feeds, strict=True):
-                sink = Sink(stream, side.recording.columns["time_ns"], label)
-                logged.append(_log_side(side, sink, group, images, skin_every, bounds=side is longest))
-            stream.send_blueprint(layout(logged, timeline=_timeline(sides)))
+            _log(stream, sides, images=images, skin_every=skin_every)
         finally:
             stream.disconnect()
         if not part.is_file() or part.stat().st_size == 0:
@@ -147,6 +131,43 @@ def _write_file(
                 "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it."
             )
     return path
+
+
+def recorded_stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
+    """Returns one or two recordings as a Rerun stream in memory, with its layout.
+
+    Raises:
+        InputError: a camera's video cannot be read.
+        MissingExtraError: rerun-sdk is not installed.
+    """
+    stream = _stream(sides)
+    _log(stream, sides, images="stills", skin_every=SKIN_EVERY)
+    return stream
+
+
+def _stream(sides: Sequence[ShownRecording]) -> rr.RecordingStream:
+    try:
+        import rerun as rr
+    except ImportError as error:
+        raise MissingExtraError('Rerun is not installed. Hint: pip install "rerun-sdk>=0.41,<0.42"') from error
+    identity = " ".join(side.recording.episode.uid for side in sides)
+    return rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
+
+
+def _log(stream: rr.RecordingStream, sides: Sequence[ShownRecording], *, images: ImageStorage, skin_every: int) -> None:
+    feeds = [[*side.cameras, *_named_cameras(side)] for side in sides]
+    videos = [(feed.camera.name, feed.video) for group in feeds for feed in group if feed.video is not None]
+    missing = [f"{name}: {video}" for name, video in videos if not video.is_file()]
+    if missing:
+        raise InputError(f"These camera videos do not exist: {'; '.join(missing)}.")
+    labels = LABELS if len(sides) > 1 else ("",)
+    longest = max(sides, key=lambda side: len(side.recording))
+    _log_properties(stream, sides)
+    logged = []
+    for side, label, group in zip(sides, labels, feeds, strict=True):
+        sink = Sink(stream, side.recording.columns["time_ns"], label)
+        logged.append(_log_side(side, sink, group, images, skin_every, bounds=side is longest))
+    stream.send_blueprint(layout(logged, timeline=_timeline(sides)))
 
 
 def _log_side(

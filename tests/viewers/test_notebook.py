@@ -1,0 +1,85 @@
+"""Recordings, episodes and tables of metrics in notebooks."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import h3data
+from h3data.errors import InputError, MissingExtraError
+from h3data_viewers import notebook
+from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
+from sim_kinematic.motion.spec import SocialNavSpec
+from tests.simulated import simulate_social_nav, social_nav_episode
+
+
+@pytest.fixture(scope="module")
+def recording() -> Any:
+    return simulate_social_nav(social_nav_episode(h3data.open("small:3"), seed=3, spec=SocialNavSpec(max_steps=12)))
+
+
+def test_a_recording_is_pictures_facts_and_metrics(recording: Any) -> None:
+    html = recording._repr_html_()
+    assert len(re.findall(r'<img src="data:image/jpeg;base64,[\w+/=]{1000,}"', html)) == notebook.STRIP
+    for text in ("social_nav", "12 steps", "heuristic_expert", "Finding success"):
+        assert text in html
+
+
+def test_text_of_a_recording_is_escaped(recording: Any) -> None:
+    hostile = replace(recording, episode=replace(recording.episode, episode_id="<script>alert(1)</script>"))
+    assert "<script>" not in hostile._repr_html_()
+
+
+def test_without_pictures_or_metrics_it_says_why(recording: Any) -> None:
+    bare = replace(
+        recording, attachments={}, assets=(), bodies=(), agents=(), columns={"time_ns": recording.columns["time_ns"]}
+    )
+    html = bare._repr_html_()
+    assert "No pictures" in html
+    assert "No metrics" in html
+    empty = replace(recording, columns={name: column[:0] for name, column in recording.columns.items()})
+    assert "has no steps" in empty._repr_html_()
+
+
+def test_datasets_and_metrics_are_tables(recording: Any, tmp_path: Path) -> None:
+    from h3data.recording import DatasetWriter
+
+    with DatasetWriter(tmp_path / "ds") as out:
+        for k in range(12):
+            episode = replace(recording.episode, uid=f"{k}", episode_id=f"{k}")
+            out.add(replace(recording, episode=episode))
+    html = h3data.open(tmp_path / "ds")._repr_html_()
+    assert html.count("<tr>") == 1 + notebook.LISTED
+    assert "12 episodes (12 social_nav), 144 steps" in html
+    assert "and 2 more" in html
+    assert "Finding success" in h3data.measure([recording])._repr_html_()
+
+
+def test_show_gives_a_video(recording: Any, tmp_path: Path) -> None:
+    import av
+
+    shown = recording.show("video", camera="top_down", width=160)
+    assert "data:video/mp4;base64," in shown._repr_html_()
+    with av.open(str(shown.save(tmp_path / "seen.mp4"))) as container:
+        frames = list(container.decode(video=0))
+    assert len(frames) == 12
+    assert frames[0].width == 160
+
+
+def test_show_refuses_what_it_cannot_do(recording: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="'rerun' or 'video'"):
+        recording.show("paper")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="notebook"):
+        recording.show("rerun")
+
+
+def test_rerun_streams_hold_the_recording(recording: Any, tmp_path: Path) -> None:
+    stream = recorded_stream([ShownRecording(recording=recording)])
+    stream.save(tmp_path / "shown.rrd")  # flushes what was logged before
+    stream.disconnect()
+    assert b"agents" in (tmp_path / "shown.rrd").read_bytes()

@@ -1,0 +1,222 @@
+"""Recordings and datasets in notebooks: a picture strip and tables, an inline Rerun viewer, an inline video."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from h3data.errors import H3DataError, InputError, MissingExtraError
+from h3data.progress import progress
+from h3data.recording import Episodes, Recording
+from h3data.render.image_files import jpeg_data_uri
+from h3data.replay import CameraTrack, Replay, camera_at, camera_track
+from h3data_viewers.rerun.cameras import scaled
+
+if TYPE_CHECKING:
+    from h3data.metrics import MetricsTable
+
+Viewer = Literal["rerun", "video"]
+STRIP = 5
+"""Pictures in the strip of a recording."""
+STRIP_WIDTH = 200
+"""Width of one of them [px]."""
+VIDEO_WIDTH = 480
+LISTED = 10
+"""Episodes listed of a dataset."""
+_CELL = "text-align:left;padding:2px 12px 2px 0;vertical-align:top"
+_NOTE = "font-size:90%;opacity:.75"
+
+
+@dataclass(frozen=True)
+class InlineVideo:
+    """An MP4 file that notebooks play in place."""
+
+    data: bytes
+    width: int
+    title: str
+
+    def _repr_html_(self) -> str:
+        source = base64.b64encode(self.data).decode()
+        return (
+            f'<video controls loop width="{self.width}" title="{escape(self.title)}" '
+            f'src="data:video/mp4;base64,{source}"></video>'
+        )
+
+    def __repr__(self) -> str:
+        return f"InlineVideo({self.title}: {len(self.data) / 1e6:.1f} MB; notebooks play it, save() writes it)"
+
+    def save(self, path: str | Path) -> Path:
+        """Writes the MP4 file and returns its path."""
+        path = Path(path)
+        path.write_bytes(self.data)
+        return path
+
+
+def show(
+    recording: Recording,
+    viewer: Viewer | None = None,
+    *,
+    camera: str = "third_person",
+    width: int | None = None,
+    assets: Sequence[str | Path] = (),
+) -> Any:
+    """Returns something that a notebook displays: a Rerun viewer of the recording, or a video from one camera.
+
+    Args:
+        recording: The recording.
+        viewer: ``rerun`` (needs ``pip install "h3data[notebook]"``) or ``video``; None: Rerun if it is installed.
+        camera: Camera of the video: a name (`h3data.replay.camera_names`) or a file.
+        width: Width [px] of the viewer or video.
+        assets: Folders of the files that a foreign recording names.
+
+    Raises:
+        InputError: no such viewer or camera.
+        MissingExtraError: the Rerun viewer is not installed.
+    """
+    if viewer not in (None, "rerun", "video"):
+        raise InputError(f"Expected 'rerun' or 'video' as viewer, got {viewer!r}.")
+    installed = importlib.util.find_spec("rerun_notebook") is not None
+    if viewer == "rerun" and not installed:
+        raise MissingExtraError(
+            'The Rerun viewer for notebooks is not installed. Hint: pip install "h3data[notebook]", or show("video")'
+        )
+    if viewer == "rerun" or (viewer is None and installed):
+        return _rerun(recording, width=width, assets=assets)
+    return _video(recording, camera, width=width or VIDEO_WIDTH, assets=assets)
+
+
+def _rerun(recording: Recording, *, width: int | None, assets: Sequence[str | Path]) -> Any:
+    from rerun.notebook import Viewer as RerunViewer
+
+    from h3data_viewers.rerun.rrd_file import ShownRecording, recorded_stream
+
+    shown = ShownRecording(recording=recording, replay=Replay(recording, assets=assets, detail=False))
+    return RerunViewer(width=width or "auto", recording=recorded_stream([shown]))
+
+
+def _video(recording: Recording, camera: str, *, width: int, assets: Sequence[str | Path]) -> InlineVideo:
+    from h3data.render.video import VideoWriter
+
+    replay = Replay(recording, assets=assets)
+    track = camera_track(replay, camera)
+    small = replace(track, camera=scaled(track.camera, width / track.camera.width))
+    rate = 1e9 / max(recording.episode.dt_ns, 1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        with (
+            VideoWriter(path, small.camera.width, small.camera.height, rate) as video,
+            progress(total=len(replay), desc="render", unit="step") as bar,
+        ):
+            for _, views in replay.frames([small], range(len(replay)), threads=2):
+                video.write(views[0]["rgb"])
+                bar.update(1)
+        return InlineVideo(path.read_bytes(), width, f"{recording.episode.episode_id} from {camera}")
+
+
+def recording_html(recording: Recording) -> str:
+    """A picture strip of a recording, what it is, and its metrics, as HTML."""
+    episode = recording.episode
+    agents = ", ".join(f"{a.name} ({a.model or a.kind})" for a in recording.agents) or "none"
+    facts: dict[str, Any] = {
+        "task": episode.task,
+        "scene": episode.scene,
+        "agents": agents,
+        "length": f"{len(recording):,} steps, {recording.duration_s:.1f} s",
+    }
+    facts |= {name: episode.info[name] for name in ("policy", "partner", "ended") if episode.info.get(name)}
+    return (
+        f"<div><p><b>Recording {escape(episode.episode_id)}</b></p>{_strip(recording)}"
+        f'<div style="display:flex;gap:3em;flex-wrap:wrap">{_table(list(facts.items()))}{_metrics(recording)}</div>'
+        f'<p style="{_NOTE}"><code>print(rec)</code> lists columns; <code>rec.show()</code> plays it</p></div>'
+    )
+
+
+def episodes_html(episodes: Episodes, title: str) -> str:
+    """The first episodes of many, with what is known without reading their steps, as HTML."""
+    facts = [stored.facts for stored in episodes.stored]
+    counted = Counter(str(of["task"]) for of in facts)
+    tasks = ", ".join(f"{count} {task}" for task, count in counted.most_common())
+    optional = [name for name in ("policy", "partner", "ended") if any(of.get(name) for of in facts[:LISTED])]
+    names = ["task", "scene", "seed", "length", *optional]
+    rows = [[k, *(of.get(name, "") for name in names)] for k, of in enumerate(facts[:LISTED])]
+    more = f'<p style="{_NOTE}">and {len(facts) - LISTED} more</p>' if len(facts) > LISTED else ""
+    steps = sum(int(of["length"]) for of in facts)
+    return (
+        f"<div><p><b>{escape(title)}</b>: {len(facts):,} episode{'s' * (len(facts) != 1)} "
+        f"({escape(tasks) or 'none'}), {steps:,} steps</p>{_table(rows, ['', *names])}{more}</div>"
+    )
+
+
+def metrics_table_html(table: MetricsTable) -> str:
+    """Means and intervals of metrics as HTML."""
+    records = {metric.name: metric for metric in table.metrics}
+    rows = []
+    for name, s in table.summary().items():
+        mean = "undefined" if np.isnan(s.mean) else f"{s.mean:.3f}"
+        interval = "" if np.isnan(s.low) else f"[{s.low:.3f}, {s.high:.3f}]"
+        unit = "" if records[name].unit == "1" else records[name].unit
+        cells = [name, mean, interval, unit, f"{s.count} of {s.episodes}", records[name].title]
+        rows.append(cells)
+    head = ("metric", "mean", "95% interval", "unit", "episodes", "")
+    left_out = sum(map(len, table.left_out.values()))
+    note = f'<p style="{_NOTE}">{left_out} episodes left out: print(table) says why</p>' if left_out else ""
+    return f"<div>{_table(rows, head)}{note}</div>"
+
+
+def _strip(recording: Recording) -> str:
+    """Pictures evenly spread over a recording, from behind the robot or, without agents, from above."""
+    if not len(recording):
+        return f'<p style="{_NOTE}">No pictures: the recording has no steps.</p>'
+    try:
+        replay = Replay(recording, detail=False)
+        if not replay.drawables:
+            return f'<p style="{_NOTE}">No pictures: the recording names nothing that could be drawn.</p>'
+        name = "third_person" if recording.agents else "top_down"
+        rows = [int(row) for row in np.unique(np.linspace(0, len(recording) - 1, STRIP).round())]
+        pictures = []
+        for row in rows:
+            camera = camera_at(replay, name, row)
+            small = scaled(camera, STRIP_WIDTH / camera.width)
+            track = CameraTrack(camera=small, poses=small.pose[None])
+            pictures.append(next(iter(replay.frames([track], [row])))[1][0]["rgb"])
+    except H3DataError as error:
+        return f'<p style="{_NOTE}">No pictures: {escape(str(error))}</p>'
+    times = (recording.columns["time_ns"][rows] - recording.columns["time_ns"][0]) * 1e-9
+    figures = (
+        f'<figure style="margin:0"><img src="{jpeg_data_uri(picture)}" width="{picture.shape[1]}" alt="{name} at {t:.1f} s">'
+        f'<figcaption style="{_NOTE}">{t:.1f} s</figcaption></figure>'
+        for picture, t in zip(pictures, times, strict=True)
+    )
+    return f'<div style="display:flex;gap:6px;flex-wrap:wrap">{"".join(figures)}</div>'
+
+
+def _metrics(recording: Recording) -> str:
+    from h3data.metrics import measure_many
+
+    try:
+        table = measure_many([recording])
+    except H3DataError as error:
+        return f'<p style="{_NOTE}">No metrics: {escape(str(error))}</p>'
+    rows = []
+    for metric in table.metrics:
+        value = float(table.columns[metric.name][0])
+        unit = "" if metric.unit == "1" else f" {metric.unit}"
+        rows.append([metric.name, "undefined" if np.isnan(value) else f"{value:.3g}{unit}", metric.title])
+    return _table(rows)
+
+
+def _table(rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:
+    names = "".join(f'<th style="{_CELL}">{escape(name)}</th>' for name in head)
+    lines = ("".join(f'<td style="{_CELL}">{escape(str(cell))}</td>' for cell in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    header = f"<thead><tr>{names}</tr></thead>" if head else ""
+    return f'<table style="align-self:flex-start">{header}<tbody>{body}</tbody></table>'
