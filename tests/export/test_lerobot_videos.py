@@ -70,7 +70,9 @@ def test_workers_and_resuming_change_no_byte(
     out = tmp_path / "ds"
     job = ("generate", "social_nav", *OPTIONS, *cameras, "-o", out)
     run_json(capsys, *job, "--workers", "2")
-    assert contents(out) == contents(Path(dataset.root))
+    assert contents(out) == contents(Path(str(dataset.root)))
+    told = run_json(capsys, "info", out)["found"][0]
+    assert (told["cameras"], told["instructions"]) == ([*CAMERAS], {"follow the person": 2})
     assert run_json(capsys, *job, "--resume")["new"] == 0
     error = run_json(capsys, "generate", "social_nav", *OPTIONS, *cameras[:2], "-o", out, "--resume", code=2)["error"]
     assert "videos of robot_arm, human_head" in error

@@ -88,6 +88,8 @@ def _of_dataset(dataset: Dataset) -> tuple[str, dict[str, Any]]:
         "steps": sum(r["length"] for r in rows),
         "tasks": dict(tasks),
         "scenes": dict(scenes),
+        "instructions": dict(Counter(told for row in rows for told in row["tasks"])),
+        "cameras": list(dataset.cameras),
         "without_steps": failed,
         "columns": {c.name: {"dtype": c.dtype, "shape": list(c.shape)} for c in dataset.schema.columns},
     }
