@@ -201,8 +201,8 @@ def wait_for(what: Any, seconds: float = 60) -> None:
     ("number", "task"),
     [
         (signal.SIGTERM, "social_nav"),
-        (signal.SIGHUP, "social_nav"),
-        (signal.SIGKILL, "social_nav"),
+        pytest.param(signal.SIGHUP, "social_nav", marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, "social_nav", marks=pytest.mark.slow),
         (signal.SIGKILL, "wander"),
     ],
 )

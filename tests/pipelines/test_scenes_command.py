@@ -494,7 +494,10 @@ def test_episodes_of_an_export_lead_to_its_scenes(
     from h3data.scene.scene_sets import SceneFile
 
     monkeypatch.chdir(tmp_path)
-    code, data = run(capsys, "export", "h3-homes/val", "--to", "habitat", "-o", "data/two", "--episodes", "2")
+    homes = [{"id": f"home_{k}", "seed": 20000 + k, "preset": "small"} for k in range(2)]
+    scenes = ", ".join("{ " + ", ".join(f"{key} = {json.dumps(v)}" for key, v in home.items()) + " }" for home in homes)
+    (tmp_path / "two.toml").write_text(f'format = 1\nname = "two"\nsplit = "val"\nabout = "two"\nscenes = [{scenes}]\n')
+    code, data = run(capsys, "export", "two.toml", "--to", "habitat", "-o", "data/two", "--episodes", "2")
     assert code == 0
     (file,) = data["episodes"]
     for episode in read_episodes(file).episodes:
