@@ -1,0 +1,160 @@
+"""README and docs do what they say: their commands and Python blocks run as written, page by page, on small data.
+
+Long jobs are cut short (`shortened`), and names that a page takes for granted come from `ASSUMED`. Pages that need files or
+machines that tests do not have are in `NOT_RUN`, with the reason.
+"""
+
+from __future__ import annotations
+
+import glob
+import importlib
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import h3data
+from h3data_pipelines.cli import main
+from tests.paths import DOCS, ROOT
+
+pytestmark = pytest.mark.slow
+
+BLOCK = re.compile(r"^ *```(python|bash|sh)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+NOT_RUN = {
+    "extending.md": "test_extending.py runs it",
+    "import.md": "needs sessions of Habitat; tests/habitat run imports on real ones",
+    "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
+    "sharing.md": "needs the Hugging Face Hub; tests/pipelines runs push and pull against a stand-in",
+    "motion.md": "needs motion captures; tests/bodies run its calls on generated ones",
+    "habitat-episodes.md": "needs an episode dataset of Habitat; tests/habitat run its calls",
+}
+OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'
+BODY = 'from h3data.bodies import load_humanoid\nbody = load_humanoid("male_1")\nimport numpy as np\ndistance = 0.4\n'
+ABSENT = {
+    "hssd-hab": "scenes of HSSD",
+    "replica_cad": "ReplicaCAD",
+    "s3://": "a bucket; tests/recording and tests/pipelines use a stand-in",
+    "bodies bake": "the extra bodies",
+    "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
+    "run(person": "walking frames of its own; tests/sim run these calls",
+}
+"""Parts of commands and blocks that need what tests do not have."""
+ASSUMED: dict[str, str] = {
+    "README.md": 'import h3data\nh3data.export("ds#0", "my_session.gfx_replay.json", to="gfx-replay")\n',
+    "bodies.md": BODY + "base_pose = np.array([[0, 0, 0, 0, 0, 0, 1.0]])\n",
+    "export.md": OPEN + "from h3data.replay import Replay\nreplay = Replay(recording)\n",
+    "format.md": OPEN
+    + "from h3data.recording import InputEvent, RecordingHeader, RecordingWriter\nfrom h3data.replay import Replay\n"
+    + "header = RecordingHeader(episode=recording.episode, columns=recording.columns, agents=recording.agents,"
+    + " bodies=recording.bodies, assets=recording.assets)\nrow = {k: v[:1] for k, v in recording.columns.items()}\n",
+    "metrics.md": OPEN,
+    "learned-policies.md": "import torch\nfrom torch import nn\n",
+    "reach.md": BODY
+    + "base_pose = np.array([[0, 0, 0, 0, 0, 0, 1.0]])\ntargets = np.array([[0.4, 1.0, 0.2]])\n"
+    + 'import h3data\nfrom h3data.scene import FreeSpace\nfree = FreeSpace.from_scene(h3data.open("small:3"))\n'
+    + "a, b = free.sample(np.random.default_rng(0), 2)\n",
+    "navigation.md": "import numpy as np\na, b = goal, points = np.array([[1.5, 1.5], [3.0, 2.0]])\n",
+    "rendering.md": OPEN
+    + "import numpy as np\nfrom h3data.replay import Replay\nmeshes = [d.mesh for d in Replay(recording).drawables]\n"
+    + "pose = moved = np.eye(4)\neye, target = (3, 2, 3), (0, 1, 0)\nmoved = pose[None]\n"
+    + "from h3data.render import pinhole\ncameras = [pinhole(64, 48, hfov_deg=60)] * 3\n"
+    + "origins, directions = np.ones((4, 3)), np.eye(3)[[0, 1, 2, 0]]\n"
+    + "robot_eye, person_head = np.ones((1, 3)), np.ones((1, 3)) * 2\n"
+    + "mask = None\n",
+    "rerender.md": 'import h3data\nh3data.rerender("episode.mcap", "training", camera=["robot_arm"], outputs="rgb,depth",'
+    + ' format="data", steps="0:9")\n',
+    "rearrangement.md": "from sim_kinematic.policies.views import *\nAction = RearrangeView = object\n",
+    "replay.md": OPEN + 'my_policy = "stand_still"\n',
+    "statistics.md": 'episodes = {f"scene_{k}": [f"e{10 * k + j}" for j in range(80)] for k in range(8)}\n',
+    "view.md": OPEN
+    + 'other = recording\nh3data.rerender("ds#0", "v", camera=["top_down"])\n'
+    + 'import shutil\nshutil.move(next(iter(__import__("pathlib").Path("v").glob("*.mp4"))), "top_down.mp4")\n',
+    "robots.md": "import h3data\n",
+}
+
+
+def pages() -> list[Path]:
+    return [page for page in [ROOT / "README.md", *sorted(DOCS.glob("*.md"))] if page.name not in NOT_RUN]
+
+
+def lines_of(text: str) -> Iterator[str]:
+    """Commands of a shell block; a loop over words gives its lines once for each word."""
+    loop = re.compile(r"^for (\w+) in ([^;]+); do\n(.*?)^done$", re.MULTILINE | re.DOTALL)
+    text = text.replace("\\\n", " ")
+    text = loop.sub(lambda m: "".join(m[3].replace(f"${m[1]}", word) for word in m[2].split()), text)
+    for line in text.splitlines():
+        yield from re.split(r"&&|;(?=\s)", line.partition(" #")[0])
+
+
+def expanded(word: str) -> list[str]:
+    """A word as a shell gives it to a command: ``~`` and globs expanded."""
+    word = os.path.expanduser(word)
+    return sorted(glob.glob(word)) or [word]
+
+
+def shortened(words: list[str]) -> list[str]:
+    """A command that takes seconds instead of hours and does the same."""
+    match words:
+        case ["generate" | "evaluate", *_] if "--dry-run" not in words:
+            episodes = {"generate": "5", "evaluate": "1"}[words[0]]
+            words = [*_without(words, "--episodes", "--workers"), "--episodes", episodes]
+            words += [] if "rearrange" in words else ["--max-steps", "20"]
+        case ["demo", *_]:
+            words = [*words, "--steps", "450"]
+        case ["scenes", "validate", *_]:
+            words = [*_without(words, "--homes"), "--homes", "1"] if "--homes" in words else words
+    return words
+
+
+def _without(words: list[str], *options: str) -> list[str]:
+    kept, skip = [], False
+    for word in words:
+        if not skip and word not in options:
+            kept.append(word)
+        skip = not skip and word in options
+    return kept
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that pages name."""
+    root = tmp_path_factory.mktemp("docs")
+    h3data.generate("social_nav", root / "ds", episodes=5, homes=2, max_steps=240)
+    recording = h3data.open(f"{root / 'ds'}#0", h3data.Recording)
+    h3data.recording.write_mcap(recording, root / "episode.mcap")
+    for name in ("a", "b", "run_a", "run_b"):
+        shutil.copytree(root / "ds", root / name)
+    (root / "recordings").mkdir()
+    shutil.copy(root / "episode.mcap", root / "recordings")
+    (root / "habitat").mkdir()
+    return root
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(stage, here)
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("HOME", str(here))
+    cuda = importlib.import_module("torch").cuda.is_available()
+    names: dict[str, Any] = {"__name__": "__main__", "__file__": str(here / "page.py")}
+    exec(ASSUMED.get(page.name, ""), names)
+    for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if kind == "python":
+            if any(absent in text for absent in ABSENT):
+                continue
+            text = text if cuda else text.replace('device="cuda"', 'device="cpu"')
+            exec(compile(text, page.name, "exec"), names)
+            continue
+        for line in lines_of(text):
+            words = [found for word in shlex.split(line) for found in expanded(word)]
+            if words[:1] == ["h3data"] and not any(absent in line for absent in ABSENT):
+                words = shortened(words[1:])
+                if "-o" in words and words[0] in ("generate", "demo", "evaluate"):
+                    shutil.rmtree(words[words.index("-o") + 1], ignore_errors=True)
+                assert main(words) == 0, line
