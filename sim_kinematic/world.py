@@ -33,7 +33,7 @@ from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, walk_humans
 from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
-from sim_kinematic.motion.step import drive_robots
+from sim_kinematic.motion.step import drive_robots, first_not_finite
 
 Rows = NDArray[np.intp]
 
@@ -231,7 +231,7 @@ class World:
             width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
             if member.kind == "robot" and isinstance(command, WalkTo):
                 raise InputError(f"{member.name} drives: expected Drive, got WalkTo.")
-            if values.shape != (self.worlds, width) or not np.isfinite(values).all():
+            if values.shape != (self.worlds, width) or first_not_finite(values) >= 0:
                 infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
                 raise InputError(
                     f"Expected finite actions of {member.name}, shape {[self.worlds, width]}, got shape "

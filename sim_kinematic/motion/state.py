@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -137,7 +138,7 @@ class WorldState(_Arrays):
             grip_pose=nowhere.copy(),
         )
 
-    @property
+    @cached_property
     def agents(self) -> tuple[AgentState, ...]:
         """Robots, then people: an agent's index here is its number."""
         return (*self.robots, *self.people)
