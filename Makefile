@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 GROUP ?=
 
-.PHONY: setup demo test test-all check check-lerobot check-gltf format bench wheel clean
+.PHONY: setup demo test test-all check check-docs check-lerobot check-gltf format bench wheel clean
 
 setup: $(STAMP)
 
@@ -22,6 +22,9 @@ test: setup
 
 test-all: setup  ## the slow ones too
 	$(BIN)/python -m pytest -n 2 -m "not gpu and not bench"
+
+check-docs: setup  ## README and docs run as written, on small data (7 minutes)
+	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py
 
 LEROBOT := .venv-lerobot
 LEROBOT_CHECK := $(LEROBOT)/bin/python tests/export/lerobot_loader/open_datasets.py

@@ -46,7 +46,7 @@ ABSENT = {
 """Parts of commands and blocks that need what tests do not have."""
 ASSUMED: dict[str, str] = {
     "README.md": 'import h3data\nh3data.export("ds#0", "my_session.gfx_replay.json", to="gfx-replay")\n',
-    "bodies.md": BODY + "base_pose = np.array([[0, 0, 0, 0, 0, 0, 1.0]])\n",
+    "bodies.md": OPEN + BODY + "base_pose = np.array([[0, 0, 0, 0, 0, 0, 1.0]])\n",
     "export.md": OPEN + "from h3data.replay import Replay\nreplay = Replay(recording)\n",
     "format.md": OPEN
     + "from h3data.recording import InputEvent, RecordingHeader, RecordingWriter\nfrom h3data.replay import Replay\n"

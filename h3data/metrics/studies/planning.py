@@ -132,13 +132,14 @@ def study_rows(sessions: Sequence[Session]) -> dict[str, list[str] | list[int]]:
 
 
 def write_sessions(sessions: Sequence[Session], folder: str | os.PathLike[str]) -> list[Path]:
-    """Writes a manifest ``<participant>.json`` per session into an existing folder and returns the paths."""
+    """Writes a manifest ``<participant>.json`` per session, in a folder that is created, and returns the paths."""
     import msgspec
 
     paths = [Path(folder) / f"{s.participant}.json" for s in sessions]
     bad = [s.participant for s in sessions if Path(s.participant).name != s.participant]
     if bad:
         raise InputError(f"A participant's id becomes a file name, which {bad[0]!r} cannot. Hint: use anonymous_id.")
+    Path(folder).mkdir(parents=True, exist_ok=True)
     for session, path in zip(sessions, paths, strict=True):
         with part_file(path) as part:
             part.write_bytes(msgspec.json.format(msgspec.json.encode(session), indent=2) + b"\n")
