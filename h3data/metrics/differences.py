@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError, did_you_mean
-from h3data.metrics.table import MetricsTable, aligned
+from h3data.metrics.metric import Metric
+from h3data.metrics.table import MetricsTable, aligned, legend
 from h3data.stats import PAdjustment, PairedComparison, adjust_p_values, compare_paired
 from h3data.stats.paired_tests import some_of
 
@@ -25,6 +26,8 @@ class Differences:
     """``first - second`` of each metric, episode by episode."""
 
     profile: str
+    metrics: tuple[Metric, ...]
+    """Their definitions."""
     names: tuple[str, str]
     """Labels of the two runs."""
     episode_ids: tuple[str, ...]
@@ -50,7 +53,8 @@ class Differences:
             means = [_number(test.first_mean), _number(test.second_mean), _number(test.difference, "+.3f")]
             changed = f"{len(self.changed(name))} of {len(self.episode_ids)}"
             lines.append([name, *means, interval, _number(test.p_adjusted, ".3g"), changed])
-        return "\n".join([aligned(lines), *self._change_lines()])
+        spelled_out = legend(metric for metric in self.metrics if metric.name in self.tests)
+        return "\n".join([aligned(lines), spelled_out, *self._change_lines()])
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as JSON types; undefined numbers are None."""
@@ -106,6 +110,7 @@ def compare_tables(first: MetricsTable, second: MetricsTable, *, names: tuple[st
     order = np.array([place[episode] for episode in first.episode_ids], np.int64)
     return Differences(
         profile=first.profile,
+        metrics=first.metrics,
         names=names,
         episode_ids=first.episode_ids,
         first=dict(first.columns),

@@ -206,6 +206,11 @@ def tabulate(
     )
 
 
+def legend(metrics: Iterable[Metric]) -> str:
+    """The names of metrics spelled out in one line: ``S: finding success; CR: collision rate.``"""
+    return "; ".join(f"{m.name}: {m.title[:1].lower()}{m.title[1:]}" for m in metrics) + "."
+
+
 def aligned(lines: Sequence[Sequence[str]]) -> str:
     """Rows of cells as text with columns of equal width."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -166,14 +166,14 @@ def test_workers_make_the_same_episodes(tmp_path: Path, capsys: pytest.CaptureFi
         assert recordings_equal(a, b) == []
 
 
-def die(_: object) -> None:
+def die(*_: object, **__: object) -> None:
     os._exit(9)
 
 
 def test_a_dead_worker_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(episode_jobs, "simulate_job", die)
+    monkeypatch.setattr(episode_jobs, "film_job", die)
     assert "worker" in run_json(capsys, *SHORT, tmp_path / "ds", "--workers", "2", code=2)["error"]
 
 

@@ -41,7 +41,8 @@ class Evaluate:
     """Robots, separated by commas. social_nav: heuristic_expert, plain_expert, sampling_expert, future_oracle,
     learned_follower, random, stand_still or weights:FILE; rearrange: complement, greedy_nearest, same_object, still; or all."""
     partners: str = ALL
-    """rearrange: partners, separated by commas: plan_pop_1 to plan_pop_4, both, object_1, object_2, still; or all."""
+    """rearrange: policies of the person, as --partner of h3data generate, separated by commas: plan_pop_1 to plan_pop_4,
+    both, object_1, object_2, still; or all."""
     zsc: tuple[str, ...] = ()
     """rearrange: a partner of the population whose mean is shown (repeatable; default: the paper's four planners, both,
     object_1, object_2 and still, if all play)."""
@@ -58,7 +59,7 @@ class Evaluate:
     seed: int = 0
     """Everything random follows from it."""
     human: str | None = None
-    """Built-in body of the person, or any: each episode draws one (default: female_0)."""
+    """Body of the person: a built-in one, or any: each episode samples one (default: female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the paper's 2.5)."""
     max_steps: int | None = None

@@ -108,16 +108,16 @@ class Generate:
     learned_follower, random or stand_still; rearrange: complement (default), greedy_nearest, same_object, still, or solo
     (there is no robot). Both: weights:FILE, a learned one (docs/learned-policies.md)."""
     partner: str | None = None
-    """rearrange: who the person is: both (default), object_1, object_2, still, or one drawn in each episode from plan_pop_1,
-    plan_pop_2, plan_pop_3 or plan_pop_4."""
+    """rearrange: policy of the person: both (default), object_1, object_2, still; or plan_pop_1 to plan_pop_4, populations
+    of which each episode samples one."""
     agents: str | None = None
-    """Agents of rearrange and wander, robots and people separated by commas (default: robot,human): kinds, bodies, files, or
-    a kind and one of these, as robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner
-    may have a name for each robot and person."""
+    """rearrange and wander: who takes part, separated by commas (default: robot,human): kinds, bodies, files, or a kind
+    with one of these, as in robot,human,male_1 or robot:my_robot.urdf,human:male_1. In rearrange --policy and --partner
+    may name a policy for each robot and each person."""
     robot: str | None = None
-    """Robot that is called robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
+    """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
     human: str | None = None
-    """Body of those who are called human: a built-in one, an .npz file, or any: each episode draws one, in wander for each
+    """Body of each agent named human: a built-in one, an .npz file, or any: each episode samples one, in wander for each
     person (default: the episode's, else female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""

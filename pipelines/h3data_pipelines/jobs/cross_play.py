@@ -59,7 +59,8 @@ class CrossPlayTable:
             return NOTHING
         blocks = [
             f"{self.episodes} episodes; the person alone takes {self.solo_steps:.0f} steps on average.\n"
-            "Rows: robots. Columns: partners. Mean [95% interval]."
+            "Rows: policies of the robot. Columns: partners, the policies of the person; ZSC (zero-shot coordination): the "
+            "mean over a population that no robot was trained with. Mean [95% interval]."
         ]
         for metric in METRICS:
             lines = [[f"{metric.name}, {metric.title.lower()}{' [%]' if _in_percent(metric) else ''}", *self.partners]]

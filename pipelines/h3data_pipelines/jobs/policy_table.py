@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from h3data.metrics import Profile, Summary
-from h3data.metrics.table import aligned, deviation_lines
+from h3data.metrics.table import aligned, deviation_lines, legend
 from h3data_pipelines.jobs.cross_play import NOTHING, cell_dict, cell_of
 
 
@@ -34,7 +34,7 @@ class PolicyTable:
             lines.append([f"{published.paper}, as published", *names])
             lines += [[row.name, *(_published(row.values.get(name, ())) for name in names)] for row in published.rows]
         source = [f"{published.source}."] if published else []
-        return "\n".join([aligned(lines), *source, *deviation_lines(self.deviations)])
+        return "\n".join([aligned(lines), legend(self.profile.metrics), *source, *deviation_lines(self.deviations)])
 
     def to_dict(self) -> dict[str, Any]:
         """The table as JSON types; NaN becomes None."""

@@ -286,7 +286,7 @@ def test_open_gives_scenes_and_lists_of_scenes(dataset: Dataset, tmp_path: Path)
 def test_open_says_what_to_do_with_other_files_of_habitat(dataset: Dataset, tmp_path: Path) -> None:
     (tmp_path / "flat.navmesh").write_bytes(b"TESM" + bytes(100))
     for path, hint in {
-        dataset.json("val.json", {"episodes": []}): "read_episodes",
+        dataset.json("val.json", {"episodes": []}): "--episodes-file",
         dataset.json("lighting/l.lighting_config.json", {"lights": {}}): "open a scene that names it",
         tmp_path / "flat.navmesh": "read_navmesh",
     }.items():
