@@ -102,6 +102,8 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
     shown = ("SR", "RE", "CR", "RC")
     there = {episode.population for run in runs for episode in run.episodes}
     populations = ["train", "zsc"] + ([""] if "" in there else [])
+    if there == {""}:  # imported sessions and the like: what was measured stands first, where a narrow window shows it
+        populations = ["", "train", "zsc"]
     heads = _POPULATIONS | ({"": "Other partners"} if len(there) > 1 else {})
     ours = []
     for run in runs:
@@ -122,9 +124,8 @@ def rearrangement_table(runs: Sequence[Run]) -> Table:
         Row(
             name=row.name,
             cells=tuple(
-                spread_cell(of.get(name, ()), digits=2)
-                for population, of in (("train", row.train), ("zsc", row.zsc), ("", {}))
-                if population in populations
+                spread_cell({"train": row.train, "zsc": row.zsc}.get(population, {}).get(name, ()), digits=2)
+                for population in populations
                 for name in shown
             ),
         )
