@@ -84,6 +84,12 @@ class MetricsTable:
 
     def to_text(self, *, confidence: float = 0.95) -> str:
         """An aligned table ``mean [low, high]`` with a line per metric, followed by the notes."""
+        deviations = (e.protocol_deviations for e in self.episodes)
+        lines = [*self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()]
+        return "\n".join([aligned(self.to_rows(confidence=confidence)), *lines])
+
+    def to_rows(self, *, confidence: float = 0.95) -> list[list[str]]:
+        """The cells of the table, its head first, then a row per metric."""
         records = {m.name: m for m in self.metrics}
         arrows = {"higher": "up", "lower": "down", "neither": ""}
         lines = [["metric", "mean", f"{100 * confidence:g}% interval", "unit", "episodes", "", "what"]]
@@ -94,8 +100,7 @@ class MetricsTable:
             unit = "" if metric.unit == "1" else metric.unit
             of = f"{s.count}" if s.count == s.episodes else f"{s.count} of {s.episodes}"
             lines.append([name, mean, interval, unit, of, arrows[metric.direction], metric.title])
-        deviations = (e.protocol_deviations for e in self.episodes)
-        return "\n".join([aligned(lines), *self._note_lines(), *deviation_lines(deviations), *self._left_out_lines()])
+        return lines
 
     def to_dict(self, *, confidence: float = 0.95) -> dict[str, Any]:
         """Summary, notes and all episodes as JSON types; NaN becomes None."""

@@ -158,15 +158,7 @@ def episodes_html(episodes: Episodes, title: str) -> str:
 
 def metrics_table_html(table: MetricsTable) -> str:
     """Means and intervals of metrics as HTML."""
-    records = {metric.name: metric for metric in table.metrics}
-    rows = []
-    for name, s in table.summary().items():
-        mean = "undefined" if np.isnan(s.mean) else f"{s.mean:.3f}"
-        interval = "" if np.isnan(s.low) else f"[{s.low:.3f}, {s.high:.3f}]"
-        unit = "" if records[name].unit == "1" else records[name].unit
-        cells = [name, mean, interval, unit, f"{s.count} of {s.episodes}", records[name].title]
-        rows.append(cells)
-    head = ("metric", "mean", "95% interval", "unit", "episodes", "")
+    head, *rows = table.to_rows()
     left_out = sum(map(len, table.left_out.values()))
     note = f'<p style="{_NOTE}">{left_out} episodes left out: print(table) says why</p>' if left_out else ""
     return f"<div>{_table(rows, head)}{note}</div>"

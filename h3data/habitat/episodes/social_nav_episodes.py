@@ -15,9 +15,8 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.geometry import quat_from_heading
 from h3data.habitat.episodes.rearrange_episode import Matrix, RearrangeEpisode, RigidObject
-from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block
+from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields
 from h3data.recording import Recording
 
 TASK = "social_nav"
@@ -66,15 +65,11 @@ def social_nav_episode(
     resets (spec/habitat.md 1.2); give it one by ``rigid_objects`` and ``targets`` if the file is to be run there.
     """
     _require_finite(nav)
-    x, z, heading = nav.robot_start
-    # an agent of Habitat looks along -Z in its own frame, ours along +X
-    rotation = quat_from_heading(heading - math.pi / 2)
     return RearrangeEpisode(
         episode_id=episode_id,
         scene_id=scene_id,
         scene_dataset_config=scene_dataset_config,
-        start_position=(x, nav.floor_y, z),
-        start_rotation=(float(rotation[0]), float(rotation[1]), float(rotation[2]), float(rotation[3])),
+        **start_fields(nav.robot_start, nav.floor_y),
         rigid_objects=tuple(sorted(rigid_objects, key=lambda thing: thing.config)),
         targets=targets or {},
         info=info_block(TASK, nav),

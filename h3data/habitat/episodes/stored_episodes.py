@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from h3data.errors import FormatError, InputError
+from h3data.geometry import quat_from_heading
 from h3data.habitat.episodes.rearrange_episode import RearrangeEpisode
 
 KEY = "h3data"
@@ -37,6 +39,13 @@ class StoredEpisode(Protocol):
     def scene_source(self) -> Mapping[str, Any]:
         """How to get the scene again: generator and seed, or file; empty: the file that the episode names."""
         ...
+
+
+def start_fields(start: Start, floor_y: float) -> dict[str, Any]:
+    """The start of an agent in Habitat's own fields. Its agents look along -Z in their own frame, ours along +X."""
+    x, z, heading = start
+    rotation = quat_from_heading(heading - math.pi / 2)
+    return {"start_position": (x, floor_y, z), "start_rotation": tuple(float(part) for part in rotation)}
 
 
 def info_block(task: str, record: msgspec.Struct) -> dict[str, Any]:

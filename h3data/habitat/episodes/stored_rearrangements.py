@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.geometry import pose_from_matrix, quat_from_heading
+from h3data.geometry import pose_from_matrix
 from h3data.habitat.episodes.partnr_goals import Placement, placements_of
 from h3data.habitat.episodes.rearrange_episode import (
     Matrix,
@@ -24,7 +24,7 @@ from h3data.habitat.episodes.rearrange_episode import (
     instance_handles,
     is_rigid,
 )
-from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, task_of
+from h3data.habitat.episodes.stored_episodes import Start, info_block, plain, read_info_block, start_fields, task_of
 from h3data.recording import Recording
 
 TASK = "rearrange"
@@ -115,8 +115,6 @@ def rearrangement_entry(
     `h3data.exporters.habitat_episodes` fills in; h3data needs neither.
     """
     _require_finite(record)
-    x, z, heading = record.robot_start or (0.0, 0.0, math.pi / 2)
-    rotation = quat_from_heading(heading - math.pi / 2)  # Habitat's agents look along -Z in their own frame
     names = targets or {}
     on = name_to_receptacle or {}
     info: dict[str, Any] = {"object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)}}
@@ -125,8 +123,7 @@ def rearrangement_entry(
         scene_id=scene_id,
         scene_dataset_config=scene_dataset_config,
         additional_obj_config_paths=tuple(object_paths),
-        start_position=(x, record.floor_y, z),
-        start_rotation=(float(rotation[0]), float(rotation[1]), float(rotation[2]), float(rotation[3])),
+        **start_fields(record.robot_start or (0.0, 0.0, math.pi / 2), record.floor_y),
         rigid_objects=tuple(rigid_objects),
         targets=names,
         target_receptacles=tuple((on.get(name, "").partition("|")[0], None) for name in names),

@@ -38,12 +38,12 @@ from h3data_pipelines.hub.provenance import command_line, write_commands
 from h3data_pipelines.jobs.episode_files import (
     FileJobs,
     claim_episode_file,
-    file_jobs,
     notes_on,
+    requested_jobs,
     save_episodes,
     widest_episode,
 )
-from h3data_pipelines.jobs.episodes import Choices, Job, make_jobs, refuse_beside
+from h3data_pipelines.jobs.episodes import Choices, Job, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import beside, is_failed
 from h3data_pipelines.jobs.generated import Generated, ReadBack, first_played, require_same_options, whose
 from h3data_pipelines.jobs.running import Filming, film_jobs
@@ -277,29 +277,10 @@ class Generate:
             spawn_distance=self.spawn_distance,
             rules=tuple(map(_rule, self.rule)),
         )
-        task = choices.found_task
-        if self.episodes_file is not None:
-            refuse_beside("--episodes-file", scenes=self.scenes != "small")
-            return file_jobs(
-                choices,
-                self.episodes_file,
-                episodes=self.episodes,
-                seed=self.seed,
-                assets=self.assets,
-                allow_missing=self.allow_missing,
-            )
-        if task.name == "social_nav" and find_scene_set(self.scenes.partition("#")[0]) is not None:
+        in_set = self.episodes_file is None and find_scene_set(self.scenes.partition("#")[0]) is not None
+        if in_set and choices.found_task.name == "social_nav":
             refuse_beside(f"--scenes {self.scenes}", spawn_distance=self.spawn_distance is not None)
-        jobs = make_jobs(
-            choices,
-            self.scenes,
-            homes=self.homes,
-            assets=self.assets,
-            allow_missing=self.allow_missing,
-            episodes=self.episodes,
-            seed=self.seed,
-        )
-        return FileJobs(jobs)
+        return requested_jobs(self, choices, default_scenes="small")
 
     def _check_numbers(self) -> None:
         for name, value, least in (

@@ -6,14 +6,14 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from h3data.errors import H3DataError, InputError
 from h3data.progress import progress
 from h3data.recording import Recording
 from h3data.scene.scene_sets import SceneFile
 from h3data_pipelines.command import claim_file
-from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, refuse_beside
+from h3data_pipelines.jobs.episodes import Choices, Draw, Job, checked, chosen_count, make_jobs, refuse_beside
 from h3data_pipelines.jobs.failed_episodes import is_failed
 from h3data_pipelines.jobs.running import simulate_job
 
@@ -58,6 +58,39 @@ def notes_on(made: Lacking) -> str:
         if len(texts) > _SHOWN:
             lines.append(f"{word} {len(texts) - _SHOWN} more like these (--json lists all)")
     return "".join(f"\n{line}" for line in lines)
+
+
+class EpisodeRequest(Protocol):
+    """Which episodes a command plays: those of a file, or of scenes."""
+
+    @property
+    def episodes_file(self) -> Path | None: ...
+    @property
+    def scenes(self) -> str: ...
+    @property
+    def homes(self) -> int: ...
+    @property
+    def assets(self) -> Sequence[str | Path]: ...
+    @property
+    def allow_missing(self) -> bool: ...
+    @property
+    def episodes(self) -> int | None: ...
+    @property
+    def seed(self) -> int: ...
+
+
+def requested_jobs(request: EpisodeRequest, choices: Choices, *, default_scenes: str) -> FileJobs:
+    """The episodes of ``request``, which cannot name both a file and scenes other than the default ones.
+
+    Raises:
+        FormatError, InputError, SceneError: see `file_jobs` and `make_jobs`.
+    """
+    places: dict[str, Any] = {"assets": request.assets, "allow_missing": request.allow_missing}
+    numbers: dict[str, Any] = {"episodes": request.episodes, "seed": request.seed}
+    if request.episodes_file is None:
+        return FileJobs(make_jobs(choices, request.scenes, homes=request.homes, **places, **numbers))
+    refuse_beside("--episodes-file", scenes=request.scenes != default_scenes)
+    return file_jobs(choices, request.episodes_file, **places, **numbers)
 
 
 def file_jobs(

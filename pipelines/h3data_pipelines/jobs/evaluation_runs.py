@@ -17,8 +17,8 @@ from typing import Any
 from h3data.errors import FormatError, InputError
 from h3data_pipelines.command import claim_folder, write_text
 from h3data_pipelines.jobs.cross_play import CrossPlayTable, Row, cross_play_table
-from h3data_pipelines.jobs.episode_files import FileJobs, file_jobs, notes_on
-from h3data_pipelines.jobs.episodes import Choices, make_jobs, refuse_beside
+from h3data_pipelines.jobs.episode_files import FileJobs, notes_on, requested_jobs
+from h3data_pipelines.jobs.episodes import Choices
 from h3data_pipelines.jobs.evaluations import ALL, Evaluation, chosen_names, play_evaluation
 from h3data_pipelines.jobs.policy_table import PolicyTable, policy_table
 from h3data_pipelines.jobs.running import run_jobs
@@ -81,28 +81,7 @@ class EvaluationRequest:
         for kind, names in (("robot", policies), ("human", partners)):
             for name in names:
                 task.check_policy(kind, name, choices.spec())
-        if self.episodes_file is None:
-            base = FileJobs(
-                make_jobs(
-                    choices,
-                    self.scenes,
-                    homes=self.homes,
-                    assets=self.assets,
-                    allow_missing=self.allow_missing,
-                    episodes=self.episodes,
-                    seed=self.seed,
-                )
-            )
-        else:
-            refuse_beside("--episodes-file", scenes=self.scenes != EvaluationRequest.scenes)
-            base = file_jobs(
-                choices,
-                self.episodes_file,
-                episodes=self.episodes,
-                seed=self.seed,
-                assets=self.assets,
-                allow_missing=self.allow_missing,
-            )
+        base = requested_jobs(self, choices, default_scenes=EvaluationRequest.scenes)
         return [Evaluation(job, policies, partners) for job in base.jobs], base
 
     @property
