@@ -1,25 +1,35 @@
 """README and docs do what they say: their commands and Python blocks run as written, page by page, on small data.
 
-Long jobs are cut short (`shortened`), and names that a page takes for granted come from `ASSUMED`. Pages that need files or
-machines that tests do not have are in `NOT_RUN`, with the reason.
+Long jobs are cut short (`shortened`). Names that a page takes for granted come from `ASSUMED`, files of its own from `FILES`.
+Pages that need a machine that tests do not have are in `NOT_RUN`, with the reason.
 """
 
 from __future__ import annotations
 
+import csv
 import glob
+import gzip
 import importlib
+import json
 import os
+import pickle
 import re
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import h3data
+from h3data.bodies import load_humanoid
 from h3data_pipelines.cli import main
+from tests.bodies.motion.motion_writers import amass_arrays, bvh_text, walked
+from tests.habitat.hitl.test_hostile_files import frame, session
+from tests.habitat.hitl.test_session_metrics import tidied, user
+from tests.hub_server import WRITER, served
 from tests.paths import DOCS, ROOT
 
 pytestmark = pytest.mark.slow
@@ -27,11 +37,7 @@ pytestmark = pytest.mark.slow
 BLOCK = re.compile(r"^ *```(python|bash|sh)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 NOT_RUN = {
     "extending.md": "test_extending.py runs it",
-    "import.md": "needs sessions of Habitat; tests/habitat run imports on real ones",
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
-    "sharing.md": "needs the Hugging Face Hub; tests/pipelines runs push and pull against a stand-in",
-    "motion.md": "needs motion captures; tests/bodies run its calls on generated ones",
-    "habitat-episodes.md": "needs an episode dataset of Habitat; tests/habitat run its calls",
 }
 OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'
 BODY = 'from h3data.bodies import load_humanoid\nbody = load_humanoid("male_1")\nimport numpy as np\ndistance = 0.4\n'
@@ -41,6 +47,7 @@ ABSENT = {
     "s3://": "a bucket; tests/recording and tests/pipelines use a stand-in",
     "bodies bake": "the extra bodies",
     "flat.navmesh": "a navmesh of Habitat; tests/habitat/navmesh runs these calls",
+    "female_0_motion_data_smplx.pkl": "Habitat's motion of a person; tests/bodies/motion runs these calls",
     "run(person": "walking frames of its own; tests/sim run these calls",
 }
 """Parts of commands and blocks that need what tests do not have."""
@@ -53,6 +60,7 @@ ASSUMED: dict[str, str] = {
     + "header = RecordingHeader(episode=recording.episode, columns=recording.columns, agents=recording.agents,"
     + " bodies=recording.bodies, assets=recording.assets)\nrow = {k: v[:1] for k, v in recording.columns.items()}\n",
     "metrics.md": OPEN,
+    "habitat-episodes.md": "import h3data\n",
     "learned-policies.md": "import torch\nfrom torch import nn\n",
     "reach.md": BODY
     + "base_pose = np.array([[0, 0, 0, 0, 0, 0, 1.0]])\ntargets = np.array([[0.4, 1.0, 0.2]])\n"
@@ -76,6 +84,64 @@ ASSUMED: dict[str, str] = {
     + 'import shutil\nshutil.move(next(iter(__import__("pathlib").Path("v").glob("*.mp4"))), "top_down.mp4")\n',
     "robots.md": "import h3data\n",
 }
+
+
+def hitl_sessions(here: Path) -> None:
+    """Sessions of two people, and the log of another."""
+    frames = [frame(k, task_percent_complete=0.5 if k < 8 else 1.0) for k in range(12)]
+    for folder, name in (
+        ("hitl_sessions/P01", "ann@example.org"),
+        ("hitl_sessions/P02", "bob"),
+        ("hitl_output", "ann"),
+    ):
+        (here / folder).mkdir(parents=True)
+        with gzip.open(here / folder / "10.json.gz", "wt") as stream:
+            json.dump(session(frames, users=[user(name)]), stream)
+    with gzip.open(here / "session.0.pkl.gz", "wb") as stream:
+        pickle.dump(tidied(), stream)
+    shutil.copy(here / "session.0.pkl.gz", here / "hitl_sessions" / "P02" / "solo.0.pkl.gz")
+    (table,) = re.findall(r"```csv\n(.*?)```", (DOCS / "import.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len({len(row) for row in csv.reader(table.splitlines())}) == 1
+    (here / "sessions.csv").write_text(table)
+
+
+def captures(here: Path) -> None:
+    """Captured motion in two formats."""
+    body = load_humanoid("female_1")
+    (here / "mocap").mkdir()
+    for folder in (here, here / "mocap"):
+        (folder / "walk.bvh").write_text(bvh_text(body, walked(body), "cmu"))
+        np.savez(folder / "dance.npz", **amass_arrays(walked(body, 1.0)))
+
+
+def rearrangements(here: Path) -> None:
+    """An episode file of Habitat, and a recording of rearrangement."""
+    h3data.generate("rearrange", here / "tidy", episodes=1, seed=1)
+    h3data.recording.write_mcap(h3data.open(f"{here / 'tidy'}#0", h3data.Recording), here / "rearranged.mcap")
+    h3data.export(str(here / "tidy"), here / "habitat-episodes", to="habitat-episodes")
+    (file,) = (here / "habitat-episodes").rglob("*.json.gz")
+    shutil.copy(file, here / "social_rearrange.json.gz")
+
+
+FILES: dict[str, Callable[[Path], None]] = {
+    "import.md": hitl_sessions,
+    "motion.md": captures,
+    "habitat-episodes.md": rearrangements,
+}
+
+
+@pytest.fixture
+def hub(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A stand-in for the Hugging Face Hub, for the page that needs one."""
+    if request.node.callspec.params["page"].name != "sharing.md":
+        yield
+        return
+    constants = pytest.importorskip("huggingface_hub.constants", reason='needs the extra: pip install "h3data[hub]"')
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)  # another protocol, with servers of its own
+    with served() as server:
+        monkeypatch.setenv("HF_ENDPOINT", server.url)
+        monkeypatch.setenv("HF_TOKEN", WRITER)
+        yield
 
 
 def pages() -> list[Path]:
@@ -135,6 +201,8 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.usefixtures("hub")
+@pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")  # huggingface_hub's own
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
 def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here = tmp_path / "here"
@@ -142,6 +210,7 @@ def test_page_runs_as_written(page: Path, stage: Path, tmp_path: Path, monkeypat
     monkeypatch.chdir(here)
     monkeypatch.setenv("HOME", str(here))
     cuda = importlib.import_module("torch").cuda.is_available()
+    FILES.get(page.name, lambda here: None)(here)
     names: dict[str, Any] = {"__name__": "__main__", "__file__": str(here / "page.py")}
     exec(ASSUMED.get(page.name, ""), names)
     for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")):
