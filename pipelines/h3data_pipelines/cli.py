@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import logging
@@ -98,6 +99,8 @@ def _message(error: BaseException) -> str:
         return f"Out of memory ({error})." if str(error) else "Out of memory."
     if isinstance(error, OSError):
         path = f": {error.filename}" if error.filename is not None else ""
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            return f"The disk is full ({error.strerror}). Free some space, or write elsewhere with -o{path}"
         return f"The operating system refused ({error.strerror or error}){path}"
     return str(error)
 

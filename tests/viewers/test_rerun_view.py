@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,10 @@ from h3data.geometry import (
     pose_to_matrix,
     transform_points,
 )
+from h3data.recording import write_mcap
 from h3data.recording.records import STEP_NS, Agent, InputEvent, Recording
 from h3data.render.camera import look_at, orthographic, pinhole
+from h3data_pipelines.cli import main
 from h3data_viewers import CameraFeed, write_rrd
 from h3data_viewers.rerun import transforms
 from h3data_viewers.rerun.cameras import frame_steps
@@ -263,6 +266,20 @@ def test_a_file_is_replaced_only_on_request_and_only_by_a_whole_one(tmp_path, ca
     assert File(target).recordings
     assert [p.name for p in tmp_path.iterdir()] == ["e.rrd"]
     assert capfd.readouterr() == ("", "")
+
+
+def test_on_a_full_disk_it_ends_in_one_line_and_leaves_nothing(tmp_path, capfd):
+    write_mcap(example(), tmp_path / "episode.mcap")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # as a disk that fills up while the file is written
+    try:
+        assert main(["view", str(tmp_path / "episode.mcap"), "-o", str(tmp_path / "full.rrd")]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    told = capfd.readouterr().err
+    assert told.startswith("error: The disk is full")
+    assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["episode.mcap"]
 
 
 def test_missing_rerun_names_the_command(tmp_path, monkeypatch):

@@ -120,16 +120,17 @@ def _write_file(
         raise InputError(f"The file already exists; choose another name or pass overwrite=True: {path}")
     stream = _stream(sides)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Rerun's own file sink reports a full disk in its log only, and the file would be cut
+    encoded = stream.binary_stream()
+    try:
+        _log(stream, sides, images=images, skin_every=skin_every)
+    finally:
+        content = encoded.read()  # unread data would be reported as dropped
+        stream.disconnect()
+    if not content:
+        raise H3DataError("Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it.")
     with part_file(path) as part:
-        try:
-            stream.save(part)
-            _log(stream, sides, images=images, skin_every=skin_every)
-        finally:
-            stream.disconnect()
-        if not part.is_file() or part.stat().st_size == 0:
-            raise H3DataError(
-                "Rerun wrote nothing. Hint: check that the environment variable RERUN does not disable it."
-            )
+        part.write_bytes(content)
     return path
 
 
