@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import importlib.metadata
+import inspect
 import json
 import os
 import platform
@@ -16,8 +18,17 @@ FOLDER = Path(__file__).parent
 GROUPS = sorted(p.stem for p in FOLDER.glob("[a-z]*.py"))
 
 
-def main(wanted: list[str]) -> int:
-    """Run ``wanted`` groups (all when empty); ``render`` is also ``render_h2h`` and so on."""
+def main(arguments: list[str]) -> int:
+    """Runs the groups named in ``arguments`` (all when none is); ``render`` is also ``render_h2h`` and so on."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"any of: {', '.join(GROUPS)} (default: all)")
+    parser.add_argument(
+        "--episodes", type=int, help="episodes of each task, for groups that simulate some (penetration)"
+    )
+    options = parser.parse_args(arguments)
+    wanted: list[str] = options.groups
+    if options.episodes is not None and options.episodes < 1:
+        parser.error(f"Expected at least 1 episode, got {options.episodes}.")
     unknown = sorted(set(wanted) - set(GROUPS))
     if unknown:
         sys.stderr.write(f"error: unknown groups {unknown}. Expected some of: {', '.join(GROUPS)}.\n")
@@ -29,10 +40,12 @@ def main(wanted: list[str]) -> int:
         print(f"{name} {value:.6g} {unit}", flush=True)
 
     for group in [g for g in GROUPS if not wanted or any(g == w or g.startswith(w + "_") for w in wanted)]:
-        importlib.import_module(f"benchmarks.{group}").run(emit)
+        run = importlib.import_module(f"benchmarks.{group}").run
+        counted = options.episodes is not None and "episodes" in inspect.signature(run).parameters
+        run(emit, **({"episodes": options.episodes} if counted else {}))
     record = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": " ".join(["python -m benchmarks", *wanted]),
+        "command": " ".join(["python -m benchmarks", *arguments]),
         "machine": {"processor": _processor(), "gpu": _gpu(), "cpus": os.cpu_count(), "platform": platform.platform()},
         "versions": {p: importlib.metadata.version(p) for p in ("h3data", "numpy", "numba", "pyarrow", "mcap")},
         "figures": {name: {"value": value, "unit": unit} for name, (value, unit) in figures.items()},

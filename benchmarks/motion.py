@@ -42,6 +42,8 @@ from sim_kinematic.motion.spec import STEP_S
 
 Emit = Callable[[str, float, str], None]
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+HOMES = 10
+"""One episode of each task in each test home."""
 POP_M, STEADY_ROOM = 0.12, 1.1
 AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
 BODY_JOINTS = 22
@@ -53,7 +55,7 @@ def run(emit: Emit) -> None:
     """Emits ``motion.<task>.*``, ``motion.*`` and ``motion.real.*``."""
     totals: list[dict[str, Array]] = []
     for task, episodes in EPISODES.items():
-        parts = [part for recording in episodes() for part in motions(recording)]
+        parts = [part for recording in episodes(HOMES) for part in motions(recording)]
         found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         totals.append(found)
         _emit_all(emit, f"motion.{task}", found)

@@ -1,5 +1,8 @@
-"""How deep people and robots are in walls and furniture, by FCL, in one episode of each task in each home of
-``h3-homes/test``.
+"""How deep people and robots are in walls and furniture, by FCL, in 50 episodes of each task in the homes of
+``h3-homes/test``, or in as many as ``--episodes`` says.
+
+``penetration.<task>.above_2cm`` is the share of steps in which any part of any agent is deeper than 2 cm, outside contact that
+it intends: while an agent picks or places, its hands and what they hold do not count.
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
@@ -7,7 +10,7 @@ deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``
 ``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
 goes through a wall.
 
-    python -m benchmarks penetration
+    python -m benchmarks penetration --episodes 10
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from h3data.recording import Recording
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.arm_contact import arm_links
-from sim_kinematic.agents.penetration import penetrations
+from sim_kinematic.agents.penetration import Penetration, penetrations, unintended_depth
 from sim_kinematic.agents.robot_arm_clearance import APPROACH_M, LINE_RADIUS_M
 from sim_kinematic.contact import FclScene, MovingShapes, capsule_transforms, contacts, shapes_from_capsules
 from sim_kinematic.motion.spec import SocialNavSpec
@@ -42,15 +45,20 @@ WALLS = "walls"
 """Name of the instance in our homes."""
 
 
-def run(emit: Emit) -> None:
-    """Emits ``penetration.<task>.<kind>.<part>.*``."""
-    for task, episodes in EPISODES.items():
+def run(emit: Emit, episodes: int = 50) -> None:
+    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*``."""
+    for task, recordings in EPISODES.items():
         found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
         crossed: list[bool] = []
-        for recording in episodes():
+        above: list[NDArray[np.bool_]] = []
+        for recording in recordings(episodes):
             crossed += _through_walls(recording)
-            for kind, part, depth in _depths(recording):
+            measured = penetrations(recording)
+            above.append(unintended_depth(recording, measured) > DEPTHS_M["2cm"])
+            for kind, part, depth in _depths(recording, measured):
                 found.setdefault((kind, part), []).append(depth)
+        steps = np.concatenate(above)
+        emit(f"penetration.{task}.above_2cm", float(steps.mean()), f"of {len(steps)} steps, any part of any agent")
         for (kind, part), parts in found.items():
             depth = np.concatenate(parts)
             if part != "any" and depth.max() <= DEPTHS_M["2mm"]:
@@ -86,9 +94,9 @@ def _through_walls(recording: Recording) -> list[bool]:
     return found
 
 
-def _depths(recording: Recording) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+def _depths(recording: Recording, measured: list[Penetration]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
     """Kind of agent, part, and its depths [T] [m]."""
-    for found in penetrations(recording):
+    for found in measured:
         agent = recording.agents[found.agent]
         yield agent.kind, "any", found.depth_m.max(1)
         yield agent.kind, "arm", found.depth_m[:, found.arm].max(1)
@@ -100,38 +108,40 @@ def _depths(recording: Recording) -> Iterator[tuple[str, str, NDArray[np.float64
             yield agent.kind, part.replace(" ", "_"), depth
 
 
-def _homes() -> Iterator[tuple[int, Scene, FreeSpace]]:
-    rules = SocialNavSpec()
-    for seed, named in enumerate(named_scenes("h3-homes/test")):
-        yield seed, open_scene(named.source), open_free_space(named.source, rules.agent_radius_m, rules.agent_height_m)
+def _homes(episodes: int) -> Iterator[tuple[int, Scene, FreeSpace]]:
+    """A seed and a home for each episode, the homes in turn."""
+    rules, homes = SocialNavSpec(), named_scenes("h3-homes/test")
+    for seed in range(episodes):
+        source = homes[seed % len(homes)].source
+        yield seed, open_scene(source), open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
 
 
-def _social_nav() -> Iterator[Recording]:
+def _social_nav(episodes: int) -> Iterator[Recording]:
     rules = SocialNavSpec(end_on_collision=False)
-    for seed, scene, free in _homes():
+    for seed, scene, free in _homes(episodes):
         human = BODIES[seed % len(BODIES)]
         yield simulate(SocialNav(), SocialNav().episode(scene, seed=seed, spec=rules, free=free, human=human))
 
 
-def _rearrange() -> Iterator[Recording]:
-    for seed, scene, free in _homes():
+def _rearrange(episodes: int) -> Iterator[Recording]:
+    for seed, scene, free in _homes(episodes):
         try:
             yield simulate(Rearrange(), Rearrange().episode(scene, seed=seed, free=free))
         except SceneError:  # no room for the task in this home
             continue
 
 
-def _wander() -> Iterator[Recording]:
-    for seed, scene, free in _homes():
+def _wander(episodes: int) -> Iterator[Recording]:
+    for seed, scene, free in _homes(episodes):
         yield simulate(
             Wander(),
             Wander().episode(scene, seed=seed, spec=SocialNavSpec(max_steps=WANDER_STEPS), agents=WANDERERS, free=free),
         )
 
 
-EPISODES: dict[str, Callable[[], Iterator[Recording]]] = {
+EPISODES: dict[str, Callable[[int], Iterator[Recording]]] = {
     "social_nav": _social_nav,
     "rearrange": _rearrange,
     "wander": _wander,
 }
-"""One episode of each task in each test home."""
+"""A number of episodes of each task, in the test homes in turn."""

@@ -17,6 +17,7 @@ from h3data.errors import InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.recording import Recording
 from h3data.replay import Replay
+from h3data.replay.validation import Finding
 from h3data.scene import Scene, Shape
 from h3data.scene.records import Capsule, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
@@ -27,6 +28,8 @@ from sim_kinematic.contact.frames import body_shapes, shape_frames
 
 CORE_M = 1e-3
 """Radius of the thin capsule within a capsule, from which depth is measured."""
+REACHING = ("pick", "place", "drop", "hand_over")
+"""Skills in which hands are to touch something."""
 HELD = "held object"
 """The part under which everything that an agent carries is counted."""
 
@@ -39,6 +42,8 @@ class Penetration(NamedTuple):
     """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
     """Which parts are arms, hands and what they hold, [P]."""
+    hand: NDArray[np.bool_]
+    """Which parts are hands and what they hold, [P]."""
     steps: NDArray[np.intp]
     """The steps that were looked at, [T]."""
     depth_m: NDArray[np.float64]
@@ -66,6 +71,58 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
     return [_of_agent(replay, k, steps, scenery) for k, agent in enumerate(recording.agents) if agent.model]
 
 
+def unintended_depth(recording: Recording, measured: Sequence[Penetration]) -> NDArray[np.float64]:
+    """Returns how deep the deepest part of any agent is in each step that was looked at, [T] [m].
+
+    While an agent picks or places, its hands and what they hold do not count: they are to touch what they reach for.
+    """
+    deepest = np.zeros(len(measured[0].steps) if measured else 0)
+    for found in measured:
+        deepest = np.maximum(deepest, _outside_contact(recording, found).max(1))
+    return deepest
+
+
+def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list[Finding]:
+    """Returns a warning for each part of an agent that is deeper than ``limit_m`` in something, outside contact it intends.
+
+    Recordings without a scene, or whose agents have no built-in body, yield none.
+    """
+    if "scene.glb" not in recording.attachments:
+        return []
+    findings = []
+    for found in penetrations(recording):
+        depth = _outside_contact(recording, found)
+        for part, deep, things in zip(found.parts, depth.T, found.thing.T, strict=True):
+            over = deep > limit_m
+            if not over.any():
+                continue
+            worst = int(deep.argmax())
+            share = f"deeper than {100 * limit_m:g} cm in {over.mean():.1%} of the steps"
+            text = f"{100 * deep[worst]:.1f} cm deep in {things[worst]}; {share}"
+            subject, first = f"{recording.agents[found.agent].name}, {part}", int(found.steps[over.argmax()])
+            findings.append(
+                Finding(
+                    check="penetration",
+                    severity="warning",
+                    subject=subject,
+                    text=text,
+                    step=first,
+                    count=int(over.sum()),
+                )
+            )
+    return findings
+
+
+def _outside_contact(recording: Recording, found: Penetration) -> NDArray[np.float64]:
+    """Depths [T, P] of an agent, 0 for hands and what they hold while it picks or places."""
+    agent, codes = recording.agents[found.agent], recording.columns.get(f"agent_{found.agent}.skill")
+    depth = found.depth_m.copy()
+    if codes is not None:
+        reaching = [code for code, name in enumerate(agent.skill_names) if name in REACHING]
+        depth[np.ix_(np.isin(codes[found.steps], reaching), found.hand)] = 0.0
+    return depth
+
+
 def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery) -> Penetration:
     body = replay.model(number)
     if isinstance(body, Robot):
@@ -73,16 +130,21 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         parts = tuple(link.name for link in body.links)
         of_part = np.array([k for k, link in enumerate(body.links) for _ in link.shapes])
         arm = np.isin(np.arange(len(parts)), arm_links(body)) if body.hand_link >= 0 else np.zeros(len(parts), np.bool_)
+        hand = np.array(
+            [link == body.hand_link or body.links[link].parent == body.hand_link for link in range(len(parts))]
+        )
+        hand &= body.hand_link >= 0
     else:
         frames = replay.joint_matrices(number, steps)
         parts = tuple(capsule.name for capsule in body.capsules)
         of_part = np.arange(len(parts))
         arm = np.array([name.endswith(("upper_arm", "forearm", "hand")) for name in parts])
+        hand = np.array([name.endswith("hand") for name in parts])
     depth, thing = scenery.depths(body_shapes(body), _lifted(shape_frames(body, frames), body))
     depth, thing = _deepest(depth, thing, of_part, len(parts))
     held_depth, held_thing = _held(replay, number, steps, scenery)
     return Penetration(
-        agent=number, parts=(*parts, HELD), arm=np.append(arm, True), steps=steps,
+        agent=number, parts=(*parts, HELD), arm=np.append(arm, True), hand=np.append(hand, True), steps=steps,
         depth_m=np.column_stack([depth, held_depth]), thing=np.column_stack([thing, held_thing]),
     )  # fmt: skip
 
