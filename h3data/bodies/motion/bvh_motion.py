@@ -6,6 +6,7 @@ rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,7 @@ from h3data.geometry import (
     quat_to_matrix,
 )
 
-BUILTIN_TABLES = ("cmu", "cgspeed", "mixamo", "lafan")
+BUILTIN_TABLES = ("cmu", "cgspeed", "daz", "mixamo", "rokoko", "xsens", "lafan")
 SIDES = ("left", "right")
 REQUIRED = ("pelvis", *(f"{s}_{j}" for s in SIDES for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")))
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
@@ -51,7 +52,7 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which joint of a file is which of ours, in TOML. ``{side}`` and ``{Side}`` stand for left and right, Left and Right."""
+    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left and right, Left and Right, l and r."""
 
     joints: dict[str, str]
     """Our name: theirs. Those of `REQUIRED` must be there."""
@@ -77,7 +78,7 @@ class _Mapped:
 
 
 def load_name_table(name: str | Path) -> NameTable:
-    """A built-in table (``cmu``, ``cgspeed``, ``mixamo``, ``lafan``) or one in a TOML file.
+    """A built-in table (one of `BUILTIN_TABLES`) or one in a TOML file.
 
     Raises:
         InputError: there is none, or it is not a table; the message says what is wrong.
@@ -157,21 +158,30 @@ def _both_sides(entries: Mapping[str, str]) -> dict[str, str]:
     out: dict[str, str] = {}
     for key, value in entries.items():
         for side in SIDES if "{side}" in key else ("",):
-            out[key.replace("{side}", side)] = value.replace("{side}", side).replace("{Side}", side.capitalize())
+            theirs = value.replace("{side}", side).replace("{Side}", side.capitalize()).replace("{s}", side[:1])
+            out[key.replace("{side}", side)] = theirs
     return out
 
 
+def _bare(name: str) -> str:
+    return name.rpartition(":")[2].lower()
+
+
+def _numbers(bvh: Bvh) -> dict[str, int]:
+    """Joints by their bare names, and by what is left of these without the beginning that all of them share: exporters put
+    the name of the character there (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``)."""
+    bare = {_bare(joint.name): k for k, joint in enumerate(bvh.joints) if not joint.end_site}
+    prefix = os.path.commonprefix(list(bare))
+    return {name.removeprefix(prefix): k for name, k in bare.items()} | bare
+
+
 def _fitting_table(bvh: Bvh, names: str | Path | None, where: str) -> _Mapped:
-    known = {j.name.rpartition(":")[2].lower(): k for k, j in enumerate(bvh.joints) if not j.end_site}
+    known = _numbers(bvh)
     fits: list[tuple[int, _Mapped]] = []
     nearest: list[str] | None = None
     for name in BUILTIN_TABLES if names is None else (str(names),):
         table = load_name_table(name)
-        index = {
-            o: known[t.rpartition(":")[2].lower()]
-            for o, t in table.joints.items()
-            if t.rpartition(":")[2].lower() in known
-        }
+        index = {ours: known[_bare(theirs)] for ours, theirs in table.joints.items() if _bare(theirs) in known}
         missing = [table.joints[joint] for joint in REQUIRED if joint not in index]
         if not missing:
             fits.append((len(index) - len(table.joints), _Mapped(Path(name).stem, table, index)))

@@ -127,6 +127,22 @@ CGSPEED = {
         )
     },
 }  # fmt: skip
+ROKOKO = {
+    **{k: v.replace("UpLeg", "Thigh").replace("Leg", "Shin").replace("ToeBase", "Toe") for k, v in CMU.items()},
+    "spine1": "Spine1", "spine2": "Spine2", "spine3": "Spine4",
+}  # fmt: skip
+XSENS = CGSPEED | {"spine1": "Chest", "spine2": "Chest2", "spine3": "Chest4"}
+DAZ = {
+    "pelvis": "hip", "spine1": "abdomen", "spine3": "chest", "neck": "neck", "head": "head",
+    **{
+        f"{s}_{ours}": s[0] + theirs
+        for s in ("left", "right")
+        for ours, theirs in (
+            ("hip", "Thigh"), ("knee", "Shin"), ("ankle", "Foot"), ("collar", "Collar"), ("shoulder", "Shldr"),
+            ("elbow", "ForeArm"), ("wrist", "Hand"),
+        )
+    },
+}  # fmt: skip
 LAFAN = {k: v.removeprefix("mixamorig:").replace("ToeBase", "Toe") for k, v in MIXAMO.items() if k in CMU}
 
 
@@ -162,6 +178,9 @@ CONVENTIONS: dict[str, tuple] = {
     "mixamo": (MIXAMO, "ZXY", 100.0, lambda name: ONE, ONE),
     "cmu": (CMU, "ZYX", 1 / 0.0564444, _spread, ONE),
     "cgspeed": (CGSPEED, "ZYX", 1.0, _spread, ONE),
+    "rokoko": (ROKOKO, "ZXY", 100.0, lambda name: ONE, ONE),
+    "xsens": (XSENS, "YXZ", 100.0, lambda name: ONE, ONE),
+    "daz": (DAZ, "ZYX", 1 / 0.0254, _spread, ONE),
     "lafan": (LAFAN, "ZYX", 100.0, _along_bones, ONE),
     "z_up": (MIXAMO, "XYZ", 1.0, lambda name: ONE, Z_UP),
 }

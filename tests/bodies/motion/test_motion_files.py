@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -235,7 +236,18 @@ def test_bvh_joints_are_where_they_were(convention: str, name: str, tmp_path: Pa
             body.joint_matrices(np.tile(identity, (len(m), 1)), m.quats, m.pelvis)[..., :3, 3] for m in (found, motion)
         )
         for joint in ("left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_foot", "head"):
-            assert np.abs(ours - truth)[:, JOINT_INDEX[joint]].max() < 1e-3 * 0.5
+            whole_spine = "spine2" in CONVENTIONS[convention][0]  # its bend is lost where the file does not have it
+            assert np.abs(ours - truth)[:, JOINT_INDEX[joint]].max() < (0.0005 if whole_spine else 0.003)
+
+
+@pytest.mark.parametrize("prefix", ["mixamorig_", "Character1:", "ann:Character1_"])
+def test_a_prefix_of_all_names_does_not_count(walk: Motion, tmp_path: Path, prefix: str) -> None:
+    text = bvh_text(load_humanoid("male_1"), walk, "rokoko")
+    paths = tmp_path / "plain.bvh", tmp_path / "prefixed.bvh"
+    for path, begins in zip(paths, ("", prefix), strict=True):
+        path.write_text(re.sub(r"(ROOT|JOINT) ", rf"\1 {begins}", text))
+    plain, prefixed = map(read_bvh, paths)
+    np.testing.assert_array_equal(prefixed.quats, plain.quats)
 
 
 def test_bvh_fk_by_hand() -> None:
