@@ -27,7 +27,9 @@ UpChoice = Annotated[Literal["z", "y"], tyro.conf.arg(help="AMASS: up axis of th
 FpsChoice = Annotated[float | None, tyro.conf.arg(help="AMASS: frame rate [1/s] of files that do not state it.")]
 NamesChoice = Annotated[
     str | None,
-    tyro.conf.arg(help="BVH: joint names: cmu, cgspeed, daz, mixamo, rokoko, xsens, lafan or a TOML file (default: the convention that matches)."),
+    tyro.conf.arg(
+        help="BVH: joint names: cmu, cgspeed, daz, mixamo, rokoko, xsens, lafan or a TOML file (default: the convention that matches)."
+    ),
 ]
 UnitChoice = Annotated[
     float | None, tyro.conf.arg(help="BVH: metres per unit (default: the unit that gives legs of human length).")
