@@ -6,9 +6,9 @@ rotations. Local rotations are then q' = H_parent^-1 H_j, that is A_parent^-1 q 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os.path import commonpath
 from pathlib import Path
 
 import msgspec
@@ -52,7 +52,7 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left and right, Left and Right, l and r."""
+    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or right, Right and r."""
 
     joints: dict[str, str]
     """Our name: theirs. Those of `REQUIRED` must be there."""
@@ -171,7 +171,7 @@ def _numbers(bvh: Bvh) -> dict[str, int]:
     """Joints by their bare names, and by what is left of these without the beginning that all of them share: exporters put
     the name of the character there (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``)."""
     bare = {_bare(joint.name): k for k, joint in enumerate(bvh.joints) if not joint.end_site}
-    prefix = os.path.commonprefix(list(bare))
+    prefix = commonpath(list(bare))
     return {name.removeprefix(prefix): k for name, k in bare.items()} | bare
 
 

@@ -28,7 +28,7 @@ FpsChoice = Annotated[float | None, tyro.conf.arg(help="AMASS: frame rate [1/s] 
 NamesChoice = Annotated[
     str | None,
     tyro.conf.arg(
-        help="BVH: joint names: cmu, cgspeed, daz, mixamo, rokoko, xsens, lafan or a TOML file (default: the convention that matches)."
+        help="BVH: joint names: cmu, cgspeed, daz, mixamo, rokoko, xsens, lafan or a TOML file (default: what fits)."
     ),
 ]
 UnitChoice = Annotated[
