@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from os.path import commonpath
+from itertools import takewhile
 from pathlib import Path
 
 import msgspec
@@ -52,7 +52,8 @@ TILT_DEG, BEND_DEG = 30.0, 100.0
 
 
 class NameTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or right, Right and r."""
+    """Which joint of a file is which of ours, in TOML. ``{side}``, ``{Side}`` and ``{s}`` stand for left, Left and l, or for
+    right, Right and r."""
 
     joints: dict[str, str]
     """Our name: theirs. Those of `REQUIRED` must be there."""
@@ -171,8 +172,9 @@ def _numbers(bvh: Bvh) -> dict[str, int]:
     """Joints by their bare names, and by what is left of these without the beginning that all of them share: exporters put
     the name of the character there (``mixamorig:Hips``, ``mixamorig_Hips``, ``Character1_Hips``)."""
     bare = {_bare(joint.name): k for k, joint in enumerate(bvh.joints) if not joint.end_site}
-    prefix = commonpath(list(bare))
-    return {name.removeprefix(prefix): k for name, k in bare.items()} | bare
+    first, last = min(bare), max(bare)
+    shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(first, last, strict=False)))
+    return {name[shared:]: k for name, k in bare.items()} | bare
 
 
 def _fitting_table(bvh: Bvh, names: str | Path | None, where: str) -> _Mapped:
