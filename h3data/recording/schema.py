@@ -97,12 +97,13 @@ def layout_of(columns: Mapping[str, NDArray[Any]]) -> Layout:
     layout, faults = [], []
     for name, array in columns.items():
         array = np.asarray(array)
-        if array.dtype.name not in DTYPES:
+        dtype = array.dtype.name  # composed anew at each look
+        if dtype not in DTYPES:
             faults.append(f"{name!r} has dtype {array.dtype}")
         elif array.ndim < 1:
             faults.append(f"{name!r} has no time axis")
         else:
-            layout.append(Column(name, array.dtype.name, array.shape[1:]))
+            layout.append(Column(name, dtype, array.shape[1:]))
     if faults:
         raise InputError(f"Columns must be bool, integer or float arrays with time as axis 0, but {'; '.join(faults)}.")
     return tuple(layout)

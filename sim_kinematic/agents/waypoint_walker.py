@@ -55,7 +55,7 @@ class WaypointHuman:
         while True:
             while self.leg < len(self._path):
                 waypoint = self._path[self.leg]
-                if np.hypot(*(waypoint - position)) > self.spec.arrive_m:
+                if np.hypot(*(waypoint - position).tolist()) > self.spec.arrive_m:
                     return waypoint
                 self.leg += 1
             self._next_goal(position)

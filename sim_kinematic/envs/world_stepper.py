@@ -225,12 +225,6 @@ class WorldStepper:
         now, before = world.state.agents, world.before.agents
         mine = [p for p, pair in enumerate(world.pairs) if k in pair]
 
-        def distance() -> Array:
-            length = np.zeros(self.worlds)
-            for free, rows in world.groups:
-                length[rows] = free.geodesic(now[k].xz[rows], now[other].xz[rows])
-            return length
-
         return Moment(
             self.spec,
             world.bases[k],
@@ -246,7 +240,7 @@ class WorldStepper:
             world.blocked[:, k],
             np.asarray(world.touching[:, mine].any(1)),
             _arm(world.roster[k].body),
-            distance,
+            lambda: world.geodesic(k, other),
         )
 
     def _pictures(self, own: ObservationSet) -> Arrays:

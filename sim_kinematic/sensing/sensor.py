@@ -7,6 +7,7 @@ noise is added by `with_noise` and `depth_with_noise`, where wanted. Pictures: `
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from h3data.errors import InputError
-from h3data.geometry import heading_direction, normalized, quat_conjugate, quat_rotate, wrap_angle
+from h3data.geometry import heading_direction, quat_conjugate, quat_rotate, wrap_angle
+from h3data.kernels import kernel
 from sim_kinematic.motion.spec import STEP_S
 
 if TYPE_CHECKING:
@@ -203,8 +205,24 @@ def _but_last(used: ArrayLike) -> NDArray[np.bool_]:
 
 def facing(xz: ArrayLike, heading: ArrayLike, other_xz: ArrayLike) -> Floats:
     """Cosine [...] between an agent's forward axis and the direction to a point; 0 where they coincide."""
-    towards = normalized(np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64))
-    return np.add.reduce(heading_direction(np.asarray(heading, np.float64)) * towards, axis=-1)
+    gap, heading = np.asarray(other_xz, np.float64) - np.asarray(xz, np.float64), np.asarray(heading, np.float64)
+    if gap.shape[:-1] != heading.shape:
+        shape = np.broadcast_shapes(gap.shape[:-1], heading.shape)
+        gap, heading = np.broadcast_to(gap, (*shape, 2)), np.broadcast_to(heading, shape)
+    flat = np.ascontiguousarray(gap.reshape(-1, 2)), np.ascontiguousarray(heading.reshape(-1))
+    return _facing(*flat).reshape(heading.shape)[()]
+
+
+@kernel(error_model="numpy")
+def _facing(gap, heading):
+    """Cosines [N] between headings [N] and vectors [N, 2]; compiled, because every step of social navigation asks for one."""
+    out = np.empty(len(heading))
+    for n in range(len(heading)):
+        dx, dz = gap[n, 0], gap[n, 1]
+        length = math.sqrt(dx * dx + dz * dz)
+        length = length if length > 0.0 else 1.0
+        out[n] = 0.0 + math.cos(heading[n]) * (dx / length) - math.sin(heading[n]) * (dz / length)
+    return out
 
 
 # --- noise: off unless called -------------------------------------------------------------------------------------------

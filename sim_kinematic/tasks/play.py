@@ -253,7 +253,7 @@ class WorldPlay:
                 code = words.index("walk" if walks else "turn") if words else -1
                 since = distance - own.set_off.item(0)
                 numbers += (x, z, heading, since, own.blend.item(0), *own.arms[0].tolist(), code)
-        judged = {name: np.asarray(v)[0] for name, v in self.outcome.columns.items()}
+        judged = {name: values[0] for name, values in self.outcome.columns.items()}
         if self.task.records_judgement:
             judged |= {"metrics.reward": self.outcome.reward[0], "metrics.success": self.outcome.success[0]}
         return (*numbers, judged, self.world.touching[0])

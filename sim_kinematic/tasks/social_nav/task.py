@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -67,11 +67,13 @@ class SocialNavState:
     faces: Array
     """Cosine between the robot's forward axis and the direction to the person."""
     collisions: NDArray[np.int64]
-    goal: int = -1
-    """The person's last known goal, in a world that is recorded."""
+    goal: NDArray[np.int64]
+    """Number of the goal that a scripted person walks to, -1 before the first and where nobody keeps to a script."""
+    leg: NDArray[np.int64]
+    """Index of the way point within the path to it."""
     plan: HumanPlan | None = None
     """The scripted person's whole walk, once somebody has asked for it."""
-    track: list[NDArray[np.float64]] | None = None
+    track: list[NDArray[np.float64]] = field(default_factory=list)
     """Where a person who follows no script has been."""
 
 
@@ -208,11 +210,13 @@ class SocialNav(Task):
                 success=np.zeros(worlds, np.bool_),
                 faces=np.zeros(worlds),
                 collisions=np.zeros(worlds, np.int64),
+                goal=np.full(worlds, -1),
+                leg=np.zeros(worlds, np.int64),
             )
         state: SocialNavState = play.memory
         state.collisions[rows] = 0
         state.found[rows] = state.success[rows] = state.collides[rows] = False
-        state.goal, state.plan, state.track = -1, None, None
+        state.goal[rows], state.leg[rows], state.plan, state.track = -1, 0, None, []
         self._look(play, rows)
         if state.rewards is not None:
             fresh = np.zeros(worlds, np.bool_)
@@ -222,8 +226,9 @@ class SocialNav(Task):
 
     def judge(self, play: WorldPlay) -> Outcome:
         state: SocialNavState = play.memory
-        had = state.found.copy()
-        self._look(play, play.world.rows)
+        lost = not state.found[0]
+        self._look(play)
+        state.found |= is_found(state.geodesic, state.faces, play.spec)
         if state.rewards is not None:
             state.collisions += state.collides | play.world.state.robots[0].contact
             worth = state.rewards.step(self._encounter(play))
@@ -231,32 +236,29 @@ class SocialNav(Task):
             reward, ends = worth.reward, worth.ends
         else:
             reward, ends = np.zeros(play.world.worlds), state.collides & play.spec.end_on_collision
-        policy = play.policies[HUMAN].policy if play.policies else None
-        scripted = isinstance(policy, WaypointPolicy)
-        if play.policies and not scripted:
-            state.track = state.track or []
-            state.track.append(play.world.state.people[0].xz[0].copy())
         return Outcome(
             reward=reward,
             terminated=ends,
             success=state.success,
             columns={
-                "sim.human_goal": np.full(play.world.worlds, policy.goal if scripted else -1),
-                "sim.human_leg": np.full(play.world.worlds, policy.leg if scripted else 0),
+                "sim.human_goal": state.goal,
+                "sim.human_leg": state.leg,
                 "metrics.geodesic_agents": state.geodesic,
                 "metrics.facing": state.faces,
             },
-            events=self._events(play, state, policy if scripted else None, not had[0]) if play.policies else (),
+            events=self._events(play, state, lost) if play.policies else (),
         )
 
-    def _events(
-        self, play: WorldPlay, state: SocialNavState, walker: WaypointPolicy | None, lost: bool
-    ) -> list[tuple[int, Event]]:
-        events, step = [], play.step - 1
-        if walker is not None and walker.goal != state.goal:
-            state.goal = walker.goal
-            x, z = walker.goals[-1]
-            events.append(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
+    def _events(self, play: WorldPlay, state: SocialNavState, lost: bool) -> list[tuple[int, Event]]:
+        """Events of a world that is recorded; also takes down where the person is heading for, or where they are."""
+        events, step, walker = [], play.step - 1, play.policies[HUMAN].policy
+        if not isinstance(walker, WaypointPolicy):
+            state.track.append(play.world.state.people[0].xz[0].copy())
+        else:
+            if walker.goal != state.goal[0]:
+                x, z = walker.goals[-1]
+                events.append(Event(step=step, agent=HUMAN, kind="new_goal", detail=f"({x:.2f}, {z:.2f})"))
+            state.goal[0], state.leg[0] = walker.goal, walker.leg
         if lost and state.found[0]:
             events.append(Event(step=step, agent=ROBOT, kind="found", target="human"))
         if state.collides[0]:
@@ -278,27 +280,14 @@ class SocialNav(Task):
             "robot_contact": play.world.state.robots[0].contact.copy(),
         }
 
-    def _look(self, play: WorldPlay, rows: NDArray[np.intp]) -> None:
-        """Distances, contact and whether the person is found, of some worlds."""
+    def _look(self, play: WorldPlay, rows: NDArray[np.intp] | None = None) -> None:
+        """Distances and contact in the worlds ``rows`` [n] (default: all)."""
         state: SocialNavState = play.memory
-        world = play.world
+        world, at = play.world, slice(None) if rows is None else rows
         robot, person = world.state.agents
-        everywhere = len(rows) == world.worlds
-        for free, group in world.groups:
-            if len(group) == world.worlds and everywhere:
-                state.geodesic[:] = free.geodesic(robot.xz, person.xz)
-                continue
-            some = group if everywhere else np.intersect1d(group, rows)
-            state.geodesic[some] = free.geodesic(robot.xz[some], person.xz[some])
-        if everywhere:
-            state.collides[:] = world.touching[:, 0]
-            state.faces[:] = facing(robot.xz, robot.heading, person.xz)
-            state.found |= is_found(state.geodesic, state.faces, play.spec) & (play.steps > 0)
-            return
-        state.collides[rows] = world.touching[rows, 0]
-        state.faces[rows] = facing(robot.xz[rows], robot.heading[rows], person.xz[rows])
-        began = play.steps[rows] > 0  # the start itself is no step
-        state.found[rows] |= is_found(state.geodesic[rows], state.faces[rows], play.spec) & began
+        state.geodesic[at] = world.geodesic(ROBOT, HUMAN, rows)
+        state.collides[at] = world.touching[at, 0]
+        state.faces[at] = facing(robot.xz[at], robot.heading[at], person.xz[at])
 
     def _encounter(self, play: WorldPlay) -> Encounter:
         state: SocialNavState = play.memory
