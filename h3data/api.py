@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from numpy.typing import NDArray
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.recording import Dataset, Episodes, Recording, open_recording
 from h3data.render import Output
@@ -137,12 +138,13 @@ def render_frame(
     step: int = 0,
     outputs: Sequence[Output] = ("rgb",),
     assets: Sequence[str | Path] = (),
+    people: PeopleStyle = "skin",
 ) -> dict[str, NDArray[Any]]:
     """One picture: ``rgb`` uint8 [H, W, 3], ``depth`` float32 [H, W] [m], ``instance`` int32 [H, W], ...
 
     For many pictures make a `Replay` once and pass it, or use its `Replay.frames`.
     """
-    replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets)
+    replay = recording if isinstance(recording, Replay) else Replay(recording, assets=assets, people=people)
     row = replay.row(step)
     seen_from = camera_at(replay, camera, row)
     track = CameraTrack(camera=seen_from, poses=seen_from.pose[None])

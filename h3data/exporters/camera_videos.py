@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.parquet.moments import Moments
@@ -34,6 +35,7 @@ def render_videos(
     steps: int | None = None,
     threads: int = 1,
     assets: Sequence[Path] = (),
+    people: PeopleStyle = "skin",
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, total: frames,
 ) -> list[EpisodeVideo]:
     """Renders the first ``steps`` steps (default: all) from each camera into ``folder``, ``<camera>.mp4``.
@@ -47,6 +49,7 @@ def render_videos(
         steps: Number of steps.
         threads: Threads that render.
         assets: Folders below which recorded asset files are searched.
+        people: How people are shown.
         progress: Wraps the iterable of frames.
 
     Raises:
@@ -55,7 +58,7 @@ def render_videos(
     count = len(recording) if steps is None else steps
     if not count:
         return []
-    replay = Replay(recording, assets=assets)
+    replay = Replay(recording, assets=assets, people=people)
     tracks, fps = camera_tracks(replay, cameras), round(1e9 / max(recording.episode.dt_ns, 1))
     with ExitStack() as stack:
         writers = [

@@ -41,7 +41,7 @@ class Format:
     write: Function = None
     """Called as ``write(recordings, request)`` with an iterable of recordings (which may be iterated repeatedly) and an
     `ExportRequest`; returns an `Exported`."""
-    write_options: tuple[Literal["agent", "assets", "light", "camera"], ...] = ()
+    write_options: tuple[Literal["agent", "assets", "light", "people", "camera"], ...] = ()
     """Options of `h3data export` that apply; the others are refused."""
     target: Literal["file", "folder", "dataset"] = "file"
     """What is written. A dataset is a folder as in docs/format.md, which ``--force`` replaces."""
@@ -68,6 +68,8 @@ class ExportRequest:
     """Folders below which recorded asset files are searched."""
     light: bool = False
     """Whether to take meshes of people with fewer vertices."""
+    people: Any = "skin"
+    """How people are shown, a `h3data.bodies.people.rigid_parts.PeopleStyle`."""
     cameras: Sequence[str] = ()
     """Cameras to render, by name or file."""
     stored_cameras: Sequence[str] = ()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from h3data.bodies import Humanoid, Robot, load_humanoid, load_robot
 from h3data.bodies.people.arms import draw_in
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.bodies.people.rigid_parts import PeopleStyle, rigid_parts
 from h3data.bodies.people.turning import TurningFeet, turned, turning_feet
+from h3data.bodies.robots.trot import legs_are_posed, trot
 from h3data.errors import FormatError, InputError
 from h3data.geometry import Array, pose_to_matrix
 from h3data.habitat.asset_library import AssetLibrary
@@ -43,6 +45,7 @@ class PosedRecording:
             placeholders and listed in `missing`.
         detail: Whether to use the full (True) or the reduced (False) meshes of people. By default, images use whichever is
             sufficient for the camera (`Humanoid.light_enough`), everything else the full ones.
+        people: How people are shown: ``skin``, ``capsules`` (those that decide contact) or ``bones``.
         stepping: Whether legs that were recorded in their resting posture trot (`h3data.bodies.robots.trot`), and people
             who were recorded by clips walk with planted feet. Affects appearance only.
     """
@@ -53,10 +56,16 @@ class PosedRecording:
         *,
         assets: AssetLibrary | Sequence[str | Path] | None = None,
         detail: bool | None = None,
+        people: PeopleStyle = "skin",
         stepping: bool = True,
     ) -> None:
         self.recording = recording
+        if people not in get_args(PeopleStyle):
+            raise InputError(
+                f"Unknown style of people {people!r}. Expected one of: {', '.join(get_args(PeopleStyle))}."
+            )
         self.detail = detail
+        self.people: PeopleStyle = people
         self.stepping = stepping
         self.library = assets if isinstance(assets, AssetLibrary) else AssetLibrary([Path(p) for p in assets or ()])
         if isinstance(source := recording.episode.info.get("source"), Mapping):
@@ -144,14 +153,15 @@ class PosedRecording:
         model = self.model(index)
         self._require_motion(index, model)
         common: dict[str, Any] = {"semantic_id": agent.semantic_id, "agent": index, "moving": True}
-        if isinstance(model, Humanoid):
+        if isinstance(model, Humanoid) and self.people == "skin":
             mesh = model.lod_mesh if self.detail is False else model.mesh
             self._add(
                 Drawable(name=agent.name, mesh=mesh, matrix=np.eye(4), deformable=True, **common), PersonTrack(index)
             )
             return
         first = np.zeros(1, np.intp)
-        for number, link in enumerate(model.links):
+        links = rigid_parts(model, self.people) if isinstance(model, Humanoid) else model.links
+        for number, link in enumerate(links):
             if link.mesh is not None:
                 matrix = self.link_track(index, number, first)[0] if len(self) else np.eye(4)
                 name = f"{agent.name}/{link.name}"
@@ -190,24 +200,34 @@ class PosedRecording:
 
     # --- poses --------------------------------------------------------------------------------------------------------
     def link_matrices(self, agent: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """World matrices of a robot's links at ``steps`` (default all), shape [T, L, 4, 4].
+        """World matrices of a robot's links, or of a person's parts, at ``steps`` (default all), shape [T, L, 4, 4].
 
         For a long recording the result is large: ask for a few steps at a time, or for one link (`link_track`).
         """
         return self._links_of(agent).at(steps, slice(None))
 
     def link_track(self, agent: int, link: int, steps: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
-        """World matrices of one link of a robot at ``steps`` (default all), shape [T, 4, 4]."""
+        """World matrices of one link of a robot or part of a person at ``steps`` (default all), shape [T, 4, 4]."""
         return self._links_of(agent).at(steps, link)
 
     def _links_of(self, agent: int) -> LinkPoses:
         if agent not in self._links:
-            robot = self.model(agent)
-            if not isinstance(robot, Robot):
-                raise InputError(f"Agent {self.recording.agents[agent].name!r} is not a robot with links.")
-            base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
-            self._links[agent] = LinkPoses(robot, base, joints, stepping=self.stepping)
+            model = self.model(agent)
+            pose = self._robot_poses(agent, model) if isinstance(model, Robot) else self._part_poses(agent, model)
+            self._links[agent] = LinkPoses(*pose)
         return self._links[agent]
+
+    def _robot_poses(self, agent: int, robot: Robot) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
+        base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
+        if self.stepping and legs_are_posed(robot, joints):
+            joints = trot(robot, base, joints)
+        return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
+
+    def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
+        if self.people == "skin":
+            raise InputError(f"Agent {self.recording.agents[agent].name!r} is a person with a skin, without links.")
+        joints = [part.joint for part in rigid_parts(body, self.people)]
+        return lambda steps: self.joint_matrices(agent, steps)[:, joints], len(self), len(joints)
 
     @cached_property
     def _links(self) -> dict[int, LinkPoses]:

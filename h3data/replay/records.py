@@ -47,7 +47,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class LinkTrack:
-    """A link of a robot that is rendered from its model."""
+    """A link of a robot, or a rigid part of a person, that is rendered from its model."""
 
     agent: int
     link: int

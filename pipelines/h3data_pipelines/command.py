@@ -13,6 +13,7 @@ from typing import Annotated, Any, Protocol, TypeVar
 
 import tyro
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import InputError
 from h3data.files import part_file
 from h3data.recording import Recording
@@ -26,6 +27,9 @@ AssetsOption = Annotated[
     tyro.conf.arg(help="More folders to search for a Habitat scene's files (default: H3DATA_ASSETS)."),
 ]
 DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and do nothing.")]
+PeopleOption = Annotated[
+    PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
+]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")

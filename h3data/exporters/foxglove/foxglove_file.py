@@ -98,7 +98,7 @@ def write_foxglove(
 def export_foxglove(recordings: Iterable[Recording], request: ExportRequest) -> Exported:
     """Exports one recording for ``h3data export --to foxglove``, with a video of each requested camera."""
     (recording,) = recordings
-    replay = Replay(recording, assets=request.assets, detail=False)
+    replay = Replay(recording, assets=request.assets, people=request.people, detail=False)
     tracks = [camera_track(replay, name) for name in request.cameras]
     frames = replay.frames(tracks, range(len(recording) if tracks else 0), threads=request.threads)
     shown = request.progress(frames, len(recording), "frame") if tracks else frames

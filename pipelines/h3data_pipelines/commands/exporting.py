@@ -21,6 +21,7 @@ from h3data_pipelines.command import (
     JsonFlag,
     NameOf,
     Outcome,
+    PeopleOption,
     claim_file,
     claim_folder,
     open_episode,
@@ -63,6 +64,7 @@ class Export:
     """Folders below which the recorded asset files are searched (default: H3DATA_ASSETS)."""
     light: bool = False
     """Take the light meshes of people (3,000 vertices instead of 19,000), for gfx-replay and gltf."""
+    people: PeopleOption = "skin"
     camera: tuple[str, ...] = ()
     """Camera to add as a video, for foxglove and lerobot: a name as in rerender, or a .toml or .json file; repeatable.
     lerobot copies the videos that a dataset has, and renders others (default: all that the dataset has)."""
@@ -71,8 +73,8 @@ class Export:
 
     def run(self) -> Outcome:
         form = export_format(self.to)
-        for option in ("agent", "assets", "light", "camera"):
-            if getattr(self, option) and option not in form.write_options:
+        for option in ("agent", "assets", "light", "people", "camera"):
+            if getattr(self, option) not in (None, False, (), "skin") and option not in form.write_options:
                 raise InputError(f"--{option} is not for {form.option}, but for {_formats_with(option)}. Leave it out.")
         recordings: Iterable[Recording]
         sources: list[StoredEpisode] = []
@@ -88,6 +90,7 @@ class Export:
             agent=self.agent,
             assets=self.assets,
             light=self.light,
+            people=self.people,
             cameras=self.camera,
             stored_cameras=common_cameras(sources) if "camera" in form.write_options else (),
             stored_videos=lambda number: sources[number].read_videos(),

@@ -27,6 +27,7 @@ from h3data_pipelines.command import (
     JsonFlag,
     MissingFlag,
     Outcome,
+    PeopleOption,
     ShareScenesFlag,
     claim_folder,
     counted,
@@ -131,6 +132,7 @@ class Generate:
     """Another rule of the task, as NAME=VALUE, for example --rule objects=3 (repeatable)."""
     camera: tuple[str, ...] = ()
     """Camera whose video is added to the dataset (observation.images.<name>), as in rerender; repeatable."""
+    people: PeopleOption = "skin"
     workers: int = 1
     """Processes."""
     mcap: bool = False
@@ -231,7 +233,8 @@ class Generate:
         committed, failures = time.monotonic(), 0
         bar = progress(total=len(writer) + len(jobs), initial=len(writer), desc="simulate", unit="episode")
         with TemporaryDirectory(prefix="h3data-", ignore_cleanup_errors=True) as folder, bar, ExitStack() as stack:
-            filming = Filming(self.camera, Path(folder), threads=max(core_count() // self.workers, 1))
+            threads = max(core_count() // self.workers, 1)
+            filming = Filming(self.camera, Path(folder), threads=threads, people=self.people)
             filmed = stack.enter_context(closing(film_jobs(jobs, filming=filming, workers=self.workers)))
             for job, (recording, videos) in zip(jobs, filmed, strict=True):
                 waiting.append((recording, videos))

@@ -17,6 +17,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Recording
 from h3data_pipelines.jobs.episodes import Job
@@ -52,6 +53,7 @@ class Filming:
     """Parent of the folders that their files are put into."""
     threads: int
     """Threads that render, in each process."""
+    people: PeopleStyle = "skin"
 
     def of(self, job: Job) -> Path:
         """Folder for the videos of an episode."""
@@ -71,7 +73,9 @@ def film_job(job: Job, filming: Filming) -> tuple[Recording, list[EpisodeVideo]]
 
     filming.of(job).mkdir()
     try:
-        videos = render_videos(recording, filming.cameras, filming.of(job), threads=filming.threads)
+        videos = render_videos(
+            recording, filming.cameras, filming.of(job), threads=filming.threads, people=filming.people
+        )
     except InputError as error:
         raise InputError(f"Episode {job.index}: {error}") from None
     return recording, videos

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from h3data.errors import InputError
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, write_text
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, PeopleOption, claim_file, write_text
 from h3data_pipelines.studies.fitting import FailedOption, StepsModelOption
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ class ReportCommand:
     """Also write the tables to this LaTeX file (needs booktabs)."""
     pictures: int = 6
     """Number of episodes per task shown with key frames."""
+    people: PeopleOption = "skin"
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     zsc: tuple[str, ...] = ()
@@ -67,7 +68,7 @@ class ReportCommand:
         for path in targets:
             claim_file(path, force=self.force)
         report = write_report(
-            self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets,
+            self.datasets, self.out, title=self.title, pictures=self.pictures, assets=self.assets, people=self.people,
             study=StudyModel(steps=self.study_model, failed=self.failed),
             zsc=[name for entry in self.zsc for name in entry.split(",") if name],
         )  # fmt: skip

@@ -16,7 +16,16 @@ import tyro
 from h3data.errors import H3DataError, InputError
 from h3data.recording.storage import local
 from h3data.replay import CameraTrack, Replay, camera_track
-from h3data_pipelines.command import DryRunFlag, ForceFlag, JsonFlag, Outcome, counted, keeping, open_episode
+from h3data_pipelines.command import (
+    DryRunFlag,
+    ForceFlag,
+    JsonFlag,
+    Outcome,
+    PeopleOption,
+    counted,
+    keeping,
+    open_episode,
+)
 from h3data_pipelines.jobs.camera_log import CameraLog
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.outputs import OUTPUTS, Format, Target
@@ -64,6 +73,7 @@ class Rerender:
     format: Format = "mp4"
     """mp4 (H.264) or av1: videos for viewing. png: images, depth as 16-bit millimetres, ids as 16-bit id + 1.
     data: H.264 for rgb, lossless 16-bit FFV1 for depth, PNG for ids."""
+    people: PeopleOption = "skin"
     workers: int | None = None
     """Number of render threads (default: one per core)."""
     dry_run: DryRunFlag = False
@@ -109,7 +119,7 @@ class Rerender:
         self, path: Path, stem: str, outputs: Sequence[Output], counter: str
     ) -> tuple[list[str], dict[str, Any]]:
         """Renders one recording; returns a summary as lines of text and as JSON data."""
-        replay = Replay(open_episode(path), assets=self.assets)
+        replay = Replay(open_episode(path), assets=self.assets, people=self.people)
         tracks = [camera_track(replay, name) for name in self.camera or ("top_down",)]
         names = [track.camera.name for track in tracks]
         if len(set(names)) < len(names):

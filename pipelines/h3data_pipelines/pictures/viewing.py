@@ -12,7 +12,7 @@ from h3data.errors import InputError
 from h3data.recording import Recording
 from h3data.recording.storage import RemotePath, place
 from h3data.replay import Replay
-from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, open_episode
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, PeopleOption, claim_file, open_episode
 from h3data_pipelines.jobs.imports import recording_stem
 from h3data_pipelines.pictures.rerender import missing_lines
 
@@ -39,6 +39,7 @@ class View:
     """.rrd file to write (default: next to the recording)."""
     camera: tuple[str, ...] = ()
     """Cameras to render at every fifth step: names as in rerender, or .toml or .json files."""
+    people: PeopleOption = "skin"
     assets: tuple[Path, ...] = ()
     """Folders to search for recorded asset files (default: H3DATA_ASSETS)."""
     force: ForceFlag = False
@@ -52,7 +53,7 @@ class View:
             raise InputError(f"--compare expects a second recording, got the first one again: {self.compare}")
         recordings = [open_episode(path) for path in paths]
         out = claim_file(self.out or self._beside(), force=self.force, suffix=".rrd")
-        replays = [Replay(recording, assets=self.assets, detail=False) for recording in recordings]
+        replays = [Replay(recording, assets=self.assets, people=self.people, detail=False) for recording in recordings]
         shown = [self._shown(*each) for each in zip(paths, recordings, replays, strict=True)]
         if len(shown) == 1:
             only = shown[0]

@@ -17,6 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.files import part_file
 from h3data.metrics import StudyModel
 from h3data_viewers.html_report.report_charts import (
@@ -80,12 +81,14 @@ def make_report(
     title: str = "",
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
+    people: PeopleStyle = "skin",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
 ) -> Report:
     """The report of datasets, logs and folders of logs; ``pictures`` episodes at most are shown with key frames.
 
-    ``assets`` are folders of the files that foreign recordings name, for the key frames; ``study`` chooses the models of
+    ``assets`` are folders of the files that foreign recordings name, and ``people`` how people are shown, for the key
+    frames; ``study`` chooses the models of
     episodes that participants did under conditions, ``zsc`` names the partners of the zero-shot population.
 
     Raises:
@@ -106,7 +109,7 @@ def make_report(
         heat += partners
         body += _task_sections(task, runs, [*tables, *partners], plans, missing, tail)
         if chosen := highlights(runs, pictures):
-            body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], tail))
+            body.append(_highlighted(task, chosen, plans, [Path(folder) for folder in assets], people, tail))
     if any(not e.recorded for e in data.episodes):
         missing.append("Pictures, paths and times of evaluated episodes: evaluate --keep keeps their recordings.")
     if pairs:
@@ -137,11 +140,12 @@ def write_report(
     title: str = "",
     pictures: int = 6,
     assets: Sequence[str | os.PathLike[str]] = (),
+    people: PeopleStyle = "skin",
     study: StudyModel | None = None,
     zsc: Sequence[str] = (),
 ) -> Report:
     """`make_report`, written to ``out``."""
-    report = make_report(paths, title=title, pictures=pictures, assets=assets, study=study, zsc=zsc)
+    report = make_report(paths, title=title, pictures=pictures, assets=assets, people=people, study=study, zsc=zsc)
     with part_file(out) as part:
         part.write_text(report.html, encoding="utf-8")
     return report
@@ -221,8 +225,10 @@ def _task_sections(
     return parts
 
 
-def _highlighted(task: str, chosen: Sequence[Highlight], plans: Plans, assets: Sequence[Path], tail: str) -> Part:
-    cards = "".join(highlight_card(highlight, plans, assets) for highlight in chosen)
+def _highlighted(
+    task: str, chosen: Sequence[Highlight], plans: Plans, assets: Sequence[Path], people: PeopleStyle, tail: str
+) -> Part:
+    cards = "".join(highlight_card(highlight, plans, assets, people) for highlight in chosen)
     ranking = ", then by ".join(ranked_by(chosen[0].run.profile))
     lead = (
         f"<p class=quiet>Ranked by {ranking}. Plans: robot orange, person blue; a ring is the start, a dot the end.</p>"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data.errors import H3DataError
 from h3data.metrics import Profile
 from h3data.metrics.report_layout import Milestone
@@ -230,7 +231,9 @@ def _score(episode: ReportEpisode, profile: Profile) -> tuple[float, ...]:
     return tuple(-np.inf if np.isnan(v) else s * v for s, v in zip(signs, values, strict=True))
 
 
-def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Path] = ()) -> str:
+def highlight_card(
+    highlight: Highlight, plans: Plans, assets: Sequence[str | Path] = (), people: PeopleStyle = "skin"
+) -> str:
     """Plan with both tracks, key frames, distance over time and the metrics of one episode.
 
     ``assets`` are folders of the files that a foreign recording names.
@@ -242,7 +245,7 @@ def highlight_card(highlight: Highlight, plans: Plans, assets: Sequence[str | Pa
     rows = key_rows(episode, highlight.run.profile.report.milestones)
     scene, frames, missing = None, [], ""
     try:
-        replay = Replay(read_whole(episode), assets=assets)
+        replay = Replay(read_whole(episode), assets=assets, people=people)
         scene = replay.scene
         if replay.drawables:
             frames = _frames(replay, [row for row, _ in rows])
