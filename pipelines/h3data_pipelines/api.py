@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from h3data.bodies.people.rigid_parts import PeopleStyle
 from h3data_pipelines.command import Command
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ def generate(
     spawn_distance: float | None = None,
     rule: Sequence[str] = (),
     camera: Sequence[str] = (),
+    people: PeopleStyle = "skin",
     workers: int = 1,
     mcap: bool = False,
     share_scenes: bool = False,
@@ -109,6 +111,7 @@ def report(
     latex: AnyPath | None = None,
     pictures: int = 6,
     assets: Sequence[AnyPath] = (),
+    people: PeopleStyle = "skin",
     zsc: Sequence[str] = (),
     study_model: Literal["auto", "poisson", "observation"] = "auto",
     failed: Literal["leave-out", "limit"] = "leave-out",
@@ -160,6 +163,7 @@ def export(
     assets: Sequence[AnyPath] = (),
     light: bool = False,
     camera: Sequence[str] = (),
+    people: PeopleStyle = "skin",
     force: bool = False,
 ) -> Path:
     """Writes recordings as files of other programs; options as of ``h3data export``.
@@ -180,6 +184,7 @@ def rerender(
     out: AnyPath,
     *,
     camera: Sequence[str] = (),
+    people: PeopleStyle = "skin",
     outputs: str = "rgb",
     assets: Sequence[AnyPath] = (),
     steps: str = "",
@@ -206,6 +211,7 @@ def view(
     compare: AnyPath | None = None,
     out: AnyPath | None = None,
     camera: Sequence[str] = (),
+    people: PeopleStyle = "skin",
     assets: Sequence[AnyPath] = (),
     force: bool = False,
 ) -> Path:
