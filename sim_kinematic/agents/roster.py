@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from h3data.bodies import Robot, humanoid_names, is_robot, load_humanoid, load_robot, robot_names
+from h3data.bodies.people.random_humanoid import is_random
 from h3data.errors import InputError, SceneError, did_you_mean
 from h3data.geometry import Array
 from h3data.scene import FreeSpace, Scene
@@ -74,7 +75,7 @@ def _kind_and_model(name: str, *, robot: str, human: str) -> tuple[Kind, str]:
         return kind, model if colon else robot
     if kind == "human":
         return kind, model if colon else human
-    if name in humanoid_names() or str(name).endswith(".npz"):
+    if name in humanoid_names() or str(name).endswith(".npz") or is_random(str(name)):
         return "human", name
     if isinstance(name, str) and is_robot(name):
         return "robot", name

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from h3data.bodies.people.clips import Gaits
 from h3data.bodies.people.humanoid import BodyCapsule, Humanoid, SkinnedMesh
 from h3data.bodies.people.legs import Legs
+from h3data.bodies.people.random_humanoid import is_random, random_arrays
 from h3data.bodies.people.skeleton import JOINT_INDEX, JOINT_NAMES
 from h3data.builtin import builtin_path
 from h3data.errors import FormatError, InputError, did_you_mean
@@ -42,7 +43,12 @@ def humanoid_names() -> tuple[str, ...]:
 
 @lru_cache(maxsize=32)
 def load_humanoid(name: str | Path) -> Humanoid:
-    """A built-in body by name (``female_0``), or one from a file that ends in ``.npz``. Loaded once, then shared."""
+    """A built-in body by name (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or one from a file
+    that ends in ``.npz``. Loaded once, then shared."""
+    if is_random(str(name)):
+        files = [read_arrays(builtin_path(f"bodies/{each}.npz"), FILE_FORMAT) for each in humanoid_names()]
+        common = builtin_common()
+        return _humanoid(random_arrays(str(name), files, common.region_names, (to_planes, from_planes)), common)
     if str(name).endswith(".npz"):
         path = Path(name)
     elif str(name) in humanoid_names():
@@ -50,7 +56,8 @@ def load_humanoid(name: str | Path) -> Humanoid:
     else:
         near = did_you_mean(str(name), humanoid_names())
         raise InputError(
-            f"No built-in humanoid {str(name)!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}."
+            f"No built-in humanoid {str(name)!r}.{near} There are: {', '.join(humanoid_names()) or 'none'}, "
+            "and random:SEED."
         )
     data = read_arrays(path, FILE_FORMAT)
     try:

@@ -59,7 +59,7 @@ class Evaluate:
     seed: int = 0
     """Everything random follows from it."""
     human: str | None = None
-    """Body of the person: a built-in one, or any: each episode samples one (default: female_0)."""
+    """Body of the person: a built-in one; any: each episode samples one; random: each makes one (default: female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the paper's 2.5)."""
     max_steps: int | None = None

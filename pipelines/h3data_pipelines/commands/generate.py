@@ -118,8 +118,8 @@ class Generate:
     robot: str | None = None
     """Body of each agent named robot: a built-in one, a URDF, or a folder with robot.toml (default: quad_arm)."""
     human: str | None = None
-    """Body of each agent named human: a built-in one, an .npz file, or any: each episode samples one, in wander for each
-    person (default: the episode's, else female_0)."""
+    """Body of each agent named human: a built-in one; random:SEED; an .npz file; any: each episode samples one of the
+    built-in ones; random: each makes people of its own, in wander each person (default: the episode's, else female_0)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
     max_steps: int | None = None

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from sim_kinematic.tasks.episode import Episode
     from sim_kinematic.tasks.task import Task
 
-ANY_BODY = "any"
-"""As the name of a body: each episode samples one of the built-in ones."""
+SAMPLED_BODIES = ("any", "random")
+"""As the name of a body: each episode samples one of the built-in ones, or makes one of its seed."""
 SOLO = "solo"
 """As a policy: robots take no part."""
 
@@ -169,7 +169,7 @@ class Choices:
     def _human(self, seed: int) -> str | None:
         if self.found_task.bodies_in_agents:
             return None
-        return sampled_body(seed) if self.human == ANY_BODY else self.human
+        return sampled_body(self.human, seed) if self.human in SAMPLED_BODIES else self.human
 
     def _agents(self, seed: int) -> tuple[str, ...] | None:
         """The roster; of tasks that may have many people, with a body for each of them."""
@@ -178,8 +178,8 @@ class Choices:
         if not self.found_task.bodies_in_agents:
             return self.agents
         agents = self.agents or self.found_task.agents
-        if self.human == ANY_BODY:
-            return tuple(sampled_body(seed, k) if name == "human" else name for k, name in enumerate(agents))
+        if (sampled := self.human) in SAMPLED_BODIES:
+            return tuple(sampled_body(sampled, seed, k) if name == "human" else name for k, name in enumerate(agents))
         return tuple((self.human or HUMAN_BODY) if name == "human" else name for name in agents)
 
 
@@ -263,9 +263,9 @@ def checked(choices: Choices) -> Choices:
     from sim_kinematic.policies.learned import stamped
 
     task, spec = choices.found_task, choices.spec()
-    if choices.human not in (None, ANY_BODY):
-        load_humanoid(choices.human)
-    human = None if choices.human == ANY_BODY else choices.human
+    human = None if choices.human in SAMPLED_BODIES else choices.human
+    if human is not None:
+        load_humanoid(human)
     bodies = {name: body for name, body in (("robot", choices.robot), ("human", human)) if body is not None}
     roster = make_roster(task.agents if choices.agents is None else choices.agents, **bodies)
     task.check_roster(roster)
@@ -294,13 +294,17 @@ def checked(choices: Choices) -> Choices:
     )
 
 
-def sampled_body(seed: int, person: int = 0) -> str:
-    """The built-in body that an episode samples for one of its people."""
+def sampled_body(choice: str, seed: int, person: int = 0) -> str:
+    """The body that an episode samples for one of its people: ``any`` of the built-in ones, or a ``random`` one."""
     from h3data.bodies import humanoid_names
+    from h3data.bodies.people.random_humanoid import PREFIX
     from sim_kinematic.motion.randomness import generator
 
+    rng = generator(seed, "body", world=person)
+    if choice == "random":
+        return f"{PREFIX}{int(rng.integers(1 << 31))}"
     names = humanoid_names()
-    return names[int(generator(seed, "body", world=person).integers(len(names)))]
+    return names[int(rng.integers(len(names)))]
 
 
 def chosen_count(wanted: int | None, there: int, label: str) -> int:
