@@ -39,16 +39,16 @@ def _components(vectors: Array, *others: Array) -> list[Any]:
 _F64 = np.dtype(np.float64)
 
 
-def _are_single(*values: Any) -> bool:
-    """Whether all are single double vectors. Those are computed in Python floats: the same operations in the same order give
+def _is_single(value: Any) -> bool:
+    """Whether it is a single double vector. Those are computed in Python floats: the same operations in the same order give
     the same bits, in a quarter of the time of NumPy's calls on four numbers, and agents pose one of each per step."""
-    return all(type(v) is np.ndarray and v.ndim == 1 and v.dtype is _F64 for v in values)
+    return type(value) is np.ndarray and value.ndim == 1 and value.dtype is _F64
 
 
 def normalized(vectors: ArrayLike) -> Array:
     """Unit vectors (or quaternions) along the last axis; a zero vector stays zero."""
     v = _floating(vectors)
-    if _are_single(v) and len(v) < 8:  # NumPy sums eight and more in pairs
+    if _is_single(v) and len(v) < 8:  # NumPy sums eight and more in pairs
         numbers = v.tolist()
         square = 0.0
         for n in numbers:  # not sum(), which compensates for rounding since Python 3.12
@@ -61,7 +61,7 @@ def normalized(vectors: ArrayLike) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Cross products [..., 3], bit-identical to `numpy.cross`, whose argument checks dominate for a few vectors."""
-    if _are_single(a, b):
+    if _is_single(a) and _is_single(b):
         (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
         return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
     ax, ay, az = _components(a, b)
@@ -76,7 +76,7 @@ def cross(a: Array, b: Array) -> Array:
 
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Hamilton product ``a b``, shape [..., 4]: the rotation by ``b`` followed by the one by ``a``."""
-    if _are_single(a, b):
+    if _is_single(a) and _is_single(b):
         return np.array(_product(a.tolist(), b.tolist()))  # type: ignore[union-attr]
     a, b = _floating(a), _floating(b)
     ax, ay, az, aw = _components(a, b)
@@ -107,7 +107,7 @@ def quat_conjugate(q: ArrayLike) -> Array:
 
 def quat_rotate(q: ArrayLike, vectors: ArrayLike) -> Array:
     """Vectors [..., 3] rotated by unit quaternions [..., 4]."""
-    if _are_single(q, vectors):
+    if _is_single(q) and _is_single(vectors):
         return np.array(_rotated(q.tolist(), vectors.tolist()))  # type: ignore[union-attr]
     q, v = _floating(q), _floating(vectors)
     axis, w = q[..., :3], q[..., 3:]
@@ -148,7 +148,7 @@ def quat_from_heading(heading_rad: ArrayLike) -> Array:
 
 def heading_from_quat(q: ArrayLike) -> Array:
     """Headings [...] [rad] of the x axes of frames [..., 4]; roll and pitch are dropped."""
-    x, y, z, w = q.tolist() if _are_single(q) else _components(_floating(q))  # type: ignore[union-attr]
+    x, y, z, w = q.tolist() if _is_single(q) else _components(_floating(q))  # type: ignore[union-attr]
     # Bit-identical to `quat_rotate` of (1, 0, 0), signs of zeros included, without the component that goes unused
     tx, ty, tz = 2 * (y * 0 - z * 0), 2 * (z - x * 0), 2 * (x * 0 - y)
     return np.arctan2(-(0 + w * tz + (x * ty - y * tx)), 1 + w * tx + (y * tz - z * ty))
@@ -243,7 +243,7 @@ def quat_nlerp(a: ArrayLike, b: ArrayLike, weight: ArrayLike) -> Array:
 
 def pose_to_matrix(pose: ArrayLike) -> Array:
     """4x4 matrices [..., 4, 4] of pose7 [..., 7]."""
-    if _are_single(pose):
+    if _is_single(pose):
         px, py, pz, x, y, z, w = pose.tolist()  # type: ignore[union-attr]
         return np.array([
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), px],
@@ -267,7 +267,7 @@ def pose_from_matrix(matrix: ArrayLike) -> Array:
 
 def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """pose7 of ``a b``, shape [..., 7]: pose ``b``, given in frame ``a``, in the frame that ``a`` is given in."""
-    if _are_single(a, b):
+    if _is_single(a) and _is_single(b):
         (px, py, pz, *turn), (*offset, bx, by, bz, bw) = a.tolist(), b.tolist()  # type: ignore[union-attr]
         x, y, z = _rotated(turn, offset)
         return np.array([px + x, py + y, pz + z, *_product(turn, [bx, by, bz, bw])])
@@ -278,7 +278,7 @@ def pose_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 def pose_inverse(pose: ArrayLike) -> Array:
     """pose7 of the inverse transform, shape [..., 7]."""
-    if _are_single(pose):
+    if _is_single(pose):
         *place, qx, qy, qz, qw = pose.tolist()  # type: ignore[union-attr]
         q = [qx * -1, qy * -1, qz * -1, qw]
         x, y, z = _rotated(q, place)
@@ -296,7 +296,7 @@ def transform_points(matrix: ArrayLike, points: ArrayLike) -> Array:
 
 def ground_pose(xz: ArrayLike, heading_rad: ArrayLike, floor_y: ArrayLike = 0.0) -> Array:
     """pose7 [..., 7] of agent roots standing at floor points ``(x, z)`` [..., 2] with headings [...]."""
-    if _are_single(xz) and isinstance(heading_rad, float) and isinstance(floor_y, float):
+    if _is_single(xz) and isinstance(heading_rad, float) and isinstance(floor_y, float):
         x, z = xz.tolist()  # type: ignore[union-attr]
         half = heading_rad / 2
         return np.array([x, floor_y, z, 0.0, np.sin(half), 0.0, np.cos(half)])

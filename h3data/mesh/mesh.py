@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,7 @@ class Mesh:
         if faults:
             raise SceneError("Not a valid mesh: " + "; ".join(faults) + ".")
 
-    @property
+    @cached_property
     def bounds(self) -> NDArray[np.float32]:
         """Smallest and largest corner, shape [2, 3] [m]."""
         if not len(self.vertices):

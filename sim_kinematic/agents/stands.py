@@ -37,12 +37,9 @@ def person_stands(free: FreeSpace, body: Humanoid, point: ArrayLike, hand: Hand 
     side = HAND_SIDE_RAD if hand == "right" else -HAND_SIDE_RAD
     distances = np.array(PERSON_DISTANCES_M)
     height = point[1] - free.floor_y
-    fine = np.ones(len(distances), np.bool_)
-    for sway in (-SWAY_M, 0.0, SWAY_M):
-        d = distances + sway
-        fine &= reacher(body, hand).reachable(
-            np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
-        )
+    d = np.concatenate([distances - SWAY_M, distances, distances + SWAY_M])
+    points = np.stack([d * np.cos(side), np.full_like(d, height), d * np.sin(side)], axis=1)
+    fine = reacher(body, hand).reachable(points).reshape(3, -1).all(0)
     return _on_island(free, _ring(point, distances[fine], side))
 
 

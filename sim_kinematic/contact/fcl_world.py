@@ -125,11 +125,7 @@ class MovingShapes(_Objects):
         import fcl
 
         frames = np.asarray(transforms, np.float64)[::-1]
-        start, end, radius = self._capsules
-        pairs = _near_pairs(
-            transform_points(frames, start[:, None])[..., 0, :], transform_points(frames, end[:, None])[..., 0, :],
-            radius, scene.bounds,
-        )  # fmt: skip
+        pairs = _near_moved(np.ascontiguousarray(frames), *self._capsules, scene.bounds)
         request = fcl.CollisionRequest(num_max_contacts=CONTACTS_MAX, enable_contact=True)
         if not except_for:
             request = fcl.CollisionRequest()
@@ -193,6 +189,20 @@ def _near_pairs(start, end, radius, bounds):
                 found[count, 0], found[count, 1], found[count, 2] = t, k, m
                 count += 1
     return found[:count]
+
+
+@kernel()
+def _near_moved(frames, start, end, radius, bounds):
+    """`_near_pairs` of capsules [n, 3] that are given in frames [T, n, 4, 4]."""
+    moved = np.empty((2, frames.shape[0], frames.shape[1], 3))
+    for t in range(frames.shape[0]):
+        for k in range(frames.shape[1]):
+            for i in range(3):
+                moved[0, t, k, i] = moved[1, t, k, i] = frames[t, k, i, 3]
+                for j in range(3):
+                    moved[0, t, k, i] += frames[t, k, i, j] * start[k, j]
+                    moved[1, t, k, i] += frames[t, k, i, j] * end[k, j]
+    return _near_pairs(moved[0], moved[1], radius, bounds)
 
 
 def collide(a: _Objects, b: _Objects) -> bool:

@@ -9,7 +9,6 @@ hand, as Habitat's sensors of the same names (spec/habitat.md 2.5), or in the ag
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -160,8 +159,20 @@ def observe(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.f
 
 def exact(view: RearrangeView, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """The named observations as they are, each [n]."""
-    view = view._replace(hand=cache(view.hand))  # several sensors ask for it
+    view = view._replace(hand=_once(view.hand))  # several sensors ask for it
     return {name: np.asarray(SENSES[name].of(view), np.float64).ravel() for name in names}
+
+
+def _once(ask: Callable[[], Floats]) -> Callable[[], Floats]:
+    """Remembers the answer; `functools.cache` takes longer to set up than most sensors to answer."""
+    answers: list[Floats] = []
+
+    def answer() -> Floats:
+        if not answers:
+            answers.append(ask())
+        return answers[0]
+
+    return answer
 
 
 def limits(*, objects: int, arm: int) -> dict[str, Limits]:

@@ -84,7 +84,8 @@ class ObservationSet:
                 near, far = DEPTH_RANGE_M
                 values = (values.clip(near, far) - near) / (far - near)
             elif name in self._noise or name in self.states:
-                values = values.clip(*self._bounds[name])
+                low, high = self._bounds[name]
+                values = np.minimum(np.maximum(values, low), high)  # `clip` takes twice as long for a few numbers
                 values = np.rint(values) if limits.dtype == np.uint8 else values
             shown[name] = values.astype(limits.dtype, copy=False)
         return shown

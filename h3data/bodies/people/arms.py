@@ -32,15 +32,14 @@ def draw_in(quats: Array, arms: ArrayLike) -> None:
         arms: How far the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
 
     Raises:
-        InputError: there are not two numbers for each pose.
+        InputError: there are not two finite numbers for each pose; then nothing has changed.
     """
-    shares = np.asarray(arms, np.float64)
-    if shares.shape not in ((2,), (len(quats), 2)) or not np.isfinite(shares).all():
-        raise InputError(f"Expected how far two arms are drawn in, [{len(quats)}, 2], got shape {list(shares.shape)}.")
-    if shares.any():
-        from h3data.bodies.people.kernels.clips import tuck_all
+    from h3data.bodies.people.kernels.clips import tuck_all
 
-        every = shares.clip(0.0, 1.0)
-        if every.shape != (len(quats), 2):
-            every = np.ascontiguousarray(np.broadcast_to(every, (len(quats), 2)))
-        tuck_all(quats, every, _SHOULDERS, _IN)
+    shares = every = np.asarray(arms, np.float64)
+    if shares.shape == (2,):
+        every = np.tile(shares, (len(quats), 1))
+    if every.shape != (len(quats), 2) or not tuck_all(quats, every, _SHOULDERS, _IN):
+        raise InputError(
+            f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}."
+        )

@@ -248,10 +248,8 @@ def sample_clips(
     """
     from h3data.bodies.people.kernels.clips import sample_all
 
-    motion, phase, blend = (
-        np.asarray(np.atleast_1d(values), dtype)
-        for values, dtype in ((motion_id, np.int64), (phase, np.float64), (blend, np.float64))
-    )
+    motion = np.array(motion_id, np.int64, ndmin=1)
+    phase, blend = np.array(phase, np.float64, ndmin=1), np.array(blend, np.float64, ndmin=1)
     if not len(motion) == len(phase) == len(blend):
         motion, phase, blend = (np.ascontiguousarray(a) for a in np.broadcast_arrays(motion, phase, blend))
     low, high = (motion[0], motion[0]) if len(motion) == 1 else (motion.min(initial=0), motion.max(initial=0))

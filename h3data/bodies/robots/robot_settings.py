@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,18 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def decode_settings(path: Path) -> RobotSettings:
-    """Reads a ``robot.toml`` by itself, without its URDF.
+    """Reads a ``robot.toml`` by itself, without its URDF; once until it changes.
 
     Raises:
         FormatError: A field is unknown, of another type, or not finite; the message names it.
     """
+    status = path.stat()
+    return _decoded(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=32)
+def _decoded(path: Path, *version: int) -> RobotSettings:
+    del version  # only part of the key, as of robots in `load_robot`, which asks for the settings at every reset
     try:
         settings = msgspec.toml.decode(path.read_bytes(), type=RobotSettings)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -7,6 +7,7 @@ every goal, and a person alone could do the work in time: so whoever plays it, i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -252,6 +253,12 @@ def _movable(scene: Scene, spec: RearrangeSpec) -> list[Instance]:
     ]
 
 
+def _overlap(point: Array, radius: float, other: NDArray, other_radius: float) -> bool:
+    """Whether two things at points [3] would be in each other's space."""
+    dx, dy, dz = (point - other).tolist()
+    return math.sqrt(dx * dx + dz * dz) < radius + other_radius + 0.01 and abs(dy) < 0.4
+
+
 @dataclass(frozen=True, eq=False)
 class _Draw:
     scene: Scene
@@ -315,9 +322,7 @@ class _Draw:
                     continue
                 if np.hypot(*(point - away_from[0])[[0, 2]]) < self.spec.carry_m:
                     continue
-            if any(
-                np.linalg.norm((point - p)[[0, 2]]) < radius + r + 0.01 and abs(point[1] - p[1]) < 0.4 for p, r in taken
-            ):
+            if any(_overlap(point, radius, *other) for other in taken):
                 continue
             clearance = arm_clearance(self.scene, self.robot, self.free.floor_y)
             base = base_of(self.robot, self.spec.robot)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from h3data.bodies import Robot
 from h3data.errors import InputError
 from h3data.geometry import ground_pose
+from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
 from sim_kinematic.agents.driven.object_room import ObjectRoom
@@ -249,7 +250,10 @@ class RearrangePlay:
                 self.encounters.moved(runner.number)
             self.encounters.end_step()
             self._write_people()
-            self.before, self.places = self.places, np.array([[*a.xz.tolist(), a.heading] for a in self.actors])
+            self.before, self.places = (
+                self.places,
+                np.array([[*own.xz[0].tolist(), own.heading.item(0)] for own in self.state.agents]),
+            )
             self.at_goal = self._at_goal()
             success = bool(self.at_goal.all())
             self.reward = self._reward(success)
@@ -293,10 +297,11 @@ class RearrangePlay:
         me, other = self.actors[runner.number], self.encounters.nearest(runner.number)
         track = self.encounters.track(other) if other >= 0 else np.full((1, 2), np.nan)
         other_xz = self.actors[other].xz.copy() if other >= 0 else track[-1]
-        ahead, aside = _seen(me.xz, me.heading, other_xz)
+        xz, heading = me.xz.copy(), me.heading  # of a person they are computed
+        ahead, aside = _seen(xz, heading, other_xz)
         a, b = self.episode.spec.near_m
         return RearrangeView(
-            step=self.step, free=self.episode.free, agent=runner.number, xz=me.xz.copy(), heading=me.heading,
+            step=self.step, free=self.episode.free, agent=runner.number, xz=xz, heading=heading,
             other_xz=other_xz, other_track=track[-TRACK:].copy(), close=bool((ahead / a) ** 2 + (aside / b) ** 2 < 1),
             objects=self.objects.poses[:, :3].copy(), goals=self.objects.goals, held_by=self.objects.held_by.copy(),
             at_goal=self._at_goal(), action=runner.action, last=runner.ending,
@@ -307,12 +312,9 @@ class RearrangePlay:
 
     def _at_goal(self) -> NDArray[np.bool_]:
         """Which objects are at their goals and in nobody's hand, [K]."""
-        within, reached = self.episode.spec.at_goal_m, []
-        places, goals = self.objects.poses[:, :3].tolist(), self.objects.goals.tolist()
-        for (x, y, z), (gx, gy, gz), held in zip(places, goals, self.objects.held_by.tolist(), strict=True):
-            dx, dy, dz = x - gx, y - gy, z - gz
-            reached.append(held == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within)
-        return np.array(reached, np.bool_)
+        at_goal = np.empty(len(self.objects.goals), np.bool_)
+        _reached(self.objects.poses, self.objects.goals, self.objects.held_by, self.episode.spec.at_goal_m, at_goal)
+        return at_goal
 
     def snapshot(self) -> Row:
         """The columns of the step that has just been played."""
@@ -376,9 +378,17 @@ class RearrangePlay:
             self.events.append(Event(step=self.step, agent=-1, kind="success"))
 
 
+@kernel(error_model="numpy")
+def _reached(poses, goals, held_by, within, at_goal):
+    """Whether objects with poses [K, 7] that nobody holds are ``within`` [m] of goals [K, 3], into ``at_goal`` [K]."""
+    for k in range(len(goals)):
+        dx, dy, dz = poses[k, 0] - goals[k, 0], poses[k, 1] - goals[k, 1], poses[k, 2] - goals[k, 2]
+        at_goal[k] = held_by[k] == NOBODY and math.sqrt(dx * dx + dy * dy + dz * dz) < within
+
+
 def _seen(xz: NDArray, heading: float, other: NDArray) -> tuple[float, float]:
     """Another place in an agent's frame: ahead and to its right [m]."""
     (x, z), (other_x, other_z) = xz.tolist(), other.tolist()
     dx, dz = other_x - x, other_z - z
-    c, s = float(np.cos(heading)), float(np.sin(heading))
+    c, s = math.cos(heading), math.sin(heading)
     return c * dx - s * dz, s * dx + c * dz
