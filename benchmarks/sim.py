@@ -22,7 +22,7 @@ from h3data_pipelines.machine.bench import Bench, measure, process_pool
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.motion.gait import walk_humans
-from sim_kinematic.motion.spec import ArmSpec, BaseSpec, SocialNavSpec
+from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots
 from sim_kinematic.tasks.runner import simulate
@@ -71,7 +71,7 @@ def run(emit: Emit) -> None:
 
 def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:
     """Steps per CPU second of all worlds together: robots drive, humans walk and draw their arms in; nothing else."""
-    spec = SocialNavSpec(robot=base or BaseSpec())
+    spec = SocialNavSpec(robot=base or HOME_BASE)
     rng = np.random.default_rng(0)
     robot, person, human = RobotState.zeros(worlds), HumanState.zeros(worlds), load_humanoid("female_0")
     robot.xz[:], person.xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)

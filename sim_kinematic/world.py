@@ -33,7 +33,7 @@ from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
 from sim_kinematic.motion.gait import cycle_phase, drive_people, walk_humans
-from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots, first_not_finite
 
@@ -107,7 +107,7 @@ class World:
         if isinstance(worlds, bool) or not isinstance(worlds, int | np.integer) or worlds < 1:
             raise InputError(f"Expected at least 1 world, a whole number, got {worlds!r}.")
         self.roster, self.worlds = tuple(roster), int(worlds)
-        rules, self.walker = base or BaseSpec(), walker or WalkerSpec()
+        rules, self.walker = base or HOME_BASE, walker or WalkerSpec()
         self.bases = tuple(base_of(m.body, rules) if isinstance(m.body, Robot) else rules for m in self.roster)
         """Discs and limits of each robot; the rules for people."""
         self._person_radius_m = person_radius_m

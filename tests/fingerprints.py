@@ -757,7 +757,7 @@ def _cases() -> Iterator[Case]:
         yield generated(f"social_nav by {policy}", "--policy", policy, "--episodes", "3", "--max-steps", "600",
                         "--scenes", "small:3")  # fmt: skip
     yield generated("rearrange that fails twice", "--human", "any", "--human-speed", "1.3", "--episodes", "3",
-                    "--max-steps", "500", "--seed", "8", "--scenes", "medium")  # fmt: skip
+                    "--max-steps", "600", "--seed", "8", "--scenes", "medium")  # fmt: skip
     for policy in ("greedy_nearest", "same_object", "still", "solo"):
         yield generated(f"rearrange by {policy}", "--policy", policy, "--episodes", "2", "--scenes", "small:3")
     for partner in ("object_1", "object_2", "still", "plan_pop_1", "plan_pop_2", "plan_pop_3", "plan_pop_4"):

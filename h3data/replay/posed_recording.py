@@ -220,7 +220,7 @@ class PosedRecording:
     def _robot_poses(self, agent: int, robot: Robot) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
         base, joints = (self.recording.agent_column(agent, name) for name in ("base_pose", "joint_pos"))
         if self.stepping and legs_are_posed(robot, joints):
-            joints = trot(robot, base, joints)
+            joints = trot(robot, base, joints, even_strides=not self.plants_feet)
         return lambda steps: robot.link_matrices(base[steps], joints[steps]), len(base), len(robot.links)
 
     def _part_poses(self, agent: int, body: Humanoid) -> tuple[Callable[[NDArray[np.integer]], Array], int, int]:
@@ -273,8 +273,9 @@ class PosedRecording:
 
     @cached_property
     def plants_feet(self) -> bool:
-        """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`): since schema
-        1.5. Older recordings are posed as they were when they were made."""
+        """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`), and strides of
+        robots depend on their speed (`h3data.bodies.robots.trot`): since schema 1.5. Older recordings are posed as they were
+        when they were made."""
         version = self.recording.episode.schema_version.split(".")
         return tuple(int(part) if part.isdigit() else 0 for part in version) >= PLANTED_SINCE
 

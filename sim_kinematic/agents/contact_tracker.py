@@ -31,8 +31,11 @@ TRACK_ROWS = 1024
 class AgentContactTracker:
     """All actors of an episode, where they have been, and which of them touch."""
 
-    def __init__(self, roster: Sequence[AgentSpec], actors: Sequence[AnyActor]) -> None:
-        self.actors = actors
+    def __init__(
+        self, roster: Sequence[AgentSpec], actors: Sequence[AnyActor], *, people_see_robot: bool = False
+    ) -> None:
+        """``people_see_robot``: whether a person with one robot avoids it."""
+        self.actors, self._people_see_robot = actors, people_see_robot
         self.touching: list[tuple[int, int]] = []
         """Pairs of agents that touched at the end of the last step."""
         self._moments = 1
@@ -71,8 +74,13 @@ class AgentContactTracker:
         return min(others, key=lambda other: float(np.hypot(*(other.xz - me.xz)))).number
 
     def avoids(self, me: AnyActor, other: AnyActor) -> bool:
-        """Whether an agent avoids another: all do, but a person alone with one robot does not (as in Habitat)."""
-        alone = len(self.actors) == 2 and isinstance(me, PersonActor) and isinstance(other, RobotActor)
+        """Whether an agent avoids another: all do, but a person with one robot where the rules are Habitat's."""
+        alone = (
+            len(self.actors) == 2
+            and not self._people_see_robot
+            and isinstance(me, PersonActor)
+            and isinstance(other, RobotActor)
+        )
         return other is not me and not alone
 
     def show(self, me: AnyActor) -> None:

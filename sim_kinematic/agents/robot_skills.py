@@ -19,10 +19,11 @@ from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_han
 from sim_kinematic.agents.robot_arm_clearance import ArmClearance, reach_line
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
 from sim_kinematic.agents.stands import nearest_stand, robot_stands
+from sim_kinematic.avoidance.maneuvers import heading_to, plan_maneuver
 from sim_kinematic.avoidance.robot_base import footprint_of, wider_by
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.velocity import is_crowded, keep_clear
-from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, path_around, retreat_place
+from sim_kinematic.avoidance.yielding import NO_PATH, Seen, avoided, discs_of, path_around, retreat_place
 from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import NOBODY, ROBOT, RobotState
 from sim_kinematic.motion.step import drive_robots
@@ -92,6 +93,10 @@ class RobotActor:
         """Its own part of the state of one world."""
         self.arm_goal = self.robot.rest.copy()
         self.footprint: Footprint = footprint_of(self.base)
+        self._commands: list[tuple[float, float]] = []
+        """Rest of a maneuver by which it steps aside."""
+        self._held_up = np.full(3, np.inf), 0
+        """Where it was when it last got on stepping aside, and how many steps ago."""
 
     # --- state --------------------------------------------------------------------------------------------------------
     @property
@@ -179,10 +184,19 @@ class RobotActor:
 
     def _step_aside(self) -> None:
         """Goes one step aside, or stands there."""
-        if self.aside is not None and len(self.aside):
-            self._drive(self.aside[0])
-        else:
+        if self.aside is None or not len(self.aside):
             self._step(0.0, 0.0)
+            return
+        pose = np.append(self.xz, self.heading)
+        if np.abs(pose - self._held_up[0]).max() > AVOIDANCE.via_m:
+            self._held_up, self._commands = (pose, 0), self._commands if self._held_up[1] else []
+        self._held_up = self._held_up[0], self._held_up[1] + 1
+        if self._held_up[1] > AVOIDANCE.maneuver_after_steps and not self._commands:
+            self._commands, self._held_up = self._maneuver_to(self.aside[-1]), (pose, 0)
+        if self._commands:
+            self._step(*self._commands.pop(0), self.aside[0], avoid=False)
+        else:
+            self._drive(self.aside[0])
 
     def _drive(self, towards: NDArray, most: float = 1.0) -> None:
         """Drives one step towards a floor point [2] at no more than this share of the speed limit."""
@@ -211,12 +225,18 @@ class RobotActor:
             return Ending("failed", "no_room" if gets_there else "no_way")
         goal, best, since, detours = stands[k, :2], np.inf, 0, 0
         via = NO_PATH  # around agents that stand in the way
+        tried, is_near = 0, False
         while since <= STUCK_STEPS:
             if self.aside is not None:
                 self._step_aside()
                 yield
                 best, since, via = np.inf, 0, NO_PATH
                 continue
+            if since and since % AVOIDANCE.maneuver_after_steps == 0 and tried < AVOIDANCE.maneuvers:
+                tried += 1
+                if (yield from self._maneuver(goal, heading_to(goal, point[[0, 2]], reach_bearing(self.robot)))):
+                    best, since, via, is_near = np.inf, 0, NO_PATH, self._leg(goal)[0] <= NEARLY_M
+                    continue
             if since in AVOIDANCE.detour_after_steps and detours < AVOIDANCE.detours and self.others:
                 detour = self._detour(goal)
                 if detour is not None:
@@ -228,7 +248,7 @@ class RobotActor:
                 self.path = np.vstack([self.xz, *path, goal])
             left, waypoint = self._leg(via[0] if len(via) else goal)
             stalled = since > AVOIDANCE.detour_after_steps[0]
-            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and stalled)):
+            if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and (stalled or is_near))):
                 error = self._error_to(point[[0, 2]], reach_bearing(self.robot))
                 if abs(error) < FACING_RAD:
                     return Ending("done")
@@ -239,6 +259,30 @@ class RobotActor:
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
         return Ending("failed", "stuck")
+
+    def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
+        """Gets on towards a floor point [2] where it is stuck; returns whether it did all of a maneuver, if it found one."""
+        stood = {other.number: other.xz for other in self._seen()}
+        commands = self._maneuver_to(goal, bearing)
+        for forward, turn in commands:
+            if self.aside is not None or any(_has_come_near(other, stood, self.xz) for other in self._seen()):
+                return False
+            before = self.state.xz[0].copy(), self.heading
+            self._step(
+                forward, turn, goal, avoid=False
+            )  # the maneuver keeps clear of the others by itself, if more closely
+            yield
+            if self.hindered_by and (self.state.xz[0] == before[0]).all() and self.heading == before[1]:
+                return False
+        return len(commands) > 0
+
+    def _maneuver_to(self, goal: NDArray, bearing: float | None = None) -> list[tuple[float, float]]:
+        """Commands that lead towards a floor point [2] around all agents that are near; none if there are none."""
+        if not self.base.maneuvers:
+            return []
+        discs = np.concatenate([np.zeros((0, 3)), *map(discs_of, self._seen())])
+        commands = plan_maneuver(self.free, self.base, self.xz, self.heading, goal, discs, bearing=bearing)
+        return [(forward, turn) for forward, turn in commands.tolist()]
 
     def _detour(self, goal: NDArray) -> NDArray | None:
         return path_around(
@@ -412,3 +456,10 @@ class RobotActor:
         k = self.objects.held(self.number)
         if k >= 0:
             self.objects.poses[k] = pose_multiply(self.hand_pose, self.objects.state.grip_pose[0, k])
+
+
+def _has_come_near(other: Seen, stood: dict[int, NDArray], xz: NDArray) -> bool:
+    """Whether another agent is no longer where it stood when a maneuver was planned, and near the robot at ``xz`` [2]."""
+    if float(np.hypot(*(other.xz - xz))) > AVOIDANCE.retreat_m:
+        return False
+    return other.number not in stood or float(np.hypot(*(other.xz - stood[other.number]))) > AVOIDANCE.moving_m

@@ -9,7 +9,7 @@ from h3data.bodies import Robot
 from h3data.errors import SceneError
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
-from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 
 _RULES = BaseSpec()
 
@@ -25,12 +25,17 @@ class RobotBase(BaseSpec):
 def base_of(robot: Robot, rules: BaseSpec) -> BaseSpec:
     """Returns a task's rules for bases with the discs, limits and hull of one robot.
 
-    What the rules set to another value than `BaseSpec`'s default stays: they ask for something special. For ``quad_arm``
-    the result is ``rules`` itself.
+    The discs of `HOME_BASE` stand for the robot's own discs, those of `BaseSpec` for its profile ``habitat``, where it has one.
+    What the rules set to another value than the default stays: they ask for something special. For ``quad_arm`` the result
+    is ``rules`` itself.
     """
     own: dict[str, object] = {}
-    if (rules.disc_offsets_m, rules.disc_radius_m) == (_RULES.disc_offsets_m, _RULES.disc_radius_m):
-        own = {"disc_offsets_m": tuple(robot.base_discs.tolist()), "disc_radius_m": robot.base_radius_m}
+    discs = {
+        HOME_BASE.disc_offsets_m: robot.base_discs,
+        _RULES.disc_offsets_m: robot.base_profiles.get("habitat", robot.base_discs),
+    }.get(rules.disc_offsets_m)
+    if discs is not None and rules.disc_radius_m == _RULES.disc_radius_m:
+        own = {"disc_offsets_m": tuple(discs.tolist()), "disc_radius_m": robot.base_radius_m}
     for name in ("max_speed_mps", "max_turn_rad_s"):
         limit = getattr(robot, name)
         if limit is not None and getattr(rules, name) == getattr(_RULES, name):

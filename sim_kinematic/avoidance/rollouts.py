@@ -50,7 +50,7 @@ def roll_out(
         look_steps, (base.max_speed_mps, 0.0, base.max_turn_rad_s, float(base.allow_back)), STEP_S,
         np.array(base.disc_offsets_m), base.disc_radius_m, base.slide_iterations, base.clearance_tolerance_m,
         base.contact_tolerance_m, np.array(hull_of(base)), base.disc_radius_m + AVOIDANCE.person_radius_m,
-        AVOIDANCE.doubt_mps, ends,
+        AVOIDANCE.doubt_mps, base.farthest_m(STEP_S), ends,
     )  # fmt: skip
     return Rollouts(ends[:, :2], ends[:, 2], ends[:, 3])
 
@@ -58,7 +58,7 @@ def roll_out(
 @kernel(error_model="numpy")
 def _roll_out(
     sdf, origin, cell, x0, z0, heading0, commands, person, look_steps, limits, dt, offsets, radius, iterations, tolerance,
-    touch, hull, reach, doubt, ends,
+    touch, hull, reach, doubt, most, ends,
 ):  # fmt: skip
     branch, branch_x, branch_z, branch_heading, branch_gap = 0, x0, z0, heading0, math.inf
     for n in range(len(commands)):
@@ -77,7 +77,22 @@ def _roll_out(
                 branch, branch_x, branch_z, branch_heading, branch_gap = step, x, z, heading, gap
                 speed, turn, straight = then, 0.0, True
             x, z, heading, _ = drive_base(
-                sdf, origin, cell, x, z, heading, speed, 0.0, turn, dt, offsets, radius, iterations, tolerance, touch
+                sdf,
+                origin,
+                cell,
+                x,
+                z,
+                heading,
+                speed,
+                0.0,
+                turn,
+                dt,
+                offsets,
+                radius,
+                iterations,
+                tolerance,
+                touch,
+                most,
             )
             if step < len(person):
                 now = least_gap(x, z, heading, person[step, 0], person[step, 1], hull, reach)

@@ -101,6 +101,10 @@ class AvoidanceSpec:
     """A point of a detour counts as reached within this distance."""
     robot_passing_m: tuple[float, ...] = (0.4, 0.1)
     """Gaps that a robot leaves to standing agents on a detour; the first with which there is a path is taken."""
+    maneuver_after_steps: int = 12
+    """A robot that has not got on for this long looks for a maneuver (`sim_kinematic.avoidance.maneuvers`)."""
+    maneuvers: int = 8
+    """Most maneuvers on the path to one destination."""
     retreat_m: float = 2.0
     """A robot that waits retreats to this distance from a person, measured along the person's path."""
     retreat_room_m: float = 0.45

@@ -19,7 +19,7 @@ from h3data.scene import FreeSpace
 from sim_kinematic.avoidance.robot_base import hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.motion.spec import STEP_S, BaseSpec
-from sim_kinematic.motion.step import integrate, least_clearance, wrap_angle
+from sim_kinematic.motion.step import integrate, is_clear, wrap_angle
 
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _CANDIDATES = np.array([(0.0, 0.0), *((forward, turn) for forward in _LEVELS for turn in _LEVELS)])
@@ -52,7 +52,7 @@ def try_command(
         if abs(turn) * (step - 0.5) * dt > arc:
             turn = 0.0
         nx, nz, nh = integrate(x, z, heading, speed, 0.0, turn, dt)
-        if least_clearance(sdf, origin, cell, nx, nz, nh, offsets) >= disc_radius:
+        if is_clear(sdf, origin, cell, nx, nz, nh, offsets, disc_radius):
             x, z, heading = nx, nz, nh
         if step % stride == 0:
             t = step * dt

@@ -41,6 +41,26 @@ def least_clearance(sdf, origin, cell, x, z, heading, offsets):
 
 
 @kernel(error_model="numpy", inline="always")
+def is_clear(sdf, origin, cell, x, z, heading, offsets, radius):
+    """Whether all discs of the base keep ``radius`` from every obstacle: `least_clearance` >= radius, with fewer look-ups.
+
+    The field changes by at most 1 per metre and is off by at most 0.71 cells between the corners of a cell. So the disc in the
+    middle settles all that are nearer to it than the room that it has to spare.
+    """
+    c, s = math.cos(heading), math.sin(heading)
+    middle = offsets[len(offsets) // 2]
+    spare = sample_sdf(sdf, origin, cell, x + c * middle, z - s * middle) - radius
+    if spare < 0.0:
+        return False
+    spare -= 1.5 * cell
+    for offset in offsets:
+        is_settled = offset == middle or abs(offset - middle) <= spare
+        if not is_settled and sample_sdf(sdf, origin, cell, x + c * offset, z - s * offset) < radius:
+            return False
+    return True
+
+
+@kernel(error_model="numpy", inline="always")
 def push_out(sdf, origin, cell, x, z, heading, offsets, radius, iterations):
     """Base position moved until its discs, if possible, keep their radius, and the `least_clearance` there:
     ``(x, z, clearance)``."""
@@ -75,23 +95,34 @@ def integrate(x, z, heading, speed, lateral, turn, dt):
 
 @kernel(error_model="numpy")
 def drive_base(
-    sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch
+    sdf, origin, cell, x, z, heading, speed, lateral, turn, dt, offsets, radius, iterations, tolerance, touch, most
 ):
-    """One strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`."""
+    """One strict step of a robot base: ``(x, z, heading, touched)``; the velocities are those of `integrate`.
+
+    ``most`` is the farthest that the base may get [m].
+    """
     tx, tz, new_heading = integrate(x, z, heading, speed, lateral, turn, dt)
     limit = radius - tolerance
-    if least_clearance(sdf, origin, cell, tx, tz, new_heading, offsets) >= radius:
+    if is_clear(sdf, origin, cell, tx, tz, new_heading, offsets, radius):
         return tx, tz, new_heading, False
-    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
-    touched = math.hypot(sx - tx, sz - tz) > touch
     # a push-out may not carry the base farther than the command itself could have
     reach = math.hypot(speed, lateral) * dt + 2.0 * radius * abs(turn) * dt + tolerance
-    if clearance >= limit and math.hypot(sx - x, sz - z) <= reach:
+    sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, new_heading, offsets, radius, iterations)
+    touched = math.hypot(sx - tx, sz - tz) > touch
+    far = math.hypot(sx - x, sz - z)
+    if most < far <= reach:
+        sx, sz, touched = x + (sx - x) * (most / far), z + (sz - z) * (most / far), True
+        clearance = least_clearance(sdf, origin, cell, sx, sz, new_heading, offsets)
+    if clearance >= limit and far <= reach:
         return sx, sz, new_heading, touched
     sx, sz, clearance = push_out(sdf, origin, cell, tx, tz, heading, offsets, radius, iterations)
-    if clearance >= limit and math.hypot(sx - x, sz - z) <= reach:
+    far = math.hypot(sx - x, sz - z)
+    if most < far <= reach:
+        sx, sz = x + (sx - x) * (most / far), z + (sz - z) * (most / far)
+        clearance = least_clearance(sdf, origin, cell, sx, sz, heading, offsets)
+    if clearance >= limit and far <= reach:
         return sx, sz, heading, True
-    if least_clearance(sdf, origin, cell, x, z, new_heading, offsets) >= limit:
+    if is_clear(sdf, origin, cell, x, z, new_heading, offsets, limit):
         return x, z, new_heading, True
     return x, z, heading, True
 
@@ -116,8 +147,9 @@ def velocities(action, limits):
 
 
 @kernel(error_model="numpy")
-def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance,
-                  touch):  # fmt: skip
+def _drive_worlds(
+    sdf, origin, cell, xz, heading, contact, action, limits, dt, offsets, radius, iterations, tolerance, touch, most
+):
     broken = first_not_finite(action)
     if broken >= 0:
         return broken
@@ -127,7 +159,7 @@ def _drive_worlds(sdf, origin, cell, xz, heading, contact, action, limits, dt, o
         if speed != 0.0 or lateral != 0.0 or turn != 0.0:
             xz[w, 0], xz[w, 1], heading[w], contact[w] = drive_base(
                 sdf, origin, cell, xz[w, 0], xz[w, 1], heading[w], speed, lateral, turn, dt, offsets, radius,
-                iterations, tolerance, touch,
+                iterations, tolerance, touch, most,
             )  # fmt: skip
     return -1
 
@@ -167,7 +199,7 @@ def drive_robots(
     if spec.slide == "strict":
         broken = _drive_worlds(
             free.sdf, free.origin, free.cell_m, *moved, action, limits, dt, offsets, spec.disc_radius_m,
-            spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m,
+            spec.slide_iterations, spec.clearance_tolerance_m, spec.contact_tolerance_m, spec.farthest_m(dt),
         )  # fmt: skip
     elif spec.slide == "habitat":
         rules = spec.habitat.slides, spec.habitat.slides_while_turning, spec.habitat.navmesh_slides

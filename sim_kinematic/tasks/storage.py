@@ -173,7 +173,7 @@ def read_rules(rules: Mapping[str, Any], kind: type[Any], **defaults: Any) -> An
         InputError: they are none of this kind.
     """
     try:
-        spec = msgspec.convert({"human": {}, **defaults, **rules}, kind)
+        spec = msgspec.convert({"robot": {}, "human": {}, **defaults, **rules}, kind)
     except (msgspec.ValidationError, InputError) as fault:
         raise InputError(f"The rules of the episode cannot be used: {str(fault).replace('`', '')}") from None
     if not 1 <= spec.max_steps <= MAX_STEPS or not 0 < spec.human.speed_mps <= 4:

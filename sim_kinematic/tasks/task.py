@@ -421,7 +421,7 @@ def restored(task: Task, recording: Recording, scene: Callable[[float, float], t
     if lacks:
         raise InputError(f"The recording cannot be simulated again, it lacks: {', '.join(lacks)}.")
     try:
-        spec = msgspec.convert({"human": {}, **info["spec"]}, task.Spec)
+        spec = msgspec.convert({"robot": {}, "human": {}, **info["spec"]}, task.Spec)
         starts = np.array(msgspec.convert(info["starts"], list[tuple[float, float, float]]), np.float64)
     except (msgspec.ValidationError, TypeError) as fault:
         raise InputError(f"The recording's info is malformed: {str(fault).replace('`', '')}") from None

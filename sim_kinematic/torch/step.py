@@ -176,7 +176,12 @@ def drive_base(
     way = speed.abs() if lateral is None else torch.hypot(speed, lateral)
     reach = torch.add(way, turn.abs(), alpha=2.0 * radius) * dt + spec.clearance_tolerance_m
     went = slid - xz
-    fits = torch.hypot(went[..., 0], went[..., 1]) <= reach
+    far = torch.hypot(went[..., 0], went[..., 1])
+    fits = far <= reach
+    if spec.keeps_speed:
+        most = spec.farthest_m(dt)
+        touched |= far[0] > most
+        slid = torch.where((far > most)[..., None], torch.addcmul(xz, went, (most / far)[..., None]), slid)
     both, moves = fits & (least_clearance(grids, slid, directions, offsets) >= limit)
     free = open_room >= radius
     turns = free | both | (~moves & (on_the_spot >= limit))

@@ -15,7 +15,14 @@ from h3data.errors import InputError
 from h3data.geometry import Array, ground_pose, heading_from_quat, pose_to_matrix, transform_points
 
 STRIDE_M = 0.7
-"""Distance covered in one cycle of a leg."""
+"""Longest distance covered in one cycle of a leg."""
+LEAST_STRIDE_M = 0.28
+STRIDE_STEPS = 6.0
+"""A stride is 0.2 m and what is covered in this many steps, up to `STRIDE_M` at 2.5 m/s. With equal strides at all speeds, legs
+that turned on the spot stretched 37 cm to the side, and hind knees stood in walls."""
+STRIDE_OFFSET_M = 0.2
+SMOOTH_STEPS = 9
+"""Steps over which the distance covered in a step is averaged for that."""
 DUTY = 0.55
 """Fraction of the cycle in which a foot stands."""
 LIFT_M = 0.08
@@ -31,13 +38,16 @@ _BLOCK_STEPS = 4096
 """Worked out at once: the matrices of a long track would take a hundred times its memory."""
 
 
-def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np.float64]:
+def trot(
+    robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike, *, even_strides: bool = False
+) -> NDArray[np.float64]:
     """Joint positions [T, J] with the legs of a robot stepping along its base track; other joints stay as they are.
 
     Args:
         robot: A robot; one without legs gets its joint positions back.
         base_pose: Agent roots at consecutive steps, shape [T, 7] [m]; NaN where the robot is not there.
         joint_pos: Its joint positions, shape [T, J].
+        even_strides: Strides of `STRIDE_M` at every speed, as recordings before schema 1.5 were shown.
     """
     bases, out = np.asarray(base_pose, np.float64), np.array(joint_pos, np.float64)
     if bases.ndim != 2 or bases.shape[1] != 7 or out.shape != (len(bases), len(robot.joint_names)):
@@ -59,10 +69,11 @@ def trot(robot: Robot, base_pose: ArrayLike, joint_pos: ArrayLike) -> NDArray[np
         if there[first]:
             track = bases[first:last]
             heading, way = _headings_and_way(track, feet)
+            cycles = way / STRIDE_M if even_strides else _cycles(way)
             for start in range(0, len(track), _BLOCK_STEPS):
                 rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
-                places = _feet(track, heading, way, feet, rows)
+                places = _feet(track, heading, way, cycles, feet, rows)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
                 for k, leg in enumerate(robot.legs):
                     out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
@@ -83,20 +94,31 @@ def _headings_and_way(bases: Array, feet: Array) -> tuple[Array, Array]:
     return heading, np.concatenate([[0.0], np.cumsum(covered)])
 
 
-def _feet(bases: Array, heading: Array, way: Array, feet: Array, rows: NDArray[np.integer]) -> Array:
+def _cycles(way: Array) -> Array:
+    """Cycles of a leg up to each step [T], from the distance covered [T]."""
+    covered = np.diff(way)
+    if not len(covered):
+        return np.zeros(len(way))
+    weight = np.ones(min(SMOOTH_STEPS, len(covered)))
+    smooth = np.convolve(covered, weight, "same") / np.convolve(np.ones(len(covered)), weight, "same")
+    stride = np.clip(STRIDE_OFFSET_M + STRIDE_STEPS * smooth, LEAST_STRIDE_M, STRIDE_M)
+    return np.concatenate([[0.0], np.cumsum(covered / stride)])
+
+
+def _feet(bases: Array, heading: Array, way: Array, cycles: Array, feet: Array, rows: NDArray[np.integer]) -> Array:
     """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
     lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
     for k, foot in enumerate(feet):
         begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
-        place = begin + way[rows] / STRIDE_M
+        place = begin + cycles[rows]
         cycle = np.floor(place)
 
         def planted(number: NDArray[np.float64], foot: Array = foot, begin: float = begin) -> Array:
             """Where the foot stands in a cycle; before the first step it stands as at rest."""
-            middle = np.where(number <= begin, 0.0, (number + DUTY / 2 - begin) * STRIDE_M)
-            x, y, z, turn = (np.interp(middle, way, v) for v in (*bases[:, :3].T, heading))
+            middle = np.where(number <= begin, 0.0, number + DUTY / 2 - begin)
+            x, y, z, turn = (np.interp(middle, cycles, v) for v in (*bases[:, :3].T, heading))
             return transform_points(pose_to_matrix(ground_pose(np.stack([x, z], -1), turn, y)), foot[None])[:, 0]
 
         lifts_off = np.maximum(cycle + DUTY, begin)

@@ -174,6 +174,8 @@ def design() -> Design:
         # wheels, lift, arm, wrist yaw, pitch and roll, gripper, head pan and tilt
         rest=(0.0, 0.0, 0.60, 0.0, 1.57, -0.15, 0.0, 0.0, 0.0, -0.2),
         body_top_m=MAST_TOP + 0.1,
+        base_discs_m=(-0.08, 0.08),
+        base_profiles=(("habitat", (0.0,)),),
         hand=("hand", (0.0, -0.075 - FINGER + 0.010, -0.004)),
         hand_forward=(0.0, -1.0, 0.0),
         reach_bearing_deg=-90.0,

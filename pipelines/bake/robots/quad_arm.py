@@ -243,9 +243,9 @@ def design() -> Design:
         links=(torso(), *arm(), *legs),
         rest=(*ARM_REST, GRIPPER_REST, *LEG_REST * 4),
         body_top_m=0.11,
-        base_discs_m=(0.0, 0.225),
+        base_discs_m=(-0.4, 0.02, 0.33),
         hull_discs_m=(-0.3, 0.0, 0.4),
-        base_profiles=(("three", (0.0, 0.25, -0.25)),),
+        base_profiles=(("habitat", (0.0, 0.225)), ("three", (0.0, 0.25, -0.25))),
         hand=("arm_hand", (0.14, 0.0, -0.018)),
         legs=tuple(
             ((f"{name}_hip_roll", f"{name}_hip_pitch", f"{name}_knee"), (0.0, 0.0, -float(SHANK)))

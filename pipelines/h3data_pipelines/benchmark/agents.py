@@ -16,10 +16,11 @@ from h3data.geometry import Array, ground_pose, quat_from_heading, quat_rotate
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.person import HAND_SPEED_MPS
+from sim_kinematic.agents.stands import discs_fit
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.frames import body_frames
 from sim_kinematic.motion.gait import walk_humans
-from sim_kinematic.motion.spec import STEP_S, ArmSpec, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, STEP_S, ArmSpec, WalkerSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.motion.step import drive_robots
 
@@ -39,7 +40,7 @@ class RobotAgent:
         """``state`` has the robot's joints. ``number`` is the agent's, for what it holds. ``is_clear`` says whether it can
         start at a base pose [7]."""
         self.body, self.free, self.state, self.number, self._is_clear = robot, free, state, number, is_clear
-        self.own, self._base = state.robots[number], base_of(robot, BaseSpec())
+        self.own, self._base = state.robots[number], base_of(robot, HOME_BASE)
         self._pose()
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -52,7 +53,8 @@ class RobotAgent:
     def _clear_place(self, rng: np.random.Generator) -> tuple[Array, float]:
         for _ in range(PLACES_TRIED):
             (xz,), heading = self.free.sample(rng, 1), float(rng.uniform(-np.pi, np.pi))
-            if self._is_clear(ground_pose(xz, heading, self.free.floor_y)):
+            fits = discs_fit(self.free, self._base, xz, heading)
+            if fits and self._is_clear(ground_pose(xz, heading, self.free.floor_y)):
                 return xz, heading
         raise InputError(f"Found no place for {self.body.name} in {PLACES_TRIED} tries. Hint: a larger home.")
 

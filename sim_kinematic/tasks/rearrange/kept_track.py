@@ -63,6 +63,10 @@ class KeptTrack:
 
 def follow_track(play: RearrangePlay, actor: PersonActor, track: KeptTrack, step: int) -> None:
     """From ``step`` on, a person does nothing but follow a track to its end; nobody is asked for her."""
+    if len(play.actors) == 2:  # the person reacts to nobody any more, so there is nothing to agree on
+        play.right_of_way = None
+        for other in play.actors:
+            other.agreed, other.aside = False, None
     runner = play.runner(actor.number)
     actor.person.held.clear()
     actor.yields = False

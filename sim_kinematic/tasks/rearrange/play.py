@@ -204,9 +204,11 @@ class RearrangePlay:
             AgentRun(actor.number, actor, self.policies[actor.number].policy, self.spans, names) for actor in acts
         ]
         self._by_number = sorted(self.runners, key=lambda runner: runner.number)
-        self.encounters = AgentContactTracker(world.roster, self.actors)
-        # a robot gives way to a person by itself, and she to nobody, as Habitat's
-        alone = len(self.actors) == 1 or kinds_of(world.roster) == PAIR
+        # a robot gives way to a person by itself, and the person to nobody: as Habitat's, or as whoever drives them decides
+        is_pair = kinds_of(world.roster) == PAIR
+        driven = any(policy.takes_commands for policy in self.policies if policy.kind == "human")
+        alone = len(self.actors) == 1 or (is_pair and (driven or not world.spec.people_give_way))
+        self.encounters = AgentContactTracker(world.roster, self.actors, people_see_robot=not (alone and is_pair))
         self.right_of_way = None if alone else RightOfWay(world.free, self.actors)
         for actor in self.actors:
             actor.agreed = not alone

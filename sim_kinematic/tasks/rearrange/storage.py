@@ -304,4 +304,4 @@ def rules_from_json(rules: Mapping[str, Any]) -> RearrangeSpec:
     known = dict(rules)
     if "arm_rad_s" in known and known["arm_rad_s"] is None:
         known["arm_rad_s"] = np.inf
-    return read_rules(known, RearrangeSpec)
+    return read_rules(known, RearrangeSpec, people_give_way=False)

@@ -159,7 +159,7 @@ def episode_from(
 
 def rules_of(episode: SocialNavEpisode) -> SocialNavSpec:
     """The rules that an episode names; what it does not name is as in the paper."""
-    rules: dict[str, Any] = {"max_steps": episode.max_steps, "human": {}, **episode.rules}
+    rules: dict[str, Any] = {"max_steps": episode.max_steps, "robot": {}, "human": {}, **episode.rules}
     try:
         spec = msgspec.convert(rules, SocialNavSpec)
     except msgspec.ValidationError as fault:

@@ -72,7 +72,10 @@ def test_stowed_arm_does_not_touch_the_body(robot: Robot) -> None:
 def test_places_and_limits_are_spots(robot: Robot) -> None:
     """spec/habitat.md 4 (base offset); limits as published (hip 45 deg to both sides, knee 14 to 160 deg bent)."""
     assert robot.base_height_m == pytest.approx(0.48, abs=1e-3)
-    assert [d.tolist() for d in (robot.base_discs, robot.base_profiles["three"])] == [[0, 0.225], [0, 0.25, -0.25]]
+    assert {name: discs.tolist() for name, discs in robot.base_profiles.items()} == {
+        "habitat": [0, 0.225],
+        "three": [0, 0.25, -0.25],
+    }
     assert [c.pose[0] for c in robot.base_cylinders("three")] == [0, 0.25, -0.25]
     with pytest.raises(InputError, match=r"no base profile 'four'.*three"):
         robot.base_cylinders("four")
@@ -183,8 +186,9 @@ def test_base_pose_moves_the_robot_rigidly(x: float, z: float, heading: float) -
 
 
 def test_base_shapes_are_the_papers_two_cylinders(robot: Robot) -> None:
-    front = robot.base_shapes[1]
-    assert [s.pose[0] for s in robot.base_shapes] == [0, 0.225]
+    cylinders = robot.base_cylinders("habitat")
+    front = cylinders[1]
+    assert [s.pose[0] for s in cylinders] == [0, 0.225]
     assert front.radius == 0.25
     assert front.pose[1] - front.half_height == pytest.approx(0)
     assert 0.55 < 2 * front.half_height < 0.7

@@ -20,7 +20,7 @@ from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.agents.roster import kinds_of, make_roster
 from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact.clearance import RobotHumanContact
-from sim_kinematic.motion.spec import BaseSpec, SocialNavSpec
+from sim_kinematic.motion.spec import HOME_BASE, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode
@@ -191,7 +191,7 @@ def require_outside(recording: Recording, free: FreeSpace) -> None:
     for k, agent in enumerate(recording.agents):
         pose = recording.columns[f"agent_{k}.base_pose"].astype(np.float64)
         if agent.kind == "robot":
-            base = base_of(load_robot(agent.model.removeprefix("robot/")), BaseSpec())
+            base = base_of(load_robot(agent.model.removeprefix("robot/")), HOME_BASE)
             heading = 2 * np.arctan2(pose[:, 4], pose[:, 6])
             ahead = np.stack([np.cos(heading), -np.sin(heading)], axis=-1)
             for offset in base.disc_offsets_m:

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from h3data.bodies import Robot, load_robot
-from h3data.bodies.robots.extents import resting_bounds
+from h3data.bodies.robots.extents import resting_bounds, row_radius
 from h3data.errors import SceneError
+from h3data.geometry import IDENTITY_POSE
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from h3data.scene.shape_bounds import shape_points
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.avoidance.robot_base import base_of, floor_of, footprint_of, hull_of
 from sim_kinematic.avoidance.spec import AVOIDANCE
 from sim_kinematic.avoidance.velocity import Avoided, keep_clear
 from sim_kinematic.contact.clearance import robot_span
-from sim_kinematic.motion.spec import BaseSpec
+from sim_kinematic.motion.spec import HOME_BASE, BaseSpec
 from tests.bodies.robots.cart_robot import CART_SETTINGS, write_cart
 from tests.simulated import simulate_social_nav, simulate_wander, social_nav_episode
 
@@ -64,6 +66,20 @@ def test_another_robot_has_its_own_discs_and_limits(cart: Robot) -> None:
     assert footprint_of(base).radius_m == pytest.approx(0.37)
     lift = base_of(load_robot("lift_arm"), BaseSpec())
     assert (lift.disc_offsets_m, lift.disc_radius_m, lift.max_speed_mps) == ((0.0,), 0.25, 2.5)
+
+
+def test_our_base_covers_the_robot_and_habitats_is_a_profile(cart: Robot) -> None:
+    quad, lift = load_robot("quad_arm"), load_robot("lift_arm")
+    assert base_of(quad, HOME_BASE) is HOME_BASE
+    assert base_of(lift, HOME_BASE).disc_offsets_m == tuple(lift.base_discs.tolist())
+    assert base_of(quad, BaseSpec()).disc_offsets_m == tuple(quad.base_profiles["habitat"].tolist())
+    assert base_of(lift, BaseSpec()).disc_offsets_m == tuple(lift.base_profiles["habitat"].tolist())
+    assert base_of(cart, HOME_BASE).disc_offsets_m == base_of(cart, BaseSpec()).disc_offsets_m  # it has no such profile
+    for robot in (quad, lift):
+        rest = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+        parts = [(rest[k], shape) for k, link in enumerate(robot.links) for shape in link.shapes]
+        points = np.concatenate([shape_points(shape) @ frame[:3, :3].T + frame[:3, 3] for frame, shape in parts])
+        assert row_radius(robot.base_discs, points[:, [0, 2]]) <= robot.base_radius_m + 0.025
 
 
 def test_what_the_rules_ask_for_stays(cart: Robot) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,9 +15,9 @@ from h3data.errors import InputError
 from h3data.scene import Cylinder, FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.contact import FclScene, MovingShapes, collide
-from sim_kinematic.motion.spec import ArmSpec, BaseSpec
+from sim_kinematic.motion.spec import HOME_BASE, STEP_S, ArmSpec, BaseSpec
 from sim_kinematic.motion.state import WorldState
-from sim_kinematic.motion.step import drive_robots, least_clearance
+from sim_kinematic.motion.step import drive_robots, is_clear, least_clearance
 
 DEEPEST_M = 2e-3
 ARM = ArmSpec()
@@ -32,11 +33,12 @@ def floor(seed: int) -> tuple[Scene, FreeSpace]:
 def base_specs(draw: st.DrawFn, slides: tuple[str, ...] = ("strict", "habitat")) -> BaseSpec:
     return BaseSpec(
         slide=draw(st.sampled_from(slides)),  # type: ignore[arg-type]
-        disc_offsets_m=draw(st.sampled_from([(0.0,), (0.0, 0.225), (0.0, 0.25, -0.25)])),
+        disc_offsets_m=draw(st.sampled_from([(0.0,), (0.0, 0.225), (0.0, 0.25, -0.25), HOME_BASE.disc_offsets_m])),
         max_speed_mps=draw(st.floats(0.1, 2.5)),
         max_turn_rad_s=draw(st.floats(0.1, 2.5)),
         max_lateral_mps=draw(st.sampled_from([0.0, 1.0])),
         allow_back=draw(st.booleans()),
+        keeps_speed=draw(st.booleans()),
     )
 
 
@@ -115,6 +117,30 @@ def test_strict_bases_enter_nothing(spec: BaseSpec, home: int, seed: int) -> Non
         for x, z in centres[clear < 1e-3] if k % 10 == 9 else ():
             disc.set_transforms(np.array([[[1, 0, 0, x], [0, 1, 0, (low + high) / 2], [0, 0, 1, z], [0, 0, 0, 1.0]]]))
             assert not collide(scenery, disc)
+
+
+@settings(max_examples=10)
+@given(base_specs(("strict",)), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_obstacles_push_no_base_beyond_its_speed_limit(spec: BaseSpec, home: int, seed: int) -> None:
+    _, free = floor(home)
+    rng = np.random.default_rng(seed)
+    spec = replace(spec, keeps_speed=True)
+    state = started(free, spec, 40, rng)
+    most = np.hypot(spec.max_speed_mps, spec.max_lateral_mps) * STEP_S
+    for _ in range(60):
+        before = state.robots[0].xz.copy()
+        act(state, free, spec, rng.uniform(-1.5, 1.5, (40, 11)))
+        assert np.hypot(*(state.robots[0].xz - before).T).max() <= most + 1e-9
+
+
+@settings(max_examples=20)
+@given(base_specs(("strict",)), st.integers(1, 2), st.integers(0, 2**32 - 1), st.floats(0.1, 0.6))
+def test_fewer_look_ups_answer_alike(spec: BaseSpec, home: int, seed: int, radius: float) -> None:
+    _, free = floor(home)
+    rng, offsets = np.random.default_rng(seed), np.array(spec.disc_offsets_m)
+    for (x, z), heading in zip(free.sample(rng, 300), rng.uniform(-np.pi, np.pi, 300), strict=True):
+        where = free.sdf, free.origin, free.cell_m, x, z, heading, offsets
+        assert is_clear(*where, radius) == (least_clearance(*where) >= radius)
 
 
 @pytest.mark.parametrize("slide", ["strict", "habitat"])

@@ -60,18 +60,15 @@ def test_starts_keep_their_distance(free: FreeSpace) -> None:
 
 
 def test_the_whole_robot_starts_out_of_the_furniture(home: Scene, free: FreeSpace) -> None:
-    """Habitat refuses a start at which any link touches anything (spec/habitat.md 1.2); two discs do not see the rear."""
+    """Habitat refuses a start at which any link touches anything (spec/habitat.md 1.2)."""
     robot, scenery = load_robot("quad_arm"), FclScene(home)
     shapes = MovingShapes([s for link in robot.links for s in link.shapes])
     at = [k for k, link in enumerate(robot.links) for _ in link.shapes]
-    moved = 0
     for seed in range(25):
         starts = world(home, free, seed=seed).starts
-        moved += not np.array_equal(starts[0, :2], draw_starts(free, seed, SocialNavSpec()).robot_xz)
         base = ground_pose(starts[0, :2], starts[0, 2], 0.02)
         shapes.set_transforms(robot.link_matrices(base[None], robot.rest[None])[0][at])
         assert not collide(scenery, shapes)
-    assert moved > 0  # the discs alone would have started some inside something
 
 
 def test_a_home_that_is_too_small_says_so(free: FreeSpace) -> None:

@@ -23,7 +23,7 @@ from h3data.scene import HomeSpec, scene_digest
 from h3data.scene.scene_sets import SceneEntry, SceneFile, SceneSet, SocialNavRules
 from h3data_pipelines.cli import main
 from sim_kinematic.agents.waypoint_walker import human_plan
-from sim_kinematic.motion.spec import STEP_S, SocialNavSpec, WalkerSpec
+from sim_kinematic.motion.spec import STEP_S, BaseSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.social_nav.episode import episode_from, goals_of, rules_of, stored_episode
 from sim_kinematic.tasks.social_nav.sets import sampled_episode, set_episode
 from tests.simulated import simulate_social_nav, social_nav_episode
@@ -139,7 +139,7 @@ def test_rules_come_with_the_episode() -> None:
     episode = sampled_episode(HOME, seed=5, spec=SocialNavSpec(max_steps=77, near_m=0.9))
     assert rules_of(episode) == SocialNavSpec(max_steps=77, near_m=0.9)
     bare = msgspec.structs.replace(episode, rules={}, robot="", human="")
-    assert rules_of(bare) == SocialNavSpec(max_steps=77, human=WalkerSpec())  # as in the paper
+    assert rules_of(bare) == SocialNavSpec(max_steps=77, robot=BaseSpec(), human=WalkerSpec())  # as in the paper
     assert [member.model for member in episode_from(bare, open_scene(HOME)).roster] == ["quad_arm", "female_0"]
     assert episode_from(episode, open_scene(HOME), human="male_0").roster[1].model == "male_0"
     for rules in ({"near_m": "x"}, {"max_steps": 0}, {"human": {"speed_mps": -1}}, {"human": {"speed_mps": 1e9}}):

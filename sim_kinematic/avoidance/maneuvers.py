@@ -1,0 +1,175 @@
+"""Maneuvers of a base in narrow places: back and forth, and around, where no single command leads on.
+
+A long robot gets stuck where the shortest path of a disc turns sharply: it would have to back up first. A search over poses
+(hybrid A*; Dolgov et al., 2008) over the robot's own commands finds how. It runs only when a base is stuck: it takes
+milliseconds, the usual command microseconds.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.geometry import wrap_angle
+from h3data.kernels import kernel
+from h3data.scene import FreeSpace
+from sim_kinematic.avoidance.robot_base import hull_of
+from sim_kinematic.avoidance.routes import FloorRoutes
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.avoidance.velocity import least_gap
+from sim_kinematic.motion.spec import STEP_S, BaseSpec
+from sim_kinematic.motion.step import integrate, is_clear
+
+MOVE_M = 0.1
+"""Length of a move, also the side of a cell in which two poses count as one."""
+HEADINGS = 30
+"""Such cells of heading; a turn is one."""
+BACKWARDS_COST = 1.5
+"""Cost of a metre backwards, in metres."""
+TURN_COST_M = 0.06
+"""Cost of a turn by one cell."""
+GAIN_M = 1.5
+"""A maneuver ends as soon as it has shortened the path by this much."""
+GREED = 1.5
+"""Weight of the path that is left: higher finds sooner what is longer."""
+MOST_NODES = 30_000
+AGENT_GAP_M = 0.05
+"""Gap kept to other agents [m]."""
+NO_COMMANDS = np.zeros((0, 2))
+
+
+@kernel(error_model="numpy")
+def _search(
+    sdf, origin, cell, x, z, heading, offsets, radius, hull, discs, left, grid_origin, grid_cell, moves, steps, dt, enough,
+    bearing, facing, poses, parents, moved,
+):  # fmt: skip
+    """Fills ``poses`` [N, 3], ``parents`` [N] and ``moved`` [N] (the move that led there); returns the last node, -1 if there
+    is no maneuver. ``bearing`` is the heading wanted at the end within ``facing`` [rad]."""
+    nx, nz = left.shape
+    seen = np.zeros((nx, nz, HEADINGS), np.bool_)
+    sector = 2.0 * math.pi / HEADINGS
+    poses[0, 0], poses[0, 1], poses[0, 2] = x, z, heading
+    parents[0], moved[0], count = -1, -1, 1
+    heap = [(0.0, 0.0, 0)]
+    while len(heap) > 0:
+        _, cost, node = heapq.heappop(heap)
+        px, pz, ph = poses[node, 0], poses[node, 1], poses[node, 2]
+        i, j = int((px - grid_origin[0]) / grid_cell), int((pz - grid_origin[1]) / grid_cell)
+        k = int(math.floor(ph / sector + 0.5)) % HEADINGS
+        if seen[i, j, k]:
+            continue
+        seen[i, j, k] = True
+        turned = ph - bearing
+        off = abs(turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5))
+        if left[i, j] <= enough and off <= facing and node > 0:
+            return node
+        for m in range(len(moves)):
+            if count >= len(parents):
+                return -1
+            nx_, nz_, nh = px, pz, ph
+            free = True
+            for _ in range(steps):
+                nx_, nz_, nh = integrate(nx_, nz_, nh, moves[m, 0], 0.0, moves[m, 1], dt)
+                if not is_clear(sdf, origin, cell, nx_, nz_, nh, offsets, radius):
+                    free = False
+                    break
+            if not free:
+                continue
+            a, b = int((nx_ - grid_origin[0]) / grid_cell), int((nz_ - grid_origin[1]) / grid_cell)
+            c = int(math.floor(nh / sector + 0.5)) % HEADINGS
+            if a < 0 or b < 0 or a >= nx or b >= nz or seen[a, b, c] or not math.isfinite(left[a, b]):
+                continue
+            for d in range(len(discs)):
+                if least_gap(nx_, nz_, nh, discs[d, 0], discs[d, 1], hull, discs[d, 2]) < 0.0:
+                    free = False
+            if not free:
+                continue
+            way = moves[m, 0] * steps * dt
+            cost_here = (
+                cost + (way if way > 0 else -BACKWARDS_COST * way) + (TURN_COST_M if moves[m, 1] != 0.0 else 0.0)
+            )
+            poses[count, 0], poses[count, 1], poses[count, 2] = nx_, nz_, nh
+            parents[count], moved[count] = node, m
+            turned = nh - bearing
+            off = abs(turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5))
+            rest = max(left[a, b] - enough, 0.0) + max(off - facing, 0.0) / sector * TURN_COST_M
+            heapq.heappush(heap, (cost_here + GREED * rest, cost_here, count))
+            count += 1
+    return -1
+
+
+def plan_maneuver(
+    free: FreeSpace, base: BaseSpec, xz: NDArray, heading: float, goal: NDArray, discs: NDArray, *,
+    within_m: float = 0.05, bearing: float | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Returns commands [N, 2] (forward, turn: -1..1 of the limits), one per step, that bring a base nearer to ``goal`` [2].
+
+    They lead past the next `GAIN_M` of path, or to within ``within_m`` of the goal and, there, to a heading ``bearing`` [rad].
+    Empty where no maneuver does.
+
+    Args:
+        free: The floor.
+        base: Discs and limits of the base.
+        xz: Where it is [2].
+        heading: Its heading [rad].
+        goal: Floor point [2].
+        discs: Discs ``(x, z, radius)`` [M, 3] of other agents, which the robot's hull keeps clear of.
+        within_m: Distance at which it is at the goal.
+        bearing: Heading wanted at the goal.
+    """
+    grid = FloorRoutes.of(free)
+    left = _filled(grid.flood(goal, np.zeros((0, 3))).distance)
+    i, j = np.clip(((xz - grid.origin) / AVOIDANCE.cell_m).astype(int), 0, np.array(left.shape) - 1).tolist()
+    here = float(left[i, j])
+    if not math.isfinite(here):
+        return NO_COMMANDS
+    ends = here - GAIN_M <= within_m
+    moves, steps = _moves(base)
+    hull, offsets = np.array(hull_of(base)), np.array(base.disc_offsets_m)
+    wide = np.array(discs, np.float64).reshape(-1, 3)
+    # who is nearer already does not rule out every command: they may be left
+    for disc in wide:
+        now = least_gap(xz[0], xz[1], heading, disc[0], disc[1], hull, 0.0)
+        disc[2] = min(disc[2] + base.disc_radius_m + AGENT_GAP_M, now - 1e-3)
+    poses, parents = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES, np.int64)
+    moved = np.empty(MOST_NODES, np.int64)
+    node = _search(
+        free.sdf, free.origin, free.cell_m, float(xz[0]), float(xz[1]), float(heading), offsets,
+        base.disc_radius_m - base.clearance_tolerance_m, hull, wide, left, grid.origin, AVOIDANCE.cell_m, moves, steps, STEP_S,
+        max(here - GAIN_M, within_m), 0.0 if bearing is None else bearing,
+        math.pi / HEADINGS if ends and bearing is not None else math.inf, poses, parents, moved,
+    )  # fmt: skip
+    chosen: list[int] = []
+    while node > 0:
+        chosen.append(int(moved[node]))
+        node = int(parents[node])
+    limits = np.array([base.max_speed_mps, base.max_turn_rad_s])
+    return np.repeat(moves[chosen[::-1]] / limits, steps, axis=0) if chosen else NO_COMMANDS
+
+
+def _moves(base: BaseSpec) -> tuple[NDArray[np.float64], int]:
+    """Velocities (m/s, rad/s) of the moves [M, 2], and the steps that each of them takes."""
+    turn = 2 * math.pi / HEADINGS
+    steps = math.ceil(max(MOVE_M / (base.max_speed_mps * STEP_S), turn / (base.max_turn_rad_s * STEP_S), 3.0))
+    ahead, aside = MOVE_M / (steps * STEP_S), turn / (steps * STEP_S)
+    moves = [(ahead, 0.0), (ahead, aside), (ahead, -aside), (0.0, aside), (0.0, -aside)]
+    if base.allow_back:
+        moves += [(-ahead, 0.0), (-ahead, aside), (-ahead, -aside)]
+    return np.array(moves), steps
+
+
+def _filled(left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances in cells that a base's middle may touch, though the route of a disc does not: those of their neighbours."""
+    padded = np.pad(left, 1, constant_values=np.inf)
+    around = [padded[a : a + left.shape[0], b : b + left.shape[1]] for a in range(3) for b in range(3)]
+    nearest = np.min(around, axis=0) + AVOIDANCE.cell_m
+    return np.where(np.isfinite(left), left, nearest)
+
+
+def heading_to(xz: NDArray, point: NDArray, reach: float) -> float:
+    """Returns the heading [rad] with which a robot at a floor point [2] has another at a bearing to its left [rad]."""
+    dx, dz = point - xz
+    return float(wrap_angle(math.atan2(-dz, dx) - reach))

@@ -1,0 +1,85 @@
+"""Maneuvers: they lead on where no single command does, touch nothing, and end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from h3data.scene import FreeSpace, HomeSpec, build_home
+from h3data.scene.freespace.build import build_from_walkable
+from sim_kinematic.avoidance.maneuvers import GAIN_M, plan_maneuver
+from sim_kinematic.motion.spec import HOME_BASE
+from sim_kinematic.motion.state import RobotState
+from sim_kinematic.motion.step import drive_robots, is_clear
+
+NOBODY = np.zeros((0, 3))
+
+
+def floor_of(*rooms: shapely.Polygon) -> FreeSpace:
+    walkable = shapely.MultiPolygon(shapely.get_parts(shapely.union_all(rooms)).tolist())
+    sizes = {"floor_y": 0.0, "radius_m": 0.25, "height_m": 1.4, "max_climb_m": 0.2, "cell_m": 0.05}
+    return FreeSpace.from_map(build_from_walkable(walkable, **sizes))
+
+
+def driven(free: FreeSpace, xz: np.ndarray, heading: float, commands: np.ndarray) -> RobotState:
+    """The robot after the commands; none of them touches anything."""
+    robot = RobotState.zeros(1)
+    robot.xz[0], robot.heading[0] = xz, heading
+    for command in commands:
+        before = robot.xz.copy()
+        drive_robots(robot, free, command[None], HOME_BASE)
+        moved = np.hypot(*(robot.xz - before)[0])
+        assert abs(moved - abs(command[0]) * HOME_BASE.max_speed_mps / 30) < 2e-3  # nothing pushes it
+    return robot
+
+
+def test_a_robot_backs_out_of_a_dead_end() -> None:
+    """A corridor that is too narrow to turn in: it has to be left backwards."""
+    free = floor_of(shapely.box(0, 0, 4, 0.8), shapely.box(0, -3, 2, 3))
+    start, goal = np.array([3.3, 0.4]), np.array([1.0, 2.2])
+    commands = plan_maneuver(free, HOME_BASE, start, 0.0, goal, NOBODY)
+    assert commands[0, 0] < 0
+    robot = driven(free, start, 0.0, commands)
+    assert free.geodesic(robot.xz[0], goal) < free.geodesic(start, goal) - 0.8 * GAIN_M
+
+
+def test_it_ends_at_the_goal_with_the_heading_that_is_wanted() -> None:
+    free = floor_of(shapely.box(0, 0, 3, 3))
+    start, goal = np.array([1.0, 1.2]), np.array([1.6, 1.5])
+    commands = plan_maneuver(free, HOME_BASE, start, 0.0, goal, NOBODY, bearing=2.0)
+    robot = driven(free, start, 0.0, commands)
+    assert np.hypot(*(robot.xz[0] - goal)) < 0.15
+    assert abs(np.angle(np.exp(1j * (robot.heading[0] - 2.0)))) < np.pi / 15
+
+
+def test_none_where_there_is_none() -> None:
+    free = floor_of(shapely.box(0, 0, 4, 0.8), shapely.box(0, -3, 2, 3))
+    start = np.array([3.3, 0.4])
+    in_the_way = np.array([[2.3, 0.4, 0.3]])
+    assert not len(plan_maneuver(free, HOME_BASE, start, 0.0, np.array([1.0, 2.2]), in_the_way))
+    apart = floor_of(shapely.box(0, 0, 3, 3), shapely.box(5, 0, 8, 3))
+    assert not len(plan_maneuver(apart, HOME_BASE, np.array([1.5, 1.5]), 0.0, np.array([6.5, 1.5]), NOBODY))
+
+
+@pytest.fixture(scope="module")
+def home() -> FreeSpace:
+    return FreeSpace.from_scene(build_home(HomeSpec(preset="small", seed=2)))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_every_maneuver_can_be_driven(home: FreeSpace, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, goal = home.sample(rng, 2)
+    heading = rng.uniform(-np.pi, np.pi)
+    offsets = np.array(HOME_BASE.disc_offsets_m)
+    if not is_clear(home.sdf, home.origin, home.cell_m, *start, heading, offsets, HOME_BASE.disc_radius_m):
+        return
+    commands = plan_maneuver(home, HOME_BASE, start, heading, goal, NOBODY)
+    assert (np.abs(commands) <= 1 + 1e-9).all()
+    robot = driven(home, start, heading, commands)
+    if len(commands):
+        assert home.geodesic(robot.xz[0], goal, max_snap_m=1.0) < home.geodesic(start, goal) + 0.1
