@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 GROUP ?=
+# without bytecode every command that a test starts would compile 400 files, for a second
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test test-all check check-docs check-lerobot check-gltf format bench wheel clean
 
@@ -17,11 +19,12 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup  ## simulate, record, render again, measure: out/demo/
 	$(BIN)/h3data demo -o out/demo --force
 
+# worksteal: the tests of a file stay in one process, with its homes and recordings, and nobody waits at the end
 test: setup
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-all: setup  ## the slow ones too
-	$(BIN)/python -m pytest -n 2 -m "not gpu and not bench"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not gpu and not bench"
 
 check-docs: setup  ## README and docs run as written, on small data (7 minutes)
 	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py

@@ -203,11 +203,14 @@ def test_help_before_parsing_changes_nothing(capsys: pytest.CaptureFixture[str])
         main(["export", "--help"])
     assert before == Export.__annotations__
     script = """
+import sys
 from contextlib import suppress
 from h3data_pipelines.cli import main
 with suppress(SystemExit):
     main(["export", "--help"])
-raise SystemExit(main(["export", "a", "--to", "b", "-o", "c"]))
+code = main(["export", "a", "--to", "b", "-o", "c"])
+assert "pandas" not in sys.modules, "commands start half a second later with pandas"
+raise SystemExit(code)
 """
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert said.returncode == 2

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as pads
 
 from h3data.errors import InputError, MissingExtraError, did_you_mean
 from h3data.recording.parquet.files import shard_path
@@ -23,6 +22,7 @@ from h3data.recording.storage import RemotePath
 if TYPE_CHECKING:
     import pandas
     import polars
+    import pyarrow.dataset as pads
     import torch
 
 
@@ -107,6 +107,8 @@ def shapes_of(dataset: DatasetFolder) -> dict[str, tuple[int, ...]]:
 
 def step_source(dataset: DatasetFolder) -> pads.Dataset:
     """All committed steps, lazily: engines read only the columns and row groups they need. float16 becomes float32."""
+    import pyarrow.dataset as pads  # imports pandas where it is installed: half a second of every command
+
     schema = pa.schema([pa.field(f.name, _without_halves(f.type)) for f in data_schema(dataset.schema)])
     paths = [shard_path(dataset.root, "data", shard) for shard in committed_shards(dataset, with_steps=True)]
     if not paths:
