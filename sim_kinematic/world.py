@@ -32,7 +32,7 @@ from sim_kinematic.avoidance.robot_base import base_of
 from sim_kinematic.contact import AgentContacts
 from sim_kinematic.contact.clearance import RobotHumanContact, clip_reach, robot_reach
 from sim_kinematic.contact.frames import body_frames, body_shapes, shape_frames
-from sim_kinematic.motion.gait import cycle_phase, drive_people, walk_humans
+from sim_kinematic.motion.gait import cycle_phase, drive_people, move_people, walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, BaseSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots, first_not_finite
@@ -53,6 +53,15 @@ class WalkTo(NamedTuple):
     """Points that people walk straight to, turning on the spot first, [W, 2] [m]."""
 
     points: Array
+
+
+class Stride(NamedTuple):
+    """Where people who walk along a path get in this step (`sim_kinematic.motion.stride`)."""
+
+    points: Array
+    """[W, 2] [m]."""
+    headings: Array
+    """[W] [rad]."""
 
 
 class Keep(NamedTuple):
@@ -78,7 +87,7 @@ class Posture(NamedTuple):
     """How far the left and the right arm are tucked in, 0..1, [W, 2]."""
 
 
-Command = Drive | WalkTo | Keep
+Command = Drive | WalkTo | Stride | Keep
 
 
 class World:
@@ -188,6 +197,8 @@ class World:
                     continue
                 if isinstance(command, WalkTo):
                     walk_humans(own, values, self.walker)
+                elif isinstance(command, Stride):
+                    move_people(own, values, command.headings[at], self.walker)
                 else:
                     self.blocked[at, k] = drive_people(own, free, values, self.walker, radius_m=self._person_radius_m)
                 draw_arms(own, free, self.roster[k].body, self.walker.arms)  # type: ignore[arg-type]
@@ -235,15 +246,15 @@ class World:
                 continue
             values = np.asarray(command[0], np.float64)
             width = 3 if member.kind == "robot" and base.max_lateral_mps else 2
-            if member.kind == "robot" and isinstance(command, WalkTo):
-                raise InputError(f"{member.name} drives: expected Drive, got WalkTo.")
+            if member.kind == "robot" and not isinstance(command, Drive):
+                raise InputError(f"{member.name} drives: expected Drive, got {type(command).__name__}.")
             if values.shape != (self.worlds, width) or first_not_finite(values) >= 0:
                 infinite = "" if np.isfinite(values).all() else " with numbers that are not finite"
                 raise InputError(
                     f"Expected finite actions of {member.name}, shape {[self.worlds, width]}, got shape "
                     f"{list(values.shape)}{infinite}."
                 )
-            checked.append(type(command)(values))
+            checked.append(Stride(values, command.headings) if isinstance(command, Stride) else type(command)(values))
         return checked
 
     def _keep(self, agent: int, command: Keep) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from h3data.bodies.people.rigid_parts import PeopleStyle
-from h3data_pipelines.command import Command
+from h3data_pipelines.command import Command, WalkOption
 
 if TYPE_CHECKING:
     from h3data_pipelines.jobs.evaluation_runs import EvaluationResult
@@ -40,6 +40,7 @@ def generate(
     agents: str | None = None,
     robot: str | None = None,
     human: str | None = None,
+    human_walk: WalkOption | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
     spawn_distance: float | None = None,
@@ -82,6 +83,7 @@ def evaluate(
     homes: int = 4,
     seed: int = 0,
     human: str | None = None,
+    human_walk: WalkOption | None = None,
     human_speed: float | None = None,
     max_steps: int | None = None,
     workers: int = 1,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import tyro
 
@@ -30,6 +30,7 @@ DryRunFlag = Annotated[bool, tyro.conf.arg(help="Print what would be done, and d
 PeopleOption = Annotated[
     PeopleStyle, tyro.conf.arg(help="How people are shown: as skin, as collision capsules, or as bones.")
 ]
+WalkOption = Literal["paper", "natural"]
 StrictFlag = Annotated[bool, tyro.conf.arg(help="Refuse a Habitat scene of which anything was left out or guessed.")]
 MissingFlag = Annotated[
     bool, tyro.conf.arg(help="Leave out objects of a Habitat scene whose files are missing, with a warning.")

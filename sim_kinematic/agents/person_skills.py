@@ -22,9 +22,10 @@ from sim_kinematic.agents.stands import nearest_stand, person_stands
 from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
-from sim_kinematic.motion.gait import walk_humans
+from sim_kinematic.motion.gait import move_people, walk_humans
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
+from sim_kinematic.motion.stride import Strider
 
 TURN_PATIENCE_STEPS = 10
 """So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
@@ -149,7 +150,11 @@ class PersonActor:
         return Ending("done")
 
     def _walk(self, goal: NDArray) -> Generator[None, None, None]:
-        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1)."""
+        """Walk to a floor point [2] without stopping on the way, turning on the spot where it turns (paper 3.1), or in curves
+        as `WalkerSpec.stride` says."""
+        if self.spec.stride is not None:
+            yield from self._walk_curves(goal)
+            return
         path = self._path(goal)
         if len(path):
             dx, dz = path[0] - self.xz
@@ -176,6 +181,48 @@ class PersonActor:
             yield
             there = np.hypot(*(path[k] - self.xz)) <= self.spec.arrive_m
             k += there and (k + 1 < len(path) or self._gait.blend[0] == 0)
+
+    def _walk_curves(self, goal: NDArray) -> Generator[None, None, None]:
+        """As `_walk`; whoever waits brakes."""
+        strider = Strider(self.free, self.spec, halts=True)
+        strider.begin(np.vstack([self.xz[None], self._path(goal)]))
+        waited, left = 0, False
+        while not strider.arrived and waited <= AVOIDANCE.patience_steps:
+            left |= self.aside is not None
+            if left and self.aside is None:  # back from where they had stepped aside to
+                strider.begin(np.vstack([self.xz[None], self._path(goal)]))
+                waited, left = 0, False
+                continue
+            self.path = np.vstack([self.xz[None], strider.ahead])
+            if left:
+                strider.halt()
+                self._stand()
+                yield
+                continue
+            blocker = in_the_way(self.xz, strider.target, self.others)
+            if blocker is not None and not waits(self.number, blocker) and waited % 10 == 0:
+                detour = path_around(self.free, self.xz, goal, self.others)
+                if detour is not None:
+                    strider.begin(np.vstack([self.xz[None], detour]))
+                    blocker = None
+            waited = 0 if blocker is None else waited + 1
+            self._stride(strider, goes=blocker is None)
+            yield
+
+    def _stride(self, strider: Strider, *, goes: bool) -> None:
+        """One step along a path; where they would touch somebody they come to a stand."""
+        gait, before = self._gait_here(), self._posture()
+        stopped = gait.take([0])
+        xz, heading = strider.step(self.xz, gait.heading.item(0), goes=goes)
+        move_people(gait, xz[None], np.array([heading]), self.spec)
+        self.person.stride(gait)
+        if self.meets():
+            strider.halt()
+            self._gait = stopped
+            self._take(before)
+            self._pace(None)
+            return
+        self._follow()
 
     def _path(self, goal: NDArray) -> NDArray[np.float64]:
         """Way points [N, 2] to a floor point [2]."""

@@ -5,19 +5,23 @@ from the goals that are given.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from h3data.geometry import Array
 from h3data.scene import FreeSpace
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import WalkerSpec
 from sim_kinematic.motion.state import HumanState
+from sim_kinematic.motion.stride import Strider
 
+MOST_STEPS = 20_000
+"""Longer than anybody walks to one goal: eleven minutes."""
 ARC_STEP_M = 0.08
 """Way points nearer together than this belong to one rounded corner (5 cm apart at a radius of 0.25 m)."""
 ARC_TURN_MAX = 1.75
@@ -49,6 +53,9 @@ class WaypointHuman:
     goals: list[NDArray[np.float64]] = field(default_factory=list)
     """All goals so far, ``(x, z)`` each."""
     _path: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    _strider: Strider | None = None
+    _track: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    _row: int = 0
 
     def target(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """The way point ``(x, z)`` to walk to from ``position``; draws the next goal when the last one is reached."""
@@ -60,12 +67,37 @@ class WaypointHuman:
                 self.leg += 1
             self._next_goal(position)
 
+    def stride(self, xz: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
+        """Where they are after a step from where they are now, (x, z, heading); with `WalkerSpec.stride`. Reacts to nobody, so
+        the way to each goal is walked ahead at once."""
+        while self._row >= len(self._track):
+            self._next_goal(xz)
+            self._track, self._row = self._strides().whole(xz, heading, most=MOST_STEPS), 0
+        self._row += 1
+        return self._track[self._row - 1]
+
+    def careful_stride(
+        self, xz: NDArray[np.float64], heading: float, goes: Callable[[Array], bool]
+    ) -> tuple[Array, float]:
+        """As `stride`, for people who look where they go: they brake unless ``goes(way point)``."""
+        while self.leg >= len(self._path) or self._strides().arrived:
+            self._next_goal(xz)
+            self._strides()
+        return self._strides().step(xz, heading, goes=goes(self._strides().target))
+
+    def _strides(self) -> Strider:
+        if self._strider is None:
+            self._strider = Strider(self.free, self.spec)
+        return self._strider
+
     def _next_goal(self, position: NDArray[np.float64]) -> None:
         self.goal += 1
         goal = np.array(self.given[self.goal]) if self.goal < len(self.given) else self._drawn(position)
         self.goals.append(goal)
         self._path = walking_path(self.free, position, goal, self.spec)
         self.leg = 1
+        if self.spec.stride is not None:
+            self._strides().begin(self._path)
 
     def _drawn(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         rng = generator(self.seed, "human_goal", step=self.goal)
@@ -175,6 +207,9 @@ def human_plan(
     human = WaypointHuman(free, seed, spec, given)
     track = np.empty((steps, 2))
     for k in range(steps):
-        walk_humans(state, human.target(state.xz[0])[None], spec)
+        if spec.stride is None:
+            walk_humans(state, human.target(state.xz[0])[None], spec)
+        else:
+            state.xz[0, 0], state.xz[0, 1], state.heading[0] = human.stride(state.xz[0], state.heading.item(0))
         track[k] = state.xz[0]
     return HumanPlan(track, human.goals)

@@ -23,7 +23,7 @@ from sim_kinematic.tasks.describe import in_words
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.sources import EpisodeSource, Scenes
 from sim_kinematic.tasks.task import Task
-from sim_kinematic.world import Command, Drive, WalkTo
+from sim_kinematic.world import Command, Drive, Stride, WalkTo
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Dict, Space
@@ -125,7 +125,7 @@ class WorldStepper:
         for k in self._others:
             for w in rows.tolist():
                 policy = self._walkers[w][k]
-                if isinstance(policy, WaypointPolicy):
+                if isinstance(policy, WaypointPolicy) and self.spec.human.stride is None:
                     self._targets[k][w] = policy.target(self.play.world.state.agents[k].xz[w])
 
     def step(self, actions: Mapping[str, ArrayLike]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -145,12 +145,18 @@ class WorldStepper:
     def _other_command(self, k: int) -> Command:
         """What an agent does that is not controlled by actions."""
         own, scripted = self.play.world.state.agents[k], isinstance(self._walkers[0][k], WaypointPolicy)
+        if scripted and self.spec.human.stride is not None:
+            walkers = [self._walkers[w][k] for w in range(self.worlds)]
+            moves = np.array([who.stride(own.xz[w], own.heading.item(w)) for w, who in enumerate(walkers)])
+            return Stride(moves[:, :2], moves[:, 2])
         if scripted:  # only those who have arrived need a new way point
             gap = self._targets[k] - own.xz
             for w in np.flatnonzero(np.hypot(gap[:, 0], gap[:, 1]) <= self.spec.human.arrive_m):
                 self._targets[k][w] = self._walkers[w][k].target(own.xz[w])
             return WalkTo(self._targets[k])
         choices = [self._walkers[w][k].act(self.task.view(self.play, k, w)) for w in range(self.worlds)]
+        if hasattr(choices[0], "heading"):
+            return Stride(np.array([choice.xz for choice in choices]), np.array([choice.heading for choice in choices]))
         if hasattr(choices[0], "xz"):
             return WalkTo(np.array([choice.xz for choice in choices]))
         return Drive(np.array([[choice.forward, choice.turn] for choice in choices]))

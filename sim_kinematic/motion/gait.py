@@ -81,6 +81,16 @@ def walk_humans(state: HumanState, goal_xz: Array, spec: WalkerSpec, *, dt: floa
     )  # fmt: skip
 
 
+def move_people(state: HumanState, xz: Array, heading: Array, spec: WalkerSpec) -> None:
+    """Put a person in all their worlds where they get in a step, ``xz`` [W, 2] and ``heading`` [W], in place."""
+    before = state.xz.copy()
+    state.xz[:], state.heading[:] = xz, heading
+    backwards = np.zeros(len(before), np.bool_)
+    _step_cycles(
+        state.distance, state.set_off, state.blend, state.xz, before, backwards, STEP_S / spec.blend_s
+    )  # fmt: skip
+
+
 def drive_people(
     state: HumanState,
     free: FreeSpace,

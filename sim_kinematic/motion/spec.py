@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 STEP_S = 1 / 30
@@ -93,6 +93,37 @@ class ArmRoomSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StrideSpec:
+    """How people walk along a path without stopping to turn (`sim_kinematic.motion.stride`)."""
+
+    accel_mps2: float = 1.1
+    """People reach their walking speed in two to three steps (Breniere and Do 1986: 1.3 m/s in 1.2 s)."""
+    decel_mps2: float = 1.1
+    turn_rad_s: float = 1.8
+    turn_accel_rad_s2: float = 7.0
+    steer_per_s: float = 2.6
+    """Turn rate for each radian between the heading and the point that they walk to."""
+    look_m: float = 0.7
+    """How far ahead that point is at most; where there is little room it is nearer."""
+    sidestep_rad: float = 0.35
+    """How far the direction of walking may be off the heading."""
+    sidestep_rad_s: float = 2.5
+    """How fast that angle changes."""
+    arrive_m: float = 0.12
+    """Within twice this distance of the end they no longer turn, and step to it sideways if need be."""
+    patience_s: float = 4.0
+    """After this time without getting on they keep to the path itself."""
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """The numbers that the kernel takes."""
+        return (
+            self.accel_mps2, self.decel_mps2, self.turn_rad_s, self.turn_accel_rad_s2, self.steer_per_s, self.look_m,
+            self.sidestep_rad, self.sidestep_rad_s, self.arrive_m,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class WalkerSpec:
     """How a way-point humanoid moves: it turns on the spot towards the next way point, then walks (paper section 3.1)."""
 
@@ -108,10 +139,24 @@ class WalkerSpec:
     """Her way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
     arms: ArmRoomSpec | None = None
     """How she draws her arms in beside walls and furniture; None: they swing whatever is there."""
+    stride: StrideSpec | None = None
+    """How people walk curves, set off and brake; None: as in the paper, they turn on the spot and walk at full speed."""
 
+    def __repr__(self) -> str:
+        # uids of episodes are made of it: those of walkers without a stride stay as they were
+        shown = [f for f in fields(self) if f.name != "stride" or self.stride is not None]
+        return f"WalkerSpec({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
+
+
+NATURAL_WALKER = WalkerSpec(speed_mps=1.3, clearance_m=0.4, arms=ArmRoomSpec(), stride=StrideSpec())
+"""A person who walks curves at a walking speed."""
 
 HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
 """A person of our own episodes: as the paper's, but she keeps clear of walls and furniture where there is room."""
+
+
+WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
+"""By the name of how they walk: at 2.5 m/s with turns on the spot as in the paper, or as people do."""
 
 
 @dataclass(frozen=True, kw_only=True)

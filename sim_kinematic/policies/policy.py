@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import InputError
+from h3data.geometry import Array
 from sim_kinematic.motion.spec import BaseSpec
 
 
@@ -31,6 +32,14 @@ class Towards(NamedTuple):
 
     xz: NDArray[np.float64]
     """``(x, z)`` [m]."""
+
+
+class StrideTo(NamedTuple):
+    """Where a person who walks along a path is after this step."""
+
+    xz: Array
+    """``(x, z)`` [m]."""
+    heading: float
 
 
 class KeptMoment(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.bodies import Robot
+from h3data.errors import InputError
 from h3data.geometry import Array
 from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
-from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, WALKERS, BaseSpec, WalkerSpec
 
 MAX_STEPS = 1_000_000
 """Longest episode that is simulated again: nine hours."""
@@ -84,9 +85,24 @@ class Outcome:
     """Events of this step with the world that each belongs to."""
 
 
+def rules_dict(spec: Any) -> dict[str, Any]:
+    """The rules as recordings and episode files hold them; people who turn on the spot have no entry ``stride``, as in those
+    made before there were strides."""
+    rules = asdict(spec)
+    human = rules.get("human")
+    if isinstance(human, dict) and human.get("stride", ...) is None:
+        del human["stride"]
+    return rules
+
+
 def with_options(spec: Any, **options: Any) -> Any:
-    """A spec with those options that are not None; ``human_speed`` means the people's walking speed [m/s]."""
-    speed = options.pop("human_speed", None)
+    """A spec with those options that are not None; ``human_walk`` is how people walk, ``paper`` or ``natural``, and
+    ``human_speed`` how fast [m/s]."""
+    speed, walk = options.pop("human_speed", None), options.pop("human_walk", None)
+    if walk not in (None, *WALKERS):
+        raise InputError(f"Unknown human_walk {walk!r}. Expected one of: {', '.join(WALKERS)}.")
+    if walk is not None:
+        spec = replace(spec, human=WALKERS[walk])
     if speed is not None:
         spec = replace(spec, human=replace(spec.human, speed_mps=speed))
     return replace(spec, **{name: value for name, value in options.items() if value is not None})

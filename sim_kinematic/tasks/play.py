@@ -15,11 +15,11 @@ from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.state import HumanState, RobotState
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.policies.policy import KeptMoment, Towards
+from sim_kinematic.policies.policy import KeptMoment, StrideTo, Towards
 from sim_kinematic.policies.views import AgentView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.tasks.episode import Episode, Outcome, agent_floor
-from sim_kinematic.world import Command, Drive, Keep, Posture, WalkTo, World
+from sim_kinematic.world import Command, Drive, Keep, Posture, Stride, WalkTo, World
 
 Columns = dict[str, NDArray[Any]]
 
@@ -204,9 +204,8 @@ class WorldPlay:
                 policy = self.policies[number].policy
                 # the script needs no view: it is asked a hundred times more often than anything else
                 scripted = type(policy) is WaypointPolicy
-                choices.append(
-                    Towards(policy.target(self.world.state.agents[number].xz[0])) if scripted else (yield number)
-                )
+                own = self.world.state.agents[number]
+                choices.append(policy.move(own.xz[0], own.heading.item(0)) if scripted else (yield number))
             self._words = [getattr(choice, "skill", "") for choice in choices]
             outcome = self.advance([self._command(k, choice) for k, choice in enumerate(choices)])
             self.events += [event for _, event in outcome.events]
@@ -220,6 +219,8 @@ class WorldPlay:
         """A choice for one agent of the only world; velocities are rounded to float32, as they are recorded."""
         if isinstance(choice, Towards):
             return WalkTo(choice.xz[None])
+        if isinstance(choice, StrideTo):
+            return Stride(choice.xz[None], np.array([choice.heading]))
         if isinstance(choice, KeptMoment):
             posture = Posture(
                 np.array([choice.clip]), np.array([choice.phase]), np.array([choice.blend]), np.array([choice.arms])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
 import msgspec
@@ -16,7 +16,7 @@ from h3data.habitat.episodes.stored_episodes import Start, StoredEpisode, info_b
 from h3data.scene import FreeSpace, Scene, scene_digest
 from h3data.scene.scene_sets import SceneSource
 from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, AgentSpec, make_roster
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, rules_dict
 
 SNAP_M = 0.05
 """A stored point may be this far off the free floor: files round to a centimeter, navigation meshes to a cell."""
@@ -124,7 +124,7 @@ class TaskStorage(EpisodeStorage[TaskRecord]):
             seed=episode.seed,
             scene_sha256=scene_digest(episode.scene),
             scene_source=plain(dict(episode.scene.source)),
-            rules=plain(asdict(episode.spec)),
+            rules=plain(rules_dict(episode.spec)),
         )
 
     def entry(

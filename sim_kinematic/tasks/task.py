@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
@@ -25,7 +24,7 @@ from sim_kinematic.motion.randomness import generator
 from sim_kinematic.policies.assignment import Assigned, AssignedPolicy, assign, check_policy, make_policy
 from sim_kinematic.policies.policy import Still, Velocity
 from sim_kinematic.policies.recorded import RecordedTrack, RecordedVelocities, recorded_commands
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, TaskSpec, rules_dict
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.storage import EpisodeStorage, TaskStorage
 
@@ -289,7 +288,7 @@ class Task:
             "policy": names["robot"],
             "partner": names["human"],
             "max_steps": episode.spec.max_steps,
-            "spec": asdict(episode.spec),
+            "spec": rules_dict(episode.spec),
             "starts": episode.starts.tolist(),
         }
         if episode.extra:

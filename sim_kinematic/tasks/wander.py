@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.policies.assignment import AssignedPolicy
-from sim_kinematic.tasks.episode import Episode, Outcome
+from sim_kinematic.tasks.episode import Episode, Outcome, rules_dict
 from sim_kinematic.tasks.play import WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.task import Task
@@ -73,7 +72,7 @@ class Wander(Task):
     def info(self, episode: Episode, policies: Sequence[AssignedPolicy]) -> dict[str, Any]:
         info: dict[str, Any] = {
             "max_steps": episode.spec.max_steps,
-            "spec": asdict(episode.spec),
+            "spec": rules_dict(episode.spec),
             "starts": episode.starts.tolist(),
         }
         others = [policy.name for policy in policies]

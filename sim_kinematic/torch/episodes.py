@@ -35,7 +35,9 @@ class EpisodeBank:
     human_xz: NDArray[np.float64]
     human_heading: NDArray[np.float64]
     way_points: NDArray[np.float64]
-    """[N, P, 2] [m]; the last one fills the rows of those who have fewer."""
+    """[N, P, 2] [m]; the last one fills the rows of those who have fewer. Of people who walk with strides where they are
+    after each step, and ``headings`` [N, P] [rad]."""
+    headings: NDArray[np.float64] | None
     seeds: NDArray[np.int64]
     """Of the episodes, as in recordings, [N]."""
 
@@ -60,8 +62,10 @@ class EpisodeBank:
         order = {id(home.scene): k for k, home in enumerate(source.homes) if home.is_ready}
         homes.sort(key=lambda scene: order[id(scene)])
         starts = [Starts.of(episode.starts) for episode in episodes]
-        tracks = [_way_points(episode) for episode in episodes]
+        strides = spec.human.stride is not None
+        tracks = [_strides(episode) if strides else _way_points(episode) for episode in episodes]
         longest = max(map(len, tracks))
+        padded = np.stack([np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tracks])
         floors = {id(episode.scene): episode.free for episode in episodes}
         return cls(
             floors=tuple(floors[id(scene)] for scene in homes),
@@ -71,12 +75,24 @@ class EpisodeBank:
             robot_heading=np.array([s.robot_heading for s in starts]),
             human_xz=np.array([s.human_xz for s in starts]),
             human_heading=np.array([s.human_heading for s in starts]),
-            way_points=np.stack([np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tracks]),
+            way_points=padded[..., :2].copy(),
+            headings=padded[..., 2].copy() if strides else None,
             seeds=np.array([episode.seed for episode in episodes], np.int64),
         )
 
     def __len__(self) -> int:
         return len(self.place)
+
+
+def _strides(episode: Episode) -> NDArray[np.float64]:
+    """Where the person is after each step, (x, z, heading) [P, 3]."""
+    walker = WaypointHuman(episode.free, episode.seed, episode.spec.human, goals_of(episode))
+    starts = Starts.of(episode.starts)
+    track = np.empty((episode.spec.max_steps + 1, 3))
+    before = np.array([*starts.human_xz, starts.human_heading])
+    for k in range(len(track)):
+        track[k] = before = walker.stride(before[:2], float(before[2]))
+    return track
 
 
 def _way_points(episode: Episode) -> NDArray[np.float64]:

@@ -26,7 +26,15 @@ from sim_kinematic.torch.contact import TouchTest
 from sim_kinematic.torch.episodes import EpisodeBank
 from sim_kinematic.torch.geodesic import Lattices, shortest_way
 from sim_kinematic.torch.state import HumanTensors, RobotTensors
-from sim_kinematic.torch.step import Grids, drive_robots, heading_direction, sample_sdf, walk_humans, wrap_angle
+from sim_kinematic.torch.step import (
+    Grids,
+    drive_robots,
+    heading_direction,
+    move_humans,
+    sample_sdf,
+    walk_humans,
+    wrap_angle,
+)
 
 
 class Play(NamedTuple):
@@ -99,6 +107,8 @@ class _Drawn:
     """Robot's and person's x, z, heading, [N, 6]."""
     way_points: Tensor
     """[N * P, 2]."""
+    headings: Tensor | None
+    """[N * P] where way points are the person's places after each step."""
     legs: int
     floor_y: Tensor
 
@@ -140,6 +150,7 @@ class SocialNavTensors:
             place=torch.as_tensor(bank.place, device=self.device),
             starts=on_device(bank.robot_xz, bank.robot_heading, bank.human_xz, bank.human_heading),
             way_points=on_device(bank.way_points.reshape(-1, 2)),
+            headings=None if bank.headings is None else on_device(bank.headings.reshape(-1, 1))[:, 0],
             legs=bank.way_points.shape[1],
             floor_y=on_device([[floor.floor_y] for floor in bank.floors])[:, 0],
         )
@@ -157,10 +168,14 @@ class SocialNavTensors:
         place = drawn.place[episode]
         grids, lattices = self._grids.at(place), self._lattices.at(place)
         row = episode * drawn.legs
-        gap = drawn.way_points[row + play.leg] - play.human.xz
-        arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
-        leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(drawn.legs - 1))
-        human = walk_humans(play.human, drawn.way_points[row + leg], spec.human)
+        if drawn.headings is not None:  # each step has a place of its own
+            leg, now = play.leg, row + torch.where(fresh, 0, play.steps).clamp_max(drawn.legs - 1)
+            human = move_humans(play.human, drawn.way_points[now], drawn.headings[now], spec.human)
+        else:
+            gap = drawn.way_points[row + play.leg] - play.human.xz
+            arrived = torch.hypot(gap[:, 0], gap[:, 1]) <= spec.human.arrive_m
+            leg = torch.where(fresh, 0, (play.leg + arrived).clamp_max(drawn.legs - 1))
+            human = walk_humans(play.human, drawn.way_points[row + leg], spec.human)
         robot = drive_robots(grids, play.robot, action, self.base)
         start = drawn.starts[episode]
         zero, begins = start.new_zeros(()), fresh[:, None]

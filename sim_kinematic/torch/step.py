@@ -229,6 +229,23 @@ def drive_robots(
     )
 
 
+def move_humans(
+    person: HumanTensors, xz: Tensor, heading: Tensor, spec: WalkerSpec, *, dt: float = STEP_S
+) -> HumanTensors:
+    """Humanoids [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
+    gap = xz - person.xz
+    walked = torch.hypot(gap[:, 0], gap[:, 1])
+    goes, rate = walked > 0.0, dt / spec.blend_s
+    begins = goes & (person.blend == 0.0)
+    return HumanTensors(
+        xz,
+        heading,
+        person.distance + walked,
+        torch.where(begins, person.distance, person.set_off),
+        torch.where(goes, (person.blend.clamp_min(0.5) + rate).clamp_max(1.0), (person.blend - rate).clamp_min(0.0)),
+    )
+
+
 def walk_humans(person: HumanTensors, goal_xz: Tensor, spec: WalkerSpec, *, dt: float = STEP_S) -> HumanTensors:
     """Humanoids [W, ...] one step straight towards their way points [W, 2]. They turn on the spot first, never overshoot."""
     xz, heading = person.xz, person.heading

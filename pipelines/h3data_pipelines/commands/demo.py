@@ -103,13 +103,13 @@ class Demo:
     def _simulate(self, path: Path) -> Recording:
         from h3data.recording import RecordingWriter
         from h3data.scene import HomeSpec, build_home
-        from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
+        from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec
         from sim_kinematic.tasks.runner import simulate
         from sim_kinematic.tasks.social_nav import SocialNav
 
         scene = build_home(HomeSpec(preset="small", seed=self.seed))
         spec = SocialNavSpec(
-            max_steps=self.steps, spawn_distance_m=4.0, human=replace(HOME_WALKER, speed_mps=self.human_speed)
+            max_steps=self.steps, spawn_distance_m=4.0, human=replace(NATURAL_WALKER, speed_mps=self.human_speed)
         )
         task = SocialNav()
         episode = task.episode(scene, seed=self.seed, spec=spec)

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from h3data.progress import progress
-from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome
+from h3data_pipelines.command import AssetsOption, ForceFlag, JsonFlag, MissingFlag, Outcome, WalkOption
 from h3data_pipelines.jobs.evaluation_runs import EvaluationRequest, evaluate_task
 from h3data_pipelines.jobs.evaluations import ALL
 
@@ -60,8 +60,11 @@ class Evaluate:
     """Everything random follows from it."""
     human: str | None = None
     """Body of the person: a built-in one; any: each episode samples one; random: each makes one (default: female_0)."""
+    human_walk: WalkOption | None = None
+    """How people walk: paper turns on the spot and is at 2.5 m/s at once, natural walks curves at 1.3 m/s, sets off and
+    brakes (default: the episode's, else paper)."""
     human_speed: float | None = None
-    """Walking speed of the person [m/s] (default: the paper's 2.5)."""
+    """Walking speed of the person [m/s] (default: that of --human-walk)."""
     max_steps: int | None = None
     """Length limit of an episode (default: 1500; rearrange: 750)."""
     workers: int = 1
@@ -88,6 +91,7 @@ class Evaluate:
             homes=self.homes,
             seed=self.seed,
             human=self.human,
+            human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
         )

@@ -29,6 +29,7 @@ from h3data_pipelines.command import (
     Outcome,
     PeopleOption,
     ShareScenesFlag,
+    WalkOption,
     claim_folder,
     counted,
     keeping,
@@ -120,8 +121,11 @@ class Generate:
     human: str | None = None
     """Body of each agent named human: a built-in one; random:SEED; an .npz file; any: each episode samples one of the
     built-in ones; random: each makes people of its own, in wander each person (default: the episode's, else female_0)."""
+    human_walk: WalkOption | None = None
+    """How people walk: paper turns on the spot and is at 2.5 m/s at once, natural walks curves at 1.3 m/s, sets off and
+    brakes (default: the episode's, else paper)."""
     human_speed: float | None = None
-    """Walking speed of the person [m/s] (default: the episode's, else the paper's 2.5)."""
+    """Walking speed of the person [m/s] (default: the episode's, else that of --human-walk)."""
     max_steps: int | None = None
     """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750;
     wander: 300, and they walk as long as that)."""
@@ -275,6 +279,7 @@ class Generate:
             agents=None if self.agents is None else tuple(name.strip() for name in self.agents.split(",")),
             human=self.human,
             robot=self.robot,
+            human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance=self.spawn_distance,

@@ -59,10 +59,13 @@ class Job:
     def to_json(self) -> dict[str, Any]:
         """What decides the episode, as JSON gives it back; a stored one is known by its ``origin``. What is not set is left
         out."""
+        from sim_kinematic.tasks.episode import rules_dict
+
         apart = ("stored", "origin", "task")
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in apart}
         if self.agents is not None and not self.found_task.bodies_in_agents:
             values["agents"] = ",".join(self.agents)
+        values |= {name: rules_dict(values[name]) for name in ("spec", "drawn_with") if values.get(name) is not None}
         return json.loads(msgspec.json.encode({name: value for name, value in values.items() if value is not None}))
 
     @cached_property
@@ -124,6 +127,7 @@ class Choices:
     agents: tuple[str, ...] | None = None
     human: str | None = None
     robot: str | None = None
+    human_walk: str | None = None
     human_speed: float | None = None
     max_steps: int | None = None
     spawn_distance: float | None = None
@@ -144,6 +148,7 @@ class Choices:
         base = self.found_task.default_spec() if base is None else base
         return with_options(
             base,
+            human_walk=self.human_walk,
             human_speed=self.human_speed,
             max_steps=self.max_steps,
             spawn_distance_m=self.spawn_distance,

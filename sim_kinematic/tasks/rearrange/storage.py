@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, ClassVar
 
 import msgspec
@@ -31,7 +30,7 @@ from sim_kinematic.agents.roster import HUMAN_BODY, ROBOT_BODY, make_roster
 from sim_kinematic.agents.stands import robot_fits
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import STEP_S, SocialNavSpec
-from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.episode import Episode, rules_dict
 from sim_kinematic.tasks.rearrange.episode import (
     PAIR,
     SPARE,
@@ -289,7 +288,7 @@ def target_of(goal: StoredGoal, origin: Array | None = None) -> Target:
 
 def rules_to_json(spec: RearrangeSpec) -> dict[str, Any]:
     """The rules as JSON types; an infinitely fast arm has null as its speed."""
-    rules = asdict(spec)
+    rules = rules_dict(spec)
     if not np.isfinite(spec.arm_rad_s):
         rules["arm_rad_s"] = None
     return rules

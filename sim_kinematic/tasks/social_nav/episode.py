@@ -7,7 +7,7 @@ Habitat does not store them (spec/habitat.md 1.2). Here an episode is a record, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from sim_kinematic.agents.waypoint_walker import HumanPlan, human_plan
 from sim_kinematic.motion.randomness import generator
 from sim_kinematic.motion.spec import SocialNavSpec
 from sim_kinematic.motion.state import HUMAN, ROBOT
-from sim_kinematic.tasks.episode import Episode
+from sim_kinematic.tasks.episode import Episode, rules_dict
 from sim_kinematic.tasks.storage import SNAP_M
 
 
@@ -127,7 +127,7 @@ def stored_episode(episode: Episode) -> SocialNavEpisode:
         human=f"humanoid/{episode.roster[HUMAN].model}",
         scene_sha256=scene_digest(episode.scene),
         scene_source=dict(episode.scene.source),
-        rules=msgspec.to_builtins(asdict(episode.spec)),
+        rules=msgspec.to_builtins(rules_dict(episode.spec)),
     )
 
 

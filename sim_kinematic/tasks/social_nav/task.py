@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -31,7 +31,7 @@ from sim_kinematic.policies.social_nav import POLICIES, ROBOT_SKILLS, policy_by_
 from sim_kinematic.policies.views import SocialNavView
 from sim_kinematic.policies.waypoints import WaypointPolicy
 from sim_kinematic.sensing.sensor import facing
-from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, agent_base, agent_floor
+from sim_kinematic.tasks.episode import MAX_STEPS, Episode, Outcome, agent_base, agent_floor, rules_dict
 from sim_kinematic.tasks.play import Play, WorldPlay
 from sim_kinematic.tasks.recorder import scene_attachment
 from sim_kinematic.tasks.rules.oracle import oracle_min_steps
@@ -312,7 +312,7 @@ class SocialNav(Task):
         info = {
             "policy": policies[ROBOT].name,
             "max_steps": spec.max_steps,
-            "spec": asdict(spec),
+            "spec": rules_dict(spec),
             "robot_start": robot,
             "human_start": human,
         }

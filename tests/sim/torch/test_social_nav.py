@@ -19,7 +19,7 @@ from h3data.errors import InputError  # noqa: E402
 from h3data.geometry import ground_pose, wrap_angle  # noqa: E402
 from h3data.scene import FreeSpace, HomeSpec, build_home  # noqa: E402
 from sim_kinematic.envs.social_nav_torch_env import PICTURED, SocialNavTorchEnv, TorchObservation  # noqa: E402
-from sim_kinematic.motion.spec import WalkerSpec  # noqa: E402
+from sim_kinematic.motion.spec import StrideSpec, WalkerSpec  # noqa: E402
 from sim_kinematic.tasks.rules.rewards import Encounter, SocialNavReward  # noqa: E402
 from sim_kinematic.tasks.social_nav import TRAINING  # noqa: E402
 from sim_kinematic.torch.contact import TOLERANCE_M, TouchTest  # noqa: E402
@@ -35,6 +35,7 @@ HOMES = ["small:1", "small:2"]
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 OBSERVED: tuple[Any, ...] = ("humanoid_gps", "egomotion", "localization", "humanoid_velocity", "range_scan", "way")
 RULES = replace(TRAINING, max_steps=60, end_on_collision=False, human=WalkerSpec())  # on a device arms always swing
+STRIDES = replace(RULES, human=WalkerSpec(speed_mps=1.3, stride=StrideSpec()))
 SEED = 5
 compiles = [
     pytest.mark.slow,
@@ -59,16 +60,18 @@ def chase(gps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 # --- against the batch --------------------------------------------------------------------------------------------------
-def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> None:
+@pytest.mark.parametrize("rules", [RULES, STRIDES], ids=["paper", "natural"])
+def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any) -> None:
     worlds, rng = 8, np.random.default_rng(1)
+    bank = EpisodeBank.draw(HOMES, 6, seed=SEED, spec=rules)
     index = np.arange(worlds) % len(bank)
-    batch = Batch(HOMES, worlds=worlds, spec=RULES, observations=OBSERVED)
+    batch = Batch(HOMES, worlds=worlds, spec=rules, observations=OBSERVED)
     batch.begin(SEED, index)
     seen, shown = [], []
-    sim = SocialNavTensors(bank, device="cpu", spec=RULES)
+    sim = SocialNavTensors(bank, device="cpu", spec=rules)
     play = sim.step(Play.before_the_first(torch.tensor(index - 1), torch.float64), torch.zeros(worlds, 2))
     (robots,), (people,) = batch.state.robots, batch.state.people
-    rewards = SocialNavReward(worlds, rules=RULES)
+    rewards = SocialNavReward(worlds, rules=rules)
 
     def met() -> Encounter:
         return Encounter(robots.xz, robots.heading, people.xz, play.geodesic.numpy(), play.collides.numpy())
@@ -103,15 +106,18 @@ def test_the_same_actions_give_the_episodes_of_the_batch(bank: EpisodeBank) -> N
         np.testing.assert_array_equal(play.truncated, ended)
         touches += batch.memory.collides.sum()
         follows += rewards.followed.sum()
-    assert touches > 5
+    assert touches > 5 or rules is STRIDES
     assert follows > 100
     for name in OBSERVED[:-1]:
         np.testing.assert_allclose([a[name] for a in seen], [b[name] for b in shown], rtol=0, atol=1e-5, err_msg=name)
-    straight = np.isclose([a["way"][:, 0] for a in seen], [a["humanoid_gps"][:, 0] for a in seen], atol=1e-6)
-    assert 0.03 < straight.mean() < 0.97
-    off = np.abs(wrap_angle(np.stack([a["way"][..., 1] - b["way"][..., 1] for a, b in zip(seen, shown, strict=True)])))
-    assert off[straight].max() < 1e-3
-    assert np.quantile(off[~straight], 0.8) < np.radians(20)
+    if rules is RULES:  # somebody who walks slowly is hardly ever out of sight
+        straight = np.isclose([a["way"][:, 0] for a in seen], [a["humanoid_gps"][:, 0] for a in seen], atol=1e-6)
+        assert 0.03 < straight.mean() < 0.97
+        off = np.abs(
+            wrap_angle(np.stack([a["way"][..., 1] - b["way"][..., 1] for a, b in zip(seen, shown, strict=True)]))
+        )
+        assert off[straight].max() < 1e-3
+        assert np.quantile(off[~straight], 0.8) < np.radians(20)
     assert batch.play.world.floor_y.shape == (worlds,)
 
 

@@ -1,0 +1,234 @@
+"""Walking along a path as people do: they set off and brake smoothly, walk curves instead of turning on the spot, and look
+where they are going.
+
+A step is a pure pursuit of the path: the person turns towards a point some way ahead on it, walks where they look, sideways by
+a little, and slower while the point is not ahead. Turning and walking speed change no faster than `StrideSpec` says. The body's
+disc is pushed out of walls and furniture as one that is driven (`sim_kinematic.motion.step.push_out`), so a curve cut short
+never leads into them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from h3data.errors import InputError
+from h3data.geometry import Array
+from h3data.kernels import kernel
+from h3data.scene import FreeSpace
+from h3data.scene.freespace.free_space import sample_sdf
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.motion.step import push_out, wrap_angle
+
+PROGRESS_M = 0.02
+"""The place on the path is sought in steps of this length."""
+PUSHES = 6
+CREEP_MPS, SHARP_RAD = 0.1, 0.6
+"""Below this speed people walk in any direction at once; a larger change of it they come to a stand for."""
+CORNER_M = 0.5
+"""How far beyond the point that they walk to people see a corner coming."""
+
+
+@kernel(error_model="numpy")
+def _at(path, cumulative, along):
+    """The point of the path ``along`` [m] from its beginning."""
+    k = 1
+    while k < len(path) - 1 and cumulative[k] < along:
+        k += 1
+    length = cumulative[k] - cumulative[k - 1]
+    share = min(max((along - cumulative[k - 1]) / length, 0.0), 1.0) if length > 0.0 else 1.0
+    return (
+        path[k - 1, 0] + share * (path[k, 0] - path[k - 1, 0]),
+        path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1]),
+    )
+
+
+@kernel(error_model="numpy")
+def _next(cumulative, along):
+    """Number of the first way point beyond ``along`` [m], at most the last one."""
+    k = 1
+    while k < len(cumulative) - 1 and cumulative[k] <= along + 1e-9:
+        k += 1
+    return k
+
+
+@kernel(error_model="numpy")
+def _bearing(x, z, heading, to_x, to_z):
+    """The angle [rad] from a heading to a point, positive to the left."""
+    if math.hypot(to_x - x, to_z - z) < 1e-6:
+        return 0.0
+    return wrap_angle(math.atan2(-(to_z - z), to_x - x) - heading)
+
+
+@kernel(error_model="numpy")
+def _progress(path, cumulative, along, x, z):
+    """How far along the path [m] the nearest point is that is not behind ``along``."""
+    total = cumulative[-1]
+    px, pz = _at(path, cumulative, along)
+    gap = math.hypot(px - x, pz - z)
+    while along < total:
+        ahead = min(along + PROGRESS_M, total)
+        px, pz = _at(path, cumulative, ahead)
+        nearer = math.hypot(px - x, pz - z)
+        if nearer > gap:
+            break
+        along, gap = ahead, nearer
+    return along
+
+
+@kernel(error_model="numpy")
+def stride_step(sdf, origin, cell, radius, path, cumulative, goes, keeps_to_path, halts, state, speed, limits, dt):
+    """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, and the angle
+    between the directions of walking and looking.
+
+    ``limits`` are the fields of `StrideSpec` in their order. With ``keeps_to_path`` the person walks the path itself, corners
+    and all; with ``halts`` they stop on its last point, else they pass it. Returns whether they have arrived.
+    """
+    accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
+    x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
+    total = cumulative[-1]
+    along = _progress(path, cumulative, state[5], x, z)
+    end_x, end_z = path[-1, 0], path[-1, 1]
+    to_end = math.hypot(end_x - x, end_z - z)
+    room = sample_sdf(sdf, origin, cell, x, z) - radius
+    ahead = min(0.3 + max(room, 0.0), look)
+    if keeps_to_path:  # to each way point in turn, even where the path folds back
+        k = _next(cumulative, along)
+        if k < len(path) - 1 and math.hypot(path[k, 0] - x, path[k, 1] - z) <= max(v * dt, arrive / 4.0):
+            along = cumulative[k]
+            k += 1
+        ahead = min(0.1, max(cumulative[k] - along, 0.0))
+    tx, tz = _at(path, cumulative, min(along + ahead, total))
+    bearing = _bearing(x, z, heading, tx, tz)
+    fx, fz = _at(path, cumulative, min(along + ahead + CORNER_M, total))
+    bend = max(abs(bearing), abs(_bearing(x, z, heading, fx, fz)))  # they slow down before a corner
+    closing = to_end < 2.0 * arrive and along + ahead >= total
+    wanted = min(max(gain * bearing, -turn_rate), turn_rate)
+    if closing or not goes:
+        wanted = 0.0
+    turn += min(max(wanted - turn, -turn_accel * dt), turn_accel * dt)
+    facing = 1.0 if closing else max(math.cos(bend), 0.0) ** 2
+    left = to_end if along >= total - ahead else total - along
+    most = max(speed * max(facing, 0.2), CREEP_MPS / 2)
+    most = min(most, max(math.sqrt(2.0 * decel * left), CREEP_MPS / 2))
+    widest = math.pi if closing or keeps_to_path else sidestep
+    wanted_off = min(max(bearing, -widest), widest)
+    if not goes or (keeps_to_path and abs(wrap_angle(wanted_off - state[6])) > SHARP_RAD):
+        most = 0.0
+    v += min(max(most - v, -decel * dt), accel * dt)
+    there = goes and to_end <= v * dt and along + ahead >= total
+    if there and halts:
+        state[0], state[1], state[2], state[3], state[4], state[5] = end_x, end_z, heading + turn * dt, 0.0, 0.0, total
+        return True
+    off, most_off = state[6], sidestep_rate * dt
+    off = wanted_off if v < CREEP_MPS else off + min(max(wrap_angle(wanted_off - off), -most_off), most_off)
+    direction = heading + off
+    nx, nz = x + math.cos(direction) * v * dt, z - math.sin(direction) * v * dt
+    if sample_sdf(sdf, origin, cell, nx, nz) < radius:
+        sx, sz, clearance = push_out(sdf, origin, cell, nx, nz, 0.0, (0.0,), radius, PUSHES)
+        moved = math.hypot(sx - x, sz - z)
+        share = min(v * dt / moved, 1.0) if moved > 0.0 else 1.0
+        sx, sz = x + share * (sx - x), z + share * (sz - z)
+        if min(clearance, sample_sdf(sdf, origin, cell, sx, sz)) >= min(radius, room + radius) - 1e-3:
+            nx, nz, v = sx, sz, min(v, max(moved / dt, v - decel * dt))
+        elif not keeps_to_path:
+            nx, nz, v = x, z, 0.0
+    state[0], state[1], state[2], state[3], state[4], state[5] = nx, nz, heading + turn * dt, v, turn, along
+    state[6] = off
+    return there
+
+
+@kernel(error_model="numpy")
+def stride_track(sdf, origin, cell, radius, path, cumulative, state, speed, limits, dt, patience, track):
+    """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
+    best, since, keeps = state[5], 0, False
+    for k in range(len(track)):
+        there = stride_step(sdf, origin, cell, radius, path, cumulative, True, keeps, False, state, speed, limits, dt)
+        track[k, 0], track[k, 1], track[k, 2] = state[0], state[1], state[2]
+        if there:
+            return k + 1
+        since = 0 if state[5] > best + PROGRESS_M else since + 1
+        keeps = keeps or since > patience
+        best = max(best, state[5])
+    return len(track)
+
+
+class Strider:
+    """A person on a path, step by step; who waits brakes and sets off again."""
+
+    def __init__(self, free: FreeSpace, spec: WalkerSpec, *, radius_m: float = 0.25, halts: bool = False) -> None:
+        """``halts``: they stop on the last point of a path; else they pass it.
+
+        Raises:
+            InputError: the walker has no `StrideSpec`.
+        """
+        if spec.stride is None:
+            raise InputError("Expected a walker with a stride, got one who turns on the spot.")
+        self._grid = free.sdf, free.origin, free.cell_m, radius_m
+        self._speed, self._limits = spec.speed_mps, spec.stride.limits
+        self._patience = round(spec.stride.patience_s / STEP_S)
+        self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
+        self._state = np.zeros(7)
+        self._best, self._since, self._keeps = 0.0, 0, False
+        self._halts = halts
+        self.arrived = True
+
+    def halt(self) -> None:
+        """Something else has brought the person to a stand."""
+        self._state[3:5] = self._state[6] = 0.0
+
+    @property
+    def ahead(self) -> Array:
+        """The way points [K, 2] that they have still to walk to."""
+        return self._path[min(self._next, len(self._path) - 1) :]
+
+    @property
+    def target(self) -> Array:
+        """The way point [2] that they are walking to."""
+        return self.ahead[0]
+
+    @property
+    def _next(self) -> int:
+        return int(np.searchsorted(self._cumulative, self._state[5] + PROGRESS_M))
+
+    def begin(self, path: Array) -> None:
+        """Takes the path [K, 2] from where the person is; speed and turning go on."""
+        path = np.asarray(path, np.float64)
+        self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))
+        self._cumulative = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
+        self._state[5] = 0.0
+        self._best, self._since, self._keeps, self.arrived = 0.0, 0, False, False
+
+    def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
+        """Where the person is after a step from ``xz`` [2] and ``heading``; whoever does not go brakes."""
+        state = self._state
+        state[0], state[1], state[2] = xz[0], xz[1], heading
+        there = stride_step(
+            *self._grid,
+            self._path,
+            self._cumulative,
+            goes,
+            self._keeps,
+            self._halts,
+            state,
+            self._speed,
+            self._limits,
+            STEP_S,
+        )
+        self._since = 0 if state[5] > self._best + PROGRESS_M or not goes else self._since + 1
+        self._keeps = self._keeps or self._since > self._patience
+        self._best = max(self._best, float(state[5]))
+        self.arrived = there
+        return state[:2].copy(), float(state[2])
+
+    def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
+        """The steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
+        state, track = self._state, np.empty((most, 3))
+        state[0], state[1], state[2] = xz[0], xz[1], heading
+        count = stride_track(
+            *self._grid, self._path, self._cumulative, state, self._speed, self._limits, STEP_S, self._patience, track
+        )
+        self.arrived = count < most
+        return track[:count]

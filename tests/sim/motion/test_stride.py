@@ -1,0 +1,198 @@
+"""People who walk curves: as fast and as sharply as `StrideSpec` allows, never in walls, always to the end of their path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import h3data
+from h3data.errors import InputError
+from h3data.geometry import Array, heading_from_quat, wrap_angle
+from h3data.recording import Recording
+from h3data.scene import FreeSpace
+from sim_kinematic.agents.waypoint_walker import WaypointHuman, walking_path
+from sim_kinematic.motion.spec import HOME_WALKER, NATURAL_WALKER, STEP_S, StrideSpec, WalkerSpec
+from sim_kinematic.motion.stride import Strider
+from sim_kinematic.tasks.resume import verify
+
+RADIUS_M = 0.25
+STRIDE = NATURAL_WALKER.stride
+assert STRIDE is not None
+EDGE_MM = 2
+"""The body may come this much nearer to walls than its radius."""
+
+
+@lru_cache(maxsize=4)
+def floor(home: str) -> FreeSpace:
+    return FreeSpace.from_scene(h3data.open(home), radius_m=RADIUS_M, height_m=1.41)
+
+
+def walked(home: str, seed: int, steps: int = 900, spec: WalkerSpec = NATURAL_WALKER) -> tuple[WaypointHuman, Array]:
+    """A script's person, and where they are after each step (x, z, heading)."""
+    free = floor(home)
+    rng = np.random.default_rng(seed)
+    human, track = WaypointHuman(free, seed, spec), np.empty((steps + 1, 3))
+    track[0] = *free.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi)
+    for k in range(steps):
+        track[k + 1] = human.stride(track[k, :2], float(track[k, 2]))
+    return human, track
+
+
+@given(st.integers(0, 10_000), st.sampled_from(["small:1", "medium:0"]), st.sampled_from([0.5, 0.9, 1.3, 2.0]))
+def test_nobody_is_faster_sharper_or_nearer_to_walls_than_allowed(seed: int, home: str, speed: float) -> None:
+    human, track = walked(home, seed, spec=replace(NATURAL_WALKER, speed_mps=speed))
+    moved = np.hypot(*np.diff(track[:, :2], axis=0).T) / STEP_S
+    turn = np.diff(track[:, 2]) / STEP_S
+    assert moved.max() <= speed + 1e-6
+    assert np.abs(turn).max() <= STRIDE.turn_rad_s + 1e-6
+    assert np.abs(np.diff(turn)).max() <= STRIDE.turn_accel_rad_s2 * STEP_S + 1e-6
+    room = floor(home).signed_distance(track[:, :2])
+    assert room.min() >= RADIUS_M - EDGE_MM / 1000
+    free = (room[1:-1] > RADIUS_M + 0.05) & (room[2:] > RADIUS_M + 0.05)  # walls may stop them at once
+    change = np.diff(moved)[free] / STEP_S
+    assert change.max(initial=0) <= STRIDE.accel_mps2 + 1e-6
+    assert -change.min(initial=0) <= STRIDE.decel_mps2 + 1e-6
+    assert human.goal >= 1 or moved.mean() > speed / 2
+
+
+@given(st.integers(0, 10_000))
+def test_hardly_anybody_turns_on_the_spot(seed: int) -> None:
+    _, track = walked("small:1", seed, 1500)
+    rests = np.hypot(*np.diff(track[:, :2], axis=0).T) < 1e-3
+    assert (rests & (np.abs(np.diff(track[:, 2])) > 1e-3)).mean() < 0.05
+
+
+@given(st.integers(0, 10_000), st.floats(-3.1, 3.1))
+def test_who_halts_stands_on_the_end_of_the_path(seed: int, heading: float) -> None:
+    free = floor("small:1")
+    start, goal = free.sample(np.random.default_rng(seed), 2)
+    path = walking_path(free, start, goal, NATURAL_WALKER)
+    if not np.isfinite(free.geodesic(start, goal)):
+        return
+    strider = Strider(free, NATURAL_WALKER, halts=True)
+    strider.begin(path)
+    xz, turned, last = start, heading, 0.0
+    for _ in range(3000):
+        before = xz
+        xz, turned = strider.step(xz, turned)
+        last = float(np.hypot(*(xz - before))) / STEP_S
+        if strider.arrived:
+            break
+    assert strider.arrived
+    np.testing.assert_array_equal(xz, path[-1])
+    assert last < 0.4  # they have braked
+
+
+@given(st.integers(0, 10_000))
+def test_the_way_ahead_is_the_one_walked_step_by_step(seed: int) -> None:
+    free = floor("small:1")
+    start, goal = free.sample(np.random.default_rng(seed), 2)
+    path = walking_path(free, start, goal, NATURAL_WALKER)
+    ahead, now = (Strider(free, NATURAL_WALKER) for _ in range(2))
+    ahead.begin(path)
+    now.begin(path)
+    track = ahead.whole(start, 0.3, most=400)
+    xz, heading = start, 0.3
+    for row in track:
+        xz, heading = now.step(xz, heading)
+        np.testing.assert_array_equal([*xz, heading], row)
+
+
+def test_who_waits_brakes_and_goes_on() -> None:
+    free = floor("medium:0")
+    start, goal = max(
+        (free.sample(np.random.default_rng(k), 2) for k in range(20)), key=lambda ab: np.hypot(*(ab[1] - ab[0]))
+    )
+    strider = Strider(free, NATURAL_WALKER)
+    strider.begin(walking_path(free, start, goal, NATURAL_WALKER))
+    xz, heading, speeds = start, 0.0, []
+    for k in range(400):
+        before = xz
+        xz, heading = strider.step(xz, heading, goes=not 60 <= k < 120)
+        speeds.append(float(np.hypot(*(xz - before))) / STEP_S)
+    brakes = int(np.ceil(speeds[59] / STRIDE.decel_mps2 / STEP_S)) + 1
+    assert max(speeds[60 + brakes : 120]) == 0
+    assert max(speeds[120:]) > 0.5
+
+
+@pytest.mark.parametrize(
+    "path", [[[3, 3]], [[3, 3], [3, 3]], [[3, 3], [3, 3], [3, 3]], [[3, 3], [3.4, 3], [3, 3], [3.4, 3]]], ids=str
+)
+def test_paths_without_length_and_back_and_forth_end(path: list[list[float]]) -> None:
+    free = floor("small:1")
+    points = free.sample(np.random.default_rng(0), 50)
+    at = points[np.argmax(free.signed_distance(points))]
+    moved = np.array(path) - path[0] + at
+    strider = Strider(free, NATURAL_WALKER, halts=True)
+    strider.begin(moved)
+    xz, heading = at, 0.0
+    for _ in range(2000):
+        xz, heading = strider.step(xz, heading)
+        if strider.arrived:
+            break
+    assert np.isfinite([*xz, heading]).all()
+    assert strider.arrived
+
+
+def test_a_walker_who_turns_on_the_spot_has_no_strides() -> None:
+    with pytest.raises(InputError, match="turns on the spot"):
+        Strider(floor("small:1"), HOME_WALKER)
+
+
+def test_names_of_walkers_that_turn_on_the_spot_stay() -> None:
+    """uids of episodes are made of the rules' text."""
+    assert "stride" not in repr(HOME_WALKER)
+    assert "stride" in repr(NATURAL_WALKER)
+    assert repr(replace(NATURAL_WALKER, stride=StrideSpec(accel_mps2=2.0))) != repr(NATURAL_WALKER)
+
+
+# --- in episodes --------------------------------------------------------------------------------------------------------
+def person_of(recording: Recording) -> tuple[Array, Array]:
+    """Speed [T - 1] [m/s] and turn rate [T - 1] [rad/s] of the person."""
+    number = next(k for k, agent in enumerate(recording.agents) if agent.kind == "human")
+    base = recording.columns[f"agent_{number}.base_pose"].astype(np.float64)
+    turned = wrap_angle(np.diff(heading_from_quat(base[:, 3:])))
+    return np.hypot(*np.diff(base[:, [0, 2]], axis=0).T) / STEP_S, turned / STEP_S
+
+
+@pytest.mark.parametrize("task", ["social_nav", "rearrange", "wander"])
+def test_episodes_with_strides_verify(task: str) -> None:
+    recording = h3data.simulate(task, "small:1", seed=2, human_walk="natural", max_steps=900)
+    speed, turn = person_of(recording)
+    assert speed.max() <= 1.3 + 1e-4
+    assert (speed > 1.0).any()
+    assert ((speed < 0.03) & (np.abs(turn) > 0.03)).mean() < (0.15 if task == "rearrange" else 0.05)
+    assert verify(recording).equal
+
+
+def test_the_speed_of_strides_can_be_chosen() -> None:
+    recording = h3data.simulate("social_nav", "small:1", human_walk="natural", human_speed=0.8, max_steps=300)
+    assert 0.75 < person_of(recording)[0].max() <= 0.8 + 1e-4
+
+
+def test_worlds_side_by_side_walk_as_each_alone() -> None:
+    spec = replace(_rules(), max_steps=80)
+    alone = h3data.make("social_nav", "small:1", spec=spec, observations=["humanoid_gps"])
+    many = h3data.make("social_nav", "small:1", spec=spec, num_envs=3, observations=["humanoid_gps"])
+    one, _ = alone.reset(seed=4)
+    all_, _ = many.reset(seed=4)
+    for _ in range(60):
+        np.testing.assert_array_equal(one["humanoid_gps"], all_["humanoid_gps"][0])
+        one = alone.step(np.array([0.3, 0.1], np.float32))[0]
+        all_ = many.step(np.tile(np.float32([0.3, 0.1]), (3, 1)))[0]
+
+
+def _rules():
+    from sim_kinematic.tasks.social_nav import TRAINING
+
+    return replace(TRAINING, human=NATURAL_WALKER)
+
+
+def test_an_unknown_walk_is_refused() -> None:
+    with pytest.raises(InputError, match="Expected one of: paper, natural"):
+        h3data.simulate("social_nav", "small:1", human_walk="moon", max_steps=3)
