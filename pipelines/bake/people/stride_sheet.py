@@ -82,7 +82,7 @@ def plan(free: FreeSpace, spec: WalkerSpec) -> NDArray[np.uint8]:
         if moved < 1e-3 and abs(state.heading.item(0) - before[1]) > 1e-3:
             cv2.circle(image, a, 3, (220, 50, 40), -1, cv2.LINE_AA)
         cv2.line(image, a, b, (40, 90, 160), 1, cv2.LINE_AA)
-    return image
+    return np.asarray(image, np.uint8)
 
 
 def main(target: str) -> None:
@@ -102,7 +102,7 @@ def main(target: str) -> None:
     slow = replace(HOME_WALKER, speed_mps=NATURAL_WALKER.speed_mps)
     plans = np.concatenate([plan(free, slow), plan(free, NATURAL_WALKER)], axis=1)
     height = round(plans.shape[0] * WIDTH / plans.shape[1])
-    rows.append(cv2.resize(plans, (WIDTH, height), interpolation=cv2.INTER_AREA))
+    rows.append(np.asarray(cv2.resize(plans, (WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8))
     write_image(Path(target), np.concatenate(rows))
 
 
