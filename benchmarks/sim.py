@@ -21,6 +21,7 @@ from h3data.scene import FreeSpace, HomeSpec, build_home
 from h3data_pipelines.machine.bench import Bench, measure, process_pool
 from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
+from sim_kinematic.agents.stands import discs_fit
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
@@ -74,7 +75,12 @@ def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None
     spec = SocialNavSpec(robot=base or HOME_BASE)
     rng = np.random.default_rng(0)
     robot, person, human = RobotState.zeros(worlds), HumanState.zeros(worlds), load_humanoid("female_0")
-    robot.xz[:], person.xz[:] = free.sample(rng, worlds), free.sample(rng, worlds)
+    person.xz[:] = free.sample(rng, worlds)
+    for w in range(worlds):  # where they fit, as in every episode: one that begins inside a wall never gets out
+        (place,), heading = free.sample(rng, 1), rng.uniform(-np.pi, np.pi)
+        while not discs_fit(free, spec.robot, place, heading):
+            (place,), heading = free.sample(rng, 1), rng.uniform(-np.pi, np.pi)
+        robot.xz[w], robot.heading[w] = place, heading
     actions = rng.uniform(-1, 1, (64, worlds, 2))
     goals = np.stack([free.sample(rng, worlds) for _ in range(64)])
 

@@ -95,6 +95,8 @@ class RobotActor:
         self.footprint: Footprint = footprint_of(self.base)
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
+        self._gave_up: list[NDArray] = []
+        """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
         """Where it was when it last got on stepping aside, and how many steps ago."""
 
@@ -258,6 +260,8 @@ class RobotActor:
                 self._drive(waypoint, left / self._stride_m)
             yield
             best, since = (left, 0) if left < best - 1e-3 else (best, since + 1)
+        if self.base.maneuvers:
+            self._gave_up.append(goal.copy())
         return Ending("failed", "stuck")
 
     def _maneuver(self, goal: NDArray, bearing: float | None = None) -> Generator[None, None, bool]:
@@ -316,6 +320,8 @@ class RobotActor:
         for other in avoided([other for other in self.others if not other.steps_aside]):
             for level, margin in ((1, other.margin_m), (2, AVOIDANCE.still_margin_m)):
                 crowded = np.maximum(crowded, is_crowded(self.base, stands, other, margin) * level)
+        for place in self._gave_up:
+            crowded = np.maximum(crowded, np.hypot(*(stands[:, :2] - place).T) < AVOIDANCE.via_m)
         return crowded
 
     @property

@@ -135,7 +135,7 @@ def test_obstacles_push_no_base_beyond_its_speed_limit(spec: BaseSpec, home: int
 
 @settings(max_examples=20)
 @given(base_specs(("strict",)), st.integers(1, 2), st.integers(0, 2**32 - 1), st.floats(0.1, 0.6))
-def test_fewer_look_ups_answer_alike(spec: BaseSpec, home: int, seed: int, radius: float) -> None:
+def test_both_questions_of_clearance_agree(spec: BaseSpec, home: int, seed: int, radius: float) -> None:
     _, free = floor(home)
     rng, offsets = np.random.default_rng(seed), np.array(spec.disc_offsets_m)
     for (x, z), heading in zip(free.sample(rng, 300), rng.uniform(-np.pi, np.pi, 300), strict=True):

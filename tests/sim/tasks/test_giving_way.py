@@ -1,0 +1,73 @@
+"""A person and a robot give way to each other; by Habitat's rules, and in recordings from before, the person does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import h3data
+from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
+from sim_kinematic.avoidance.spec import AVOIDANCE
+from sim_kinematic.motion.spec import BaseSpec, WalkerSpec
+from sim_kinematic.tasks.rearrange.episode import RearrangeSpec
+from sim_kinematic.tasks.rearrange.storage import rules_from_json, rules_to_json
+from sim_kinematic.tasks.runner import run
+from tests.simulated import REARRANGE, rearrange_episode
+
+HABITAT = RearrangeSpec(robot=BaseSpec(slide="habitat"), human=WalkerSpec(), reward="habitat")
+
+
+@pytest.fixture(scope="module")
+def home() -> Scene:
+    return build_home(HomeSpec(preset="small", seed=5))
+
+
+@pytest.fixture(scope="module")
+def free(home: Scene) -> FreeSpace:
+    return FreeSpace.from_scene(home)
+
+
+def test_rules_say_whether_people_give_way() -> None:
+    assert RearrangeSpec().people_give_way
+    assert not HABITAT.people_give_way
+    assert repr(replace(HABITAT, people_give_way=True)) == repr(HABITAT)  # episodes keep their identity
+    before = {name: value for name, value in rules_to_json(RearrangeSpec()).items() if name != "people_give_way"}
+    assert not rules_from_json(before).people_give_way
+    for spec in (RearrangeSpec(), HABITAT):
+        assert rules_from_json(rules_to_json(spec)) == spec
+
+
+def test_only_a_driven_person_and_habitats_heed_nobody(home: Scene, free: FreeSpace) -> None:
+    for spec, heeds in ((RearrangeSpec(), True), (HABITAT, False)):
+        episode = rearrange_episode(home, seed=1, spec=spec, free=free)
+        play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "complement", "human": "both"}))
+        assert (play.right_of_way is not None) == heeds  # type: ignore[attr-defined]
+        person = play.people[0]  # type: ignore[attr-defined]
+        assert play.encounters.avoids(person, play.robots[0]) == heeds  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -> None:
+    episode = rearrange_episode(home, seed=seed, free=free)
+    play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "greedy_nearest", "human": "both"}))
+    asked: list[list[bool]] = []
+
+    def look(step: int) -> None:
+        asked.append([actor.aside is not None for actor in play.actors])  # type: ignore[attr-defined]
+
+    run(play, progress=look)
+    for steps in np.array(asked).T:
+        spans = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]))))[::2]
+        assert spans.max(initial=0) <= AVOIDANCE.lasts_steps + 2
+    assert not play.collision  # type: ignore[attr-defined]
+
+
+def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
+    """The person stood in the bathroom's doorway for 300 steps before the robot that carried the last thing."""
+    h3data.generate(
+        "rearrange", tmp_path / "ds", scenes="h3-homes/test", policy="complement", partner="both", episodes=1, seed=4
+    )
+    assert h3data.open(tmp_path / "ds")[0].episode.info["ended"] == "success"
