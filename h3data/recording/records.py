@@ -43,6 +43,9 @@ from h3data.errors import FormatError
 SCHEMA_VERSION = "1.5"
 """Additive changes raise the second number; readers refuse a newer first number."""
 
+PLANTED_SINCE = (1, 5)
+"""Schema version since which people walk with planted feet (`h3data.bodies.people.planted_gait`)."""
+
 STEP_NS = 33_333_333
 """Nominal step: 30 steps per second, in whole nanoseconds."""
 
@@ -157,6 +160,13 @@ class Episode:
     schema_version: str = SCHEMA_VERSION
     info: Mapping[str, Any] = field(default_factory=dict)
     """Any other JSON values: task parameters, start poses, way points, provenance, import warnings."""
+
+    @property
+    def plants_feet(self) -> bool:
+        """Whether people walk with planted feet, as they do since schema 1.5: in replays of those recorded by clips, and when
+        an episode is simulated again."""
+        version = self.schema_version.split(".")
+        return tuple(int(part) if part.isdigit() else 0 for part in version) >= PLANTED_SINCE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

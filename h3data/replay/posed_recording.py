@@ -32,9 +32,6 @@ from h3data.replay.records import (
 )
 from h3data.scene import Mesh, Scene, load_scene
 
-PLANTED_SINCE = (1, 5)
-"""Schema version since which people recorded by clips walk with planted feet."""
-
 
 class PosedRecording:
     """Everything in a recording, posed at any step.
@@ -276,8 +273,7 @@ class PosedRecording:
         """Whether people who are recorded by clips walk with planted feet (`h3data.bodies.people.planted_gait`), and strides of
         robots depend on their speed (`h3data.bodies.robots.trot`): since schema 1.5. Older recordings are posed as they were
         when they were made."""
-        version = self.recording.episode.schema_version.split(".")
-        return tuple(int(part) if part.isdigit() else 0 for part in version) >= PLANTED_SINCE
+        return self.recording.episode.plants_feet
 
     def _gait_of(self, agent: int, body: Humanoid) -> Array:
         if agent not in self._gaits:

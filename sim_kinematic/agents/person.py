@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.planted_gait import PlantedWalk
 from h3data.bodies.people.reach import (
     BaseMotion,
     Hand,
@@ -49,7 +50,7 @@ from h3data.geometry import (
 )
 from h3data.scene import FreeSpace
 from sim_kinematic.agents.arm_tuck import HANDS, draw_arms
-from sim_kinematic.motion.gait import cycle_phase, walk_humans
+from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
@@ -65,6 +66,11 @@ SNAP_M = 0.01
 """A hand takes hold of what is nearer to its palm than this."""
 UPRIGHT_FROM = 0.5
 """From this share of the way on, what is put down is turned upright."""
+SETTLE_STEPS = 45
+"""Feet get to their standing places in fewer steps than this."""
+FADE_STEPS = 12
+"""Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
+it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -105,6 +111,18 @@ class _Held(NamedTuple):
     """Rotation of the object relative to the person's heading when it was taken."""
 
 
+class Transition(NamedTuple):
+    """How far a person has got from one kind of motion to another, such as from walking to reaching."""
+
+    kind: str = ""
+    """What the last pose was of: ``walk``, ``reach``, or nothing where it was set from outside."""
+    quats: Array | None = None
+    """Pose [55, 4] in which the previous kind of motion was left; None where there was none."""
+    pelvis: Array | None = None
+    left: float = 0.0
+    """How much of it is still shown, from 1 to 0."""
+
+
 class Person:
     """A humanoid somewhere, with a pose, and the objects that it can take."""
 
@@ -119,6 +137,9 @@ class Person:
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
         self.held: dict[Hand, _Held] = {}
         self.base = np.array(base_pose, np.float64)
+        self.walk = PlantedWalk(body.gait_tables, self.base)
+        """Where the feet are, and what they do."""
+        self.transition = Transition()
         self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
         self._stand()
 
@@ -131,6 +152,7 @@ class Person:
             raise InputError(f"Expected rotations [55, 4] and a pelvis [3], got {quats.shape} and {pelvis.shape}.")
         if base_pose is not None:
             self.base = np.array(base_pose, np.float64)
+        self.transition = Transition()
         self.quats, self.pelvis = quats, pelvis
         for hand, held in self.held.items():
             self.objects[held.name] = pose_multiply(self.palm(hand), held.grip)
@@ -156,31 +178,39 @@ class Person:
         """Put a palm at a world position [3] at once; where it cannot be, as near as it gets, and the result says so."""
         result = reach(self.body, self.seen(position), hand)
         self._drawn.arms[0, HANDS.index(hand)] = 0.0
-        self._pose(result.quats, result.pelvis, hand)
+        self.set_pose(self.with_arms(result.quats, hand), result.pelvis)
         return result
 
     # --- skills -----------------------------------------------------------------------------------------------------
     def wait(self, seconds: float) -> Skill:
-        """Keep the pose."""
+        """Stand, breathe and shift weight."""
         for _ in range(round(seconds / STEP_S)):
+            self.stride()
             yield
         return SkillResult(success=True)
 
-    def turn(self, heading: float) -> Skill:
-        """Turn on the spot by steps until the heading [rad] is reached."""
+    def turn(self, heading: float, *, settles: bool = True) -> Skill:
+        """Turn on the spot by steps until the heading [rad] is reached; if it ``settles``, both feet end where they belong."""
         start = float(heading_from_quat(self.base[3:]))
         way = float(wrap_angle(heading - start))
-        clip = self.body.motion_names.index("turn_left" if way > 0 else "turn_right")
-        per_cycle, first = self.body.clips[clip].turn_rad, self.body.clips[clip].start_phase
         steps = max(int(np.ceil(abs(way) / (self.spec.turn_rad_s * STEP_S))), 1) if abs(way) > 1e-9 else 0
-        fade = round(self.spec.blend_s / STEP_S)
-        for k in range(1, steps + (fade if steps else 0) + 1):
-            turned = way * min(k / steps, 1.0)
-            blend = min(0.5 + k / fade, 1.0) if k <= steps else 1 - (k - steps) / fade
-            self.base[3:] = quat_from_heading(start + turned)
-            self.play(clip, first + turned / per_cycle, blend)
+        for k in range(1, steps + 1):
+            self.base[3:] = quat_from_heading(start + way * k / steps)
+            self.stride()
             yield
+        if settles:
+            yield from self.settle()
         return SkillResult(success=True)
+
+    def settle(self) -> Generator[None, None, None]:
+        """Step until both feet stand where they belong; nothing if they do, or if the root was put elsewhere."""
+        if not self.walk.is_at(self.base):
+            self.walk.stand(self.base)
+        for _ in range(SETTLE_STEPS):
+            if self.walk.stands:
+                return
+            self.stride()
+            yield
 
     def walk_to(self, path: ArrayLike) -> Skill:
         """Walk along floor points ``(x, z)`` [K, 2] [m], turning on the spot before each leg; what is held is carried."""
@@ -193,7 +223,7 @@ class Person:
                 continue
             heading = float(np.arctan2(-way[1], way[0]))
             if abs(wrap_angle(heading - heading_from_quat(self.base[3:]))) > self.spec.turn_before_walk_rad:
-                yield from self.turn(heading)
+                yield from self.turn(heading, settles=False)
             state = HumanState.zeros(1)
             state.xz[0], state.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
             while True:
@@ -202,6 +232,7 @@ class Person:
                 yield
                 if state.blend[0] == 0:
                     break
+        yield from self.settle()
         return SkillResult(success=True)
 
     def approach(self, position: ArrayLike, hand: Hand = "right") -> Skill:
@@ -289,12 +320,15 @@ class Person:
         ``ends`` says whether it begins and ends in the standing trunk (0) or the reaching one (1), ``arms`` the same of
         the elbow. Yields the share of the way.
         """
+        for _ in self.settle():
+            yield 0.0
         poses, way = self._line(hand, corners, ends, ends if arms is None else arms)
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
         if fastest > JOINT_STEP_RAD:
             poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
-            self._pose(quats, pelvis, hand)
+            self.walk.step(self.base)
+            self.show("reach", self.with_arms(quats, hand), pelvis)
             yield float(at / way[-1]) if way[-1] else 1.0
 
     def _line(
@@ -314,22 +348,41 @@ class Person:
         return reach_poses(self.body, np.concatenate(points), hand, trunk=trunk, arm=arm), way
 
     def _stand(self) -> None:
-        self.play(0, 0.0, 1.0)
+        self.walk.stand(self.base)
+        quats, pelvis = self.walk.pose()
+        self.set_pose(self.with_arms(quats), pelvis)
+        self.transition = Transition("walk")
 
-    def play(self, clip: int, phase: float, blend: float) -> None:
-        """Take the pose of a clip at a phase (0..1), blended with standing; hands that hold something keep carrying it."""
-        quats, pelvis = self.body.clip_pose([clip], [phase], [blend])
-        self._pose(quats[0], pelvis[0], None)
+    def stride(self, gait: HumanState | None = None) -> None:
+        """One step of the feet while the root gets to where ``gait`` (one world) is, at the height of the floor so far, or
+        stays where it is; hands that hold something keep carrying it."""
+        if gait is not None:
+            self.base = ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
+        self.walk.step(self.base)
+        quats, pelvis = self.walk.pose()
+        self.show("walk", self.with_arms(quats), pelvis)
 
-    def stride(self, gait: HumanState) -> None:
-        """Stand or walk where ``gait`` (one world) is, at the height of the floor so far."""
-        clip = self.body.clip_for_speed(self.spec.speed_mps)
-        self.base = ground_pose(gait.xz[0], gait.heading[0], float(self.base[1]))
-        phase = cycle_phase(self.body.clips[clip], gait.distance[0], gait.set_off[0])
-        self.play(clip, float(phase), float(gait.blend[0]))
+    def leave(self) -> None:
+        """Blend the next poses, of whatever motion, with this one."""
+        self.transition = Transition()
 
-    def _pose(self, quats: Array, pelvis: Array, moving: Hand | None) -> None:
-        self.set_pose(self.with_arms(quats, moving), pelvis)
+    def show(self, kind: str, quats: Array, pelvis: Array) -> None:
+        """Take a pose of one kind of motion, blended over `FADE_STEPS` with the pose in which another kind was left; feet stay
+        where the walk has them."""
+        fade = self.transition
+        if fade.kind != kind:
+            fade = Transition(kind, self.quats, self.pelvis, 1.0)
+        was_quats, was_pelvis = fade.quats, fade.pelvis
+        if was_quats is not None and was_pelvis is not None:
+            fade = fade._replace(left=fade.left - 1 / FADE_STEPS)
+            share = fade.left * fade.left * (3 - 2 * fade.left)
+            quats = quat_nlerp(quats, was_quats, np.full(len(quats), share))
+            pelvis = pelvis + share * (was_pelvis - pelvis)
+            fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
+        if kind != "walk" or fade.quats is not None:
+            self.walk.plant(quats, pelvis)
+        self.set_pose(quats, pelvis)
+        self.transition = fade
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
         """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from h3data.bodies.people.reach import Hand, reacher
 from h3data.geometry import Array, ground_pose, heading_from_quat
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.person import Person, SkillResult
+from sim_kinematic.agents.person import Person, SkillResult, Transition
 from sim_kinematic.agents.person import Skill as Motion
 from sim_kinematic.agents.person_clearance import ReachRoom
 from sim_kinematic.agents.skills import CONTROL, PRIMITIVES, Action, Ending, Objects, Skill
@@ -39,6 +39,9 @@ class _Posture(NamedTuple):
     base: Array
     quats: Array
     pelvis: Array
+    feet: Array
+    """`h3data.bodies.people.planted_gait.PlantedWalk.state`."""
+    transition: Transition
     objects: dict[str, Array]
 
 
@@ -146,7 +149,7 @@ class PersonActor:
         yield from self._walk(stands[k, :2])
         if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
             return Ending("failed", "stuck")
-        yield from self._careful(self.person.turn(float(stands[k, 2])))
+        yield from self._careful(self.person.turn(float(stands[k, 2]), settles=False))
         return Ending("done")
 
     def _walk(self, goal: NDArray) -> Generator[None, None, None]:
@@ -158,7 +161,7 @@ class PersonActor:
         path = self._path(goal)
         if len(path):
             dx, dz = path[0] - self.xz
-            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx))), TURN_PATIENCE_STEPS)
+            yield from self._careful(self.person.turn(float(np.arctan2(-dz, dx)), settles=False), TURN_PATIENCE_STEPS)
         if self._gait.blend[0] == 0:
             self._gait = self._set_off()
         k, waited, left = 0, 0, False
@@ -233,8 +236,18 @@ class PersonActor:
         if self.aside is not None and len(self.aside):
             blocked = in_the_way(self.xz, self.aside[0], self.others) is not None
             self._pace(None if blocked else self.aside[0])
-        elif self._gait.blend[0] > 0:
+        elif self._gait.blend[0] > 0 or not self.person.walk.stands:
             self._pace(None)
+        else:
+            self._breathe()
+
+    def _breathe(self) -> None:
+        """One step of standing still, from which nobody is hit who was not hit before."""
+        before = self._posture()
+        self.person.stride()
+        if self.meets():
+            self._take(before)
+        self._follow()
 
     def _pace(self, towards: NDArray | None) -> None:
         """One step of walking towards a floor point [2], or of coming to a stand; where she would touch somebody she does not
@@ -303,10 +316,19 @@ class PersonActor:
     def _posture(self) -> _Posture:
         person = self.person
         objects = {name: pose.copy() for name, pose in person.objects.items()}
-        return _Posture(person.base.copy(), person.quats.copy(), person.pelvis.copy(), objects)
+        return _Posture(
+            person.base.copy(),
+            person.quats.copy(),
+            person.pelvis.copy(),
+            person.walk.state.copy(),
+            person.transition,
+            objects,
+        )
 
     def _take(self, posture: _Posture) -> None:
         self.person.set_pose(posture.quats, posture.pelvis, posture.base)
+        self.person.walk.state[:] = posture.feet
+        self.person.transition = posture.transition
         self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
 
     def _handle(self, k: int, goal: NDArray | None) -> Skill:

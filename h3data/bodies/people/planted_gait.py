@@ -102,3 +102,60 @@ def pose_planted(tables: GaitTables, states: Array) -> tuple[Array, Array]:
     quats, pelvis = np.empty((len(states), JOINT_COUNT, 4)), np.empty((len(states), 3))
     pose_gaits(tables, np.ascontiguousarray(states, np.float64), quats, pelvis)
     return quats, pelvis
+
+
+class PlantedWalk:
+    """The feet of a person whose root is decided step by step. They stand at first."""
+
+    def __init__(self, tables: GaitTables, base: ArrayLike) -> None:
+        """``base`` [7] is the agent root."""
+        from h3data.bodies.people.kernels.planted import STATE_COLUMNS
+
+        self.tables = tables
+        self.state: Array = np.zeros(STATE_COLUMNS)
+        """A row of `planted_states` [K]; a copy of it keeps a moment."""
+        self.stand(base)
+
+    def stand(self, base: ArrayLike) -> None:
+        """Puts both feet where they belong under a root [7]."""
+        from h3data.bodies.people.kernels.planted import stand_one
+
+        stand_one(self.tables, self.state, *_on_floor(base))
+
+    @property
+    def stands(self) -> bool:
+        """Whether the feet are at rest where a standing person's are."""
+        from h3data.bodies.people.kernels.planted import one_stands
+
+        return bool(one_stands(self.tables, self.state))
+
+    def is_at(self, base: ArrayLike) -> bool:
+        """Whether the root [7] is where the last step left it."""
+        from h3data.bodies.people.kernels.planted import HEADING, X, Z
+
+        x, z, heading = _on_floor(base)
+        turned = np.abs((self.state[HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
+        return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
+
+    def step(self, base: ArrayLike) -> None:
+        """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
+        from h3data.bodies.people.kernels.planted import step_one
+
+        step_one(self.tables, self.state, *_on_floor(base), STEP_S)
+
+    def pose(self) -> tuple[Array, Array]:
+        """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
+        quats, pelvis = pose_planted(self.tables, self.state[None])
+        return quats[0], pelvis[0]
+
+    def plant(self, quats: Array, pelvis: Array) -> None:
+        """Rewrites the legs of any pose, [55, 4] and [3] in the agent root frame, in place, so that its feet are these; the
+        pelvis sinks where a leg would be too short."""
+        from h3data.bodies.people.kernels.planted import plant_legs
+
+        plant_legs(self.tables, self.state, quats, pelvis)
+
+
+def _on_floor(base: ArrayLike) -> tuple[float, float, float]:
+    pose = np.asarray(base, np.float64)
+    return float(pose[0]), float(pose[2]), float(heading_from_quat(pose[3:]))

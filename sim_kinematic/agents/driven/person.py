@@ -18,7 +18,6 @@ from h3data.geometry import (
     pose_multiply,
     quat_from_heading,
     quat_multiply,
-    quat_nlerp,
 )
 from sim_kinematic.agents.arm_tuck import HANDS
 from sim_kinematic.agents.driven.commands import (
@@ -29,12 +28,13 @@ from sim_kinematic.agents.driven.commands import (
     PersonCommand,
 )
 from sim_kinematic.agents.driven.object_room import ObjectRoom
+from sim_kinematic.agents.person import FADE_STEPS
 from sim_kinematic.agents.person_skills import HANDS as HANDS_TRIED
 from sim_kinematic.agents.person_skills import PersonActor
 from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import CONTROL, Action, Ending, Skill
 from sim_kinematic.agents.stands import nearest_stand, person_stands
-from sim_kinematic.motion.gait import cycle_phase, drive_people
+from sim_kinematic.motion.gait import drive_people
 from sim_kinematic.motion.spec import STEP_S
 from sim_kinematic.motion.state import HumanState
 
@@ -44,9 +44,6 @@ HAND_MPS = 4.0
 """A hand moves no faster than this; the palms of people who play in a headset reach 3 m/s."""
 HEAD_RAD_S = 6.0
 """The head turns no faster than this."""
-FADE_STEPS = 8
-"""Over this many steps a pose that a skill has left is blended into that of the next command. Without it, interrupting a
-reach turned a shoulder by up to 76 degrees in one step."""
 MEETING_M = 0.12
 """A hand that gives comes this near to the robot's, and no nearer: the object is between them."""
 _NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
@@ -64,18 +61,12 @@ class DrivenPerson(PersonActor):
     """All agents of the episode, by number."""
     command: tuple[float, float] = (0.0, 0.0)
     """Forward and left turn of the last step, -1..1; zero while a skill runs."""
-    _turned: float = 0.0
-    """By how much it has turned on the spot since it began to [rad], positive to the left."""
-    _turn_blend: float = 0.0
     _shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
     """How far the left and the right arm are at their targets, 0..1."""
     _targets: list[HandTarget] = field(default_factory=lambda: [HandTarget((0.0, 0.0, 0.0))] * 2)
     _points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 3)))
     """Where the palms are led to now [2, 3] [m]: the targets, but no faster than a hand moves."""
     _head: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
-    _left: tuple[Array, Array] | None = None
-    """The pose that the last skill left, while it is blended out."""
-    _fade: float = 0.0
     _drives: bool = False
 
     # --- what it can do -----------------------------------------------------------------------------------------------
@@ -176,7 +167,8 @@ class DrivenPerson(PersonActor):
     @property
     def _stirs(self) -> bool:
         """Whether something of the last commands is still to be seen: a step, a turn, a hand, the head."""
-        moves = self._gait.blend[0] > 0 or self._turn_blend > 0 or self._fade > 0
+        person = self.person
+        moves = self._gait.blend[0] > 0 or not person.walk.stands or person.transition.left > 0
         return self._drives and bool(moves or self._shares.any() or self._head.any())
 
     def _drop(self, k: int) -> Skill:
@@ -185,7 +177,7 @@ class DrivenPerson(PersonActor):
         pose = self._upright(k, person.objects[name][:3])
         del person.held[hand]
         person.objects[name] = pose if self.object_room is None else self.object_room.fallen(k, pose)
-        self._leave_pose()
+        person.leave()
         for _ in range(FADE_STEPS):
             self._drive(STAND)
             yield
@@ -228,28 +220,24 @@ class DrivenPerson(PersonActor):
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
         """Moves the person by one step; nothing moves that would touch an agent that the person avoids."""
-        if not self._drives:
-            self._drives = True
-            if self._gait_here().blend[0] == 0:
-                self._leave_pose()
+        self._drives = True
         gait, before = self._gait_here(), self._posture()
         self._lead(command)
-        stopped, turning = gait.take([0]), (self._turned, self._turn_blend)
+        stopped = gait.take([0])
         for velocity in ((command.forward, command.turn), (0.0, 0.0)):
             self.command = velocity
             drive_people(
                 gait, self.free, np.array([velocity]), self.spec, radius_m=self.radius_m, backwards=True
             )  # fmt: skip
-            self._show(gait, float(gait.heading[0] - stopped.heading[0]))
+            self._show(gait)
             if not self.meets():
                 break
             self._gait = gait = stopped.take([0])
-            self._turned, self._turn_blend = turning
             self._take(before)
         self._follow()
 
     def _lead(self, command: PersonCommand) -> None:
-        """Brings arms, head and the blend with an earlier pose on by one step."""
+        """Brings arms and head on by one step."""
         for k, target in enumerate((command.left, command.right)):
             rate = 1 / HAND_STEPS
             if target is None:
@@ -263,18 +251,14 @@ class DrivenPerson(PersonActor):
         aim = np.zeros(2) if command.head is None else np.array(command.head)
         aim = np.clip(aim, (-HEAD_YAW_RAD, -HEAD_PITCH_RAD), (HEAD_YAW_RAD, HEAD_PITCH_RAD))
         self._head += np.clip(aim - self._head, -most, most)
-        self._fade = max(self._fade - 1 / FADE_STEPS, 0.0)
 
-    def _leave_pose(self) -> None:
-        self._left, self._fade = (self.person.quats.copy(), self.person.pelvis.copy()), 1.0
-
-    def _show(self, gait: HumanState, turned: float) -> None:
+    def _show(self, gait: HumanState) -> None:
         """Takes the pose of a gait, with arms and head led to their targets."""
         person, body = self.person, self.person.body
         person.base = ground_pose(gait.xz[0], gait.heading[0], float(person.base[1]))
-        clip, phase, blend = self._clip(gait, turned)
-        quats, pelvis = body.clip_pose([clip], [phase], [blend])
-        quats, pelvis = person.with_arms(quats[0]), pelvis[0]
+        person.walk.step(person.base)
+        quats, pelvis = person.walk.pose()
+        quats = person.with_arms(quats)
         for k, hand in enumerate(HANDS):
             if self._shares[k] > 0:
                 target, share, solver = self._targets[k], self._shares[k], reacher(body, hand)
@@ -285,31 +269,7 @@ class DrivenPerson(PersonActor):
                 )  # fmt: skip
         if self._head.any():
             turn_head(quats, *self._head)
-        if self._fade > 0 and self._left is not None:
-            weight = self._fade * self._fade * (3 - 2 * self._fade)
-            quats = quat_nlerp(quats, self._left[0], np.full(len(quats), weight))
-            pelvis = pelvis + weight * (self._left[1] - pelvis)
-        person.set_pose(quats, pelvis)
-
-    def _clip(self, gait: HumanState, turned: float) -> tuple[int, float, float]:
-        """Clip, phase and blend: walking, else stepping round on the spot, else standing."""
-        body, rate = self.person.body, STEP_S / self.spec.blend_s
-        if gait.blend[0] > 0:
-            self._turn_blend = 0.0
-            clip = body.clip_for_speed(self.spec.speed_mps)
-            return clip, float(cycle_phase(body.clips[clip], gait.distance[0], gait.set_off[0])), float(gait.blend[0])
-        if abs(turned) > 1e-9:
-            if self._turn_blend == 0 or turned * self._turned < 0:
-                self._turned = 0.0
-            self._turned += turned
-            # as in walking, one foot stands at half of the blend
-            self._turn_blend = min(max(self._turn_blend, 0.5) + rate, 1.0)
-        else:
-            self._turn_blend = max(self._turn_blend - rate, 0.0)
-        if self._turn_blend == 0:
-            return 0, 0.0, 1.0
-        clip = body.motion_names.index("turn_left" if self._turned > 0 else "turn_right")
-        return clip, body.clips[clip].start_phase + self._turned / body.clips[clip].turn_rad, self._turn_blend
+        person.show("walk", quats, pelvis)
 
 
 def _point(action: Action) -> Array:

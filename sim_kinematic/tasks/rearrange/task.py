@@ -334,6 +334,12 @@ class Rearrange(Task):
         changed: Sequence[bool] = (),
     ) -> list[AssignedPolicy]:
         assert isinstance(episode, RearrangeEpisode)
+        if until and not recording.episode.plants_feet and "human" in {agent.kind for agent in recording.agents}:
+            raise InputError(
+                f"People in recordings of schema 1.5 and later walk with planted feet, this one is of "
+                f"{recording.episode.schema_version}: it replays as it was recorded, but its people cannot be simulated "
+                f"again. Hint: verify or resume it with the version that made it ({recording.episode.created_by})."
+            )
         objects = tuple(target.name for target in episode.targets)
         commands, verifies, policies = recorded_commands(recording, self.choice_from_json), not changed, []
         for k, (assigned, since) in enumerate(zip(own, _since(recording), strict=True)):

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from h3data.bodies.people.kernels.legs import LegMeasures, lowest, write_legs
-from h3data.bodies.people.kernels.tuple_math import from_vector, multiply, nlerp, put, row3, row4, turned
+from h3data.bodies.people.kernels.legs import LegMeasures, lowest, sinking, write_legs
+from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multiply, nlerp, put, row3, row4, turned
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
@@ -600,3 +600,44 @@ def pose_gaits(table, states, quats, pelvis):
     ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
     for t in range(len(states)):
         pose_state(table, states[t], quats[t], pelvis[t], ankle, foot, angles)
+
+
+@kernel(error_model="numpy")
+def stand_one(table, state, x, z, heading):
+    """Puts one state [K] at a root, standing."""
+    stand_at(table, state, x, z, heading)
+
+
+@kernel(error_model="numpy")
+def step_one(table, state, x, z, heading, dt):
+    """Brings one state [K] on by one step in which the root gets to (x, z, heading)."""
+    step_gait(table, state, x, z, heading, dt)
+
+
+@kernel(error_model="numpy")
+def one_stands(table, state):
+    """Whether one state [K] rests with both feet where a standing person's are, so that at rest it takes no further step."""
+    return state[SPEED] == 0.0 and abs(state[TURN]) < 0.1 and is_settled(table, state)
+
+
+@kernel(error_model="numpy")
+def plant_legs(table, state, quats, pelvis):
+    """Rewrites the legs of any pose, in place, so that the feet are where a state [K] has them.
+
+    The pose, quats [55, 4] and pelvis [3], is in the agent root frame. The pelvis sinks where a leg would be too short.
+    """
+    ankle, foot, angles = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
+    k, f = _row(table, state[SPEED])
+    for side in range(2):
+        at, pitch, bend, yaw = _ankle(table, k, f, state, side)
+        ankle[side, 0], ankle[side, 1], ankle[side, 2] = at
+        foot[side, 0], foot[side, 1], foot[side, 2] = pitch, math.degrees(yaw), bend
+    to_root = row4(table.to_root.reshape(1, 4), 0)
+    to_body = inverse(to_root)
+    put(quats, 0, multiply(to_body, row4(quats, 0)))
+    place = turned(to_body, (pelvis[0], pelvis[1], pelvis[2]))
+    sink = sinking(table.legs.hips, table.legs.longest, row4(quats, 0), place, ankle)
+    pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - sink, place[2]
+    write_legs(table.legs, quats, pelvis, ankle, foot, angles)
+    put(quats, 0, multiply(to_root, row4(quats, 0)))
+    pelvis[0], pelvis[1], pelvis[2] = turned(to_root, (pelvis[0], pelvis[1], pelvis[2]))
