@@ -10,7 +10,6 @@ import heapq
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,11 +141,23 @@ def distance_to_path(points: NDArray, path: NDArray) -> NDArray[np.float64]:
     points = np.asarray(points, np.float64)
     if len(path) == 0:
         return np.full(points.shape[:-1], np.inf)
-    least = np.hypot(*np.moveaxis(points - path[0], -1, 0))
-    for a, b in pairwise(path):
-        leg = b - a
-        along = np.clip(((points - a) @ leg) / max(float(leg @ leg), 1e-12), 0.0, 1.0)
-        least = np.minimum(least, np.hypot(*np.moveaxis(points - a - along[..., None] * leg, -1, 0)))
+    flat = np.ascontiguousarray(points.reshape(-1, 2)), np.ascontiguousarray(path, np.float64)
+    return _distances(*flat).reshape(points.shape[:-1])
+
+
+@kernel(error_model="numpy")
+def _distances(points, path):
+    """Distances [P] of points [P, 2] to the line through floor points [N, 2]."""
+    least = np.empty(len(points))
+    for p in range(len(points)):
+        x, z = points[p]
+        least[p] = math.hypot(x - path[0, 0], z - path[0, 1])
+        for k in range(len(path) - 1):
+            a_x, a_z = path[k]
+            leg_x, leg_z = path[k + 1, 0] - a_x, path[k + 1, 1] - a_z
+            along = ((x - a_x) * leg_x + (z - a_z) * leg_z) / max(leg_x * leg_x + leg_z * leg_z, 1e-12)
+            along = min(max(along, 0.0), 1.0)
+            least[p] = min(least[p], math.hypot(x - a_x - along * leg_x, z - a_z - along * leg_z))
     return least
 
 
