@@ -37,6 +37,9 @@ def protocol_deviations(recording: Recording) -> str:
         for name, paper in PROTOCOL[task].items()
         if recorded[name] not in (None, paper)
     ]
+    human = spec.get("human")
+    if isinstance(human, Mapping) and human.get("stride") is not None:
+        deviations.append("people walk curves (paper: they turn on the spot)")
     kinds = ", ".join(agent.kind for agent in recording.agents)
     if kinds not in ("robot, human", ""):
         deviations.append(f"agents {kinds} (paper robot, human)")
