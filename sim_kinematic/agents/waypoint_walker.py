@@ -82,7 +82,6 @@ class WaypointHuman:
         """As `stride`, for people who look where they go: they brake unless ``goes(way point)``."""
         while self.leg >= len(self._path) or self._strides().arrived:
             self._next_goal(xz)
-            self._strides()
         return self._strides().step(xz, heading, goes=goes(self._strides().target))
 
     def _strides(self) -> Strider:

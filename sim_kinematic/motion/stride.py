@@ -79,16 +79,17 @@ def _progress(path, cumulative, along, x, z):
 
 
 @kernel(error_model="numpy")
-def stride_step(sdf, origin, cell, radius, path, cumulative, goes, keeps_to_path, halts, state, speed, limits, dt):
-    """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, and the angle
-    between the directions of walking and looking.
+def stride_step(sdf, origin, cell, radius, path, cumulative, goes, halts, state, speed, limits, patience, dt):
+    """One step along a path, in place: ``state`` is x, z, heading, speed, turn rate, how far along the path, the angle between
+    the directions of walking and looking, the farthest that they have been along the path, steps without getting on, and
+    whether they keep to the path itself, corners and all.
 
-    ``limits`` are the fields of `StrideSpec` in their order. With ``keeps_to_path`` the person walks the path itself, corners
-    and all; with ``halts`` they stop on its last point, else they pass it. Returns whether they have arrived.
+    ``limits`` are `StrideSpec.limits`; after ``patience`` steps without getting on people keep to the path. With ``halts``
+    they stop on its last point, else they pass it. Returns whether they have arrived.
     """
     accel, decel, turn_rate, turn_accel, gain, look, sidestep, sidestep_rate, arrive = limits
     x, z, heading, v, turn = state[0], state[1], state[2], state[3], state[4]
-    total = cumulative[-1]
+    keeps_to_path, total = state[9] > 0.0, cumulative[-1]
     along = _progress(path, cumulative, state[5], x, z)
     end_x, end_z = path[-1, 0], path[-1, 1]
     to_end = math.hypot(end_x - x, end_z - z)
@@ -137,21 +138,23 @@ def stride_step(sdf, origin, cell, radius, path, cumulative, goes, keeps_to_path
             nx, nz, v = x, z, 0.0
     state[0], state[1], state[2], state[3], state[4], state[5] = nx, nz, heading + turn * dt, v, turn, along
     state[6] = off
+    state[8] = 0.0 if along > state[7] + PROGRESS_M or not goes else state[8] + 1.0
+    state[7] = max(state[7], along)
+    if state[8] > patience:
+        state[9] = 1.0
     return there
 
 
 @kernel(error_model="numpy")
-def stride_track(sdf, origin, cell, radius, path, cumulative, state, speed, limits, dt, patience, track):
+def stride_track(sdf, origin, cell, radius, path, cumulative, halts, state, speed, limits, patience, dt, track):
     """Walks the whole path, or as much as fits into ``track`` [n, 3] (x, z, heading); returns the number of steps."""
-    best, since, keeps = state[5], 0, False
     for k in range(len(track)):
-        there = stride_step(sdf, origin, cell, radius, path, cumulative, True, keeps, False, state, speed, limits, dt)
+        there = stride_step(
+            sdf, origin, cell, radius, path, cumulative, True, halts, state, speed, limits, patience, dt
+        )
         track[k, 0], track[k, 1], track[k, 2] = state[0], state[1], state[2]
         if there:
             return k + 1
-        since = 0 if state[5] > best + PROGRESS_M else since + 1
-        keeps = keeps or since > patience
-        best = max(best, state[5])
     return len(track)
 
 
@@ -167,11 +170,9 @@ class Strider:
         if spec.stride is None:
             raise InputError("Expected a walker with a stride, got one who turns on the spot.")
         self._grid = free.sdf, free.origin, free.cell_m, radius_m
-        self._speed, self._limits = spec.speed_mps, spec.stride.limits
-        self._patience = round(spec.stride.patience_s / STEP_S)
+        self._rules = spec.speed_mps, spec.stride.limits, round(spec.stride.patience_s / STEP_S), STEP_S
         self._path, self._cumulative = np.zeros((2, 2)), np.zeros(2)
-        self._state = np.zeros(7)
-        self._best, self._since, self._keeps = 0.0, 0, False
+        self._state = np.zeros(10)
         self._halts = halts
         self.arrived = True
 
@@ -199,36 +200,20 @@ class Strider:
         self._path = np.ascontiguousarray(path if len(path) > 1 else np.repeat(path, 2, axis=0))
         self._cumulative = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self._path, axis=0).T))])
         self._state[5] = 0.0
-        self._best, self._since, self._keeps, self.arrived = 0.0, 0, False, False
+        self._state[7:] = 0.0
+        self.arrived = False
 
     def step(self, xz: Array, heading: float, *, goes: bool = True) -> tuple[Array, float]:
         """Where the person is after a step from ``xz`` [2] and ``heading``; whoever does not go brakes."""
         state = self._state
         state[0], state[1], state[2] = xz[0], xz[1], heading
-        there = stride_step(
-            *self._grid,
-            self._path,
-            self._cumulative,
-            goes,
-            self._keeps,
-            self._halts,
-            state,
-            self._speed,
-            self._limits,
-            STEP_S,
-        )
-        self._since = 0 if state[5] > self._best + PROGRESS_M or not goes else self._since + 1
-        self._keeps = self._keeps or self._since > self._patience
-        self._best = max(self._best, float(state[5]))
-        self.arrived = there
+        self.arrived = stride_step(*self._grid, self._path, self._cumulative, goes, self._halts, state, *self._rules)
         return state[:2].copy(), float(state[2])
 
     def whole(self, xz: Array, heading: float, *, most: int) -> NDArray[np.float64]:
         """The steps (x, z, heading) [n, 3] to the end of the path, ``most`` of them at most."""
         state, track = self._state, np.empty((most, 3))
         state[0], state[1], state[2] = xz[0], xz[1], heading
-        count = stride_track(
-            *self._grid, self._path, self._cumulative, state, self._speed, self._limits, STEP_S, self._patience, track
-        )
+        count = stride_track(*self._grid, self._path, self._cumulative, self._halts, state, *self._rules, track)
         self.arrived = count < most
         return track[:count]

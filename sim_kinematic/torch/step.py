@@ -235,11 +235,13 @@ def move_humans(
     """Humanoids [W, ...] at the places [W, 2] and headings [W] that they get to in a step."""
     gap = xz - person.xz
     walked = torch.hypot(gap[:, 0], gap[:, 1])
-    goes, rate = walked > 0.0, dt / spec.blend_s
+    return HumanTensors(xz, heading, *step_cycle(person, walked, walked > 0.0, dt / spec.blend_s))
+
+
+def step_cycle(person: HumanTensors, walked: Tensor, goes: Tensor, rate: float) -> tuple[Tensor, Tensor, Tensor]:
+    """``(distance, set_off, blend)`` [W] after a step in which people walked so far [m]: `sim_kinematic.motion.gait`'s."""
     begins = goes & (person.blend == 0.0)
-    return HumanTensors(
-        xz,
-        heading,
+    return (
         person.distance + walked,
         torch.where(begins, person.distance, person.set_off),
         torch.where(goes, (person.blend.clamp_min(0.5) + rate).clamp_max(1.0), (person.blend - rate).clamp_min(0.0)),
@@ -257,12 +259,8 @@ def walk_humans(person: HumanTensors, goal_xz: Tensor, spec: WalkerSpec, *, dt: 
     walked = torch.where(goes, away.clamp_max(spec.speed_mps * dt), 0.0)
     most = spec.turn_rad_s * dt
     turn = torch.where(goes, error, error.clamp(-most, most))
-    begins = goes & (person.blend == 0.0)
-    rate = dt / spec.blend_s
     return HumanTensors(
         torch.addcmul(xz, gap, (walked / away.clamp_min(spec.arrive_m))[:, None]),
         torch.where(under_way, heading + turn, heading),
-        person.distance + walked,
-        torch.where(begins, person.distance, person.set_off),
-        torch.where(goes, (person.blend.clamp_min(0.5) + rate).clamp_max(1.0), (person.blend - rate).clamp_min(0.0)),
+        *step_cycle(person, walked, goes, dt / spec.blend_s),
     )
