@@ -127,7 +127,8 @@ def clip_near(pieces, near):
             count += 1
         if (a[2] >= near) != (b[2] >= near):
             s = (near - a[2]) / (b[2] - a[2])
-            polygon[count] = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), near
+            polygon[count, 0], polygon[count, 1] = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1])
+            polygon[count, 2] = near
             count += 1
     for k in range(count - 2):
         for v, corner in enumerate((0, k + 1, k + 2)):

@@ -75,7 +75,7 @@ class Demo:
             for name in FILES:
                 (out / name).unlink(missing_ok=True)
         clock = _Clock()
-        with compiled_aside(["pictures"]):
+        with compiled_aside(["pictures", "people"]):
             with clock.part("simulate"):
                 recording = self._simulate(out / "episode.mcap")
             with clock.part("dataset"), DatasetWriter(out / "dataset") as writer:

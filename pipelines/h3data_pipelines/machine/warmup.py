@@ -134,6 +134,15 @@ def _pictures() -> None:
                 convert(images["instance"])
 
 
+def _people() -> None:
+    from h3data.bodies.people.humanoid_file import load_humanoid
+    from h3data.bodies.people.planted_gait import planted_states, pose_planted
+    from sim_kinematic.agents.roster import HUMAN_BODY
+
+    tables = load_humanoid(HUMAN_BODY).gait_tables
+    pose_planted(tables, planted_states(tables, np.array([[0.0, 0, 0, 0, 0, 0, 1]])))
+
+
 def _task(name: str, steps: int | None = None) -> Callable[[], None]:
     def play() -> None:
         from h3data.metrics import measure_many
@@ -156,6 +165,7 @@ def _task(name: str, steps: int | None = None) -> Callable[[], None]:
 
 WORK: dict[str, Callable[[], None]] = {
     "pictures": _pictures,  # the longest first
+    "people": _people,
     "rearrange": _task("rearrange"),
     "social_nav": _task("social_nav", 60),
     "wander": _task("wander", 60),

@@ -310,17 +310,19 @@ def stand_at(table, state, x, z, heading):
     for foot in range(2):
         side = table.half_width if foot == 0 else -table.half_width
         _plant(state, foot, (side, table.middle[0], 0.0))
-    _settle_pelvis(table, 0, 0.0, state, 0.0)
+    k, f = _row(table, 0.0)  # not the constants 0 and 0.0, for which numba would compile everything a second time
+    _settle_pelvis(table, k, f, state, 0.0)
 
 
 @kernel_part()
 def is_settled(table, state):
     """Whether both feet stand where a standing person's do."""
+    k, f = _row(table, 0.0)
     for foot in range(2):
         at = FOOT + foot * FOOT_COLUMNS
         if state[at + AIR] > 0.0:
             return False
-        left, ahead, yaw = _foot_place(table, 0, 0.0, state, foot)
+        left, ahead, yaw = _foot_place(table, k, f, state, foot)
         side = table.half_width if foot == 0 else -table.half_width
         if math.hypot(left - side, ahead - table.middle[0]) > SETTLED_M or abs(yaw) > SETTLED_RAD:
             return False
@@ -331,8 +333,9 @@ def is_settled(table, state):
 def _begin(table, k, f, state):
     """The first step: the foot that stands more wrongly makes it, or the one on the side to which the root turns."""
     worst, wrong = 1 if state[TURN] < 1e-3 else 0, 0.0
+    rest_k, rest_f = _row(table, 0.0)
     for foot in range(2):
-        left, ahead, yaw = _foot_place(table, 0, 0.0, state, foot)
+        left, ahead, yaw = _foot_place(table, rest_k, rest_f, state, foot)
         side = table.half_width if foot == 0 else -table.half_width
         off = math.hypot(left - side, ahead - table.middle[0]) + 0.2 * abs(yaw)
         if off > wrong + SETTLED_M:
@@ -581,7 +584,8 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
         if t == 0:
             stand_at(table, states[0], xz[0, 0], xz[0, 1], heading[0])
             continue
-        states[t] = states[t - 1]
+        for i in range(states.shape[1]):
+            states[t, i] = states[t - 1, i]  # `states[t] = ...` takes 1.6 s to compile
         count = min(max(int(seconds[t] / step_s + 0.5), 1), MOST_STEPS)
         turn = _wrapped(heading[t] - heading[t - 1])
         if not math.hypot(xz[t, 0] - xz[t - 1, 0], xz[t, 1] - xz[t - 1, 1]) <= JUMP_M * count:
