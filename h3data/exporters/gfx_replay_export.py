@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from h3data.errors import InputError
 from h3data.exporters.gltf_skin import skinned_glb_bytes
-from h3data.exporters.habitat_lights import replay_lights
+from h3data.exporters.habitat.lights import replay_lights
 from h3data.exporters.posed_parts import PosedCamera, PosedPart, spans
 from h3data.exporters.posing import missing_note, posed_cameras, posed_parts
 from h3data.files import part_file, size_text

@@ -200,7 +200,7 @@ BUILT_IN = (
     Format(
         name="habitat_episodes",
         title="rearrangement episodes of Habitat, with their scenes",
-        write="h3data.exporters.habitat_episodes:export_habitat_episodes",
+        write="h3data.exporters.habitat.episodes:export_habitat_episodes",
         target="folder",
         many=True,
     ),

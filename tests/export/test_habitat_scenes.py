@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial import ConvexHull, cKDTree
 
 from h3data.errors import InputError, SceneError
-from h3data.exporters import habitat_scenes as export_module
-from h3data.exporters.habitat_scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
+from h3data.exporters.habitat import scenes as export_module
+from h3data.exporters.habitat.scenes import NAVMESH_SETTINGS, export_habitat, export_habitat_dataset
 from h3data.geometry import quat_from_axis_angle, transform_points
 from h3data.habitat.navmesh.navmesh import NavMeshSettings
 from h3data.habitat.navmesh.navmesh_file import read_navmesh
@@ -22,6 +22,8 @@ from h3data.habitat.scenes.colliders import part_mesh, part_points
 from h3data.habitat.scenes.scene_instance import load_habitat_scene
 from h3data.mesh.glb_write import glb_bytes
 from h3data.mesh.loading import load_mesh
+from h3data.render import Renderer, look_at, pinhole
+from h3data.render.sheets.scene_map import render_scene
 from h3data.scene import (
     Asset,
     Box,
@@ -388,6 +390,28 @@ def test_the_stage_names_its_parts(exported: Path) -> None:
     document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
     walls = next(n for n in document["nodes"] if n["name"] == "walls")
     assert walls["extras"]["h3data"] == {"category": "wall", "semantic_id": 1, "layer": ""}
+
+
+def test_a_split_building_has_semantic_ids(home: Scene, exported: Path, tmp_path: Path) -> None:
+    split = load_habitat_scene(export_habitat(home, tmp_path / "split", split_building=True))
+    assert split.source["warnings"] == []
+    whole = load_habitat_scene(exported)
+
+    def seen(scene: Scene, output: str) -> np.ndarray:
+        room = home.rooms[0].rectangles[0]
+        eye = np.array([(room[0] + room[2]) / 2, 1.5, (room[1] + room[3]) / 2])
+        renderer, images = Renderer(render_scene(scene)), []
+        for direction in ([1, 0.1, 0], [-1, 0, 0.5], [0.2, 0.9, 1], [0, -0.3, -1]):
+            camera = pinhole(64, 64, hfov_deg=90, pose=look_at(eye, eye + direction))
+            images.append(renderer.render(camera, outputs=(output,))[output])
+        return np.stack(images)
+
+    assert {1, 2, 3} <= set(np.unique(seen(split, "semantic"))), "walls, floors, ceilings"
+    np.testing.assert_array_equal(seen(split, "depth"), seen(whole, "depth"))
+    np.testing.assert_array_equal(seen(split, "semantic"), seen(home, "semantic"))
+    assert (seen(whole, "semantic") == 0).mean() > 0.3
+    free, before = (FreeSpace.from_scene(s, radius_m=0.25, height_m=1.41) for s in (split, whole))
+    np.testing.assert_array_equal(free.sdf, before.sdf)
 
 
 # --- the folder -------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import h3data
-from h3data.exporters.habitat_scenes import export_habitat
+from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import pose_to_matrix
 from h3data.habitat.scene_names import open_scene
 from h3data.recording import recordings_equal

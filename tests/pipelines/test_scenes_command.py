@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from h3data.exporters.habitat_scenes import export_habitat
+from h3data.exporters.habitat.scenes import export_habitat
 from h3data.geometry import IDENTITY_POSE, quat_from_axis_angle
 from h3data.habitat.scene_names import named_scenes
 from h3data.render.sheets.scene_map import (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bake.home_sets import set_text, updated_card
 from h3data.builtin import builtin_root
 from h3data.errors import FormatError, InputError
-from h3data.exporters.habitat_scenes import export_habitat
+from h3data.exporters.habitat.scenes import export_habitat
 from h3data.habitat.scene_names import named_scenes, open_scene
 from h3data.scene import HomeSpec, build_home, save_scene, scene_digest
 from h3data.scene.scene_sets import SceneFile, SceneSet, builtin_sets, find_scene_set, read_scene_set

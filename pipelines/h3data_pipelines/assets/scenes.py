@@ -166,6 +166,7 @@ class ScenesExport:
     Examples:
         h3data scenes export h3-homes/test -o exports/h3-homes_test
         h3data scenes export small:0 small:1 medium:0 -o exports/homes
+        h3data scenes export small:3 --split-building -o exports/semantic
         h3data scenes export small:3 --to glb -o exports/
     """
 
@@ -176,6 +177,9 @@ class ScenesExport:
     """Folder to write to; that of a Habitat dataset must be new."""
     to: Literal["habitat", "glb"] = "habitat"
     """habitat: configs, stage, one GLB per object, receptacles, lights, regions. glb: one file that any viewer opens."""
+    split_building: bool = False
+    """For habitat: floors, walls, ceilings, windows, doors and trim as one static object each, so that habitat-sim's
+    semantic sensor tells them apart. The stage then only collides."""
     episodes: int | None = None
     """Number of episodes of a set to export for habitat (default: all; 0: none)."""
     assets: AssetsOption = ()
@@ -189,6 +193,8 @@ class ScenesExport:
             raise InputError(f"Expected at least one scene: {_SCENE_HELP}")
         if self.episodes is not None and self.episodes < 0:
             raise InputError(f"--episodes must be at least 0, got {self.episodes}.")
+        if self.split_building and self.to != "habitat":
+            raise InputError("--split-building is for --to habitat: in a GLB every part has its semantic id already.")
         sets = [s for text in self.scenes if "#" not in text and (s := find_scene_set(text)) is not None]
         for text in self.scenes:
             _refuse_preset(text)
@@ -212,7 +218,7 @@ class ScenesExport:
         return Outcome(text=text, data=data)
 
     def _to_habitat(self, scenes: Sequence[Scene], sets: Sequence[SceneSet]) -> tuple[list[Path], str]:
-        from h3data.exporters.habitat_scenes import export_habitat_dataset
+        from h3data.exporters.habitat.scenes import export_habitat_dataset
         from h3data.habitat.episodes.episode_files import write_episodes
 
         stems = [re.sub(r"[^A-Za-z0-9_-]+", "_", s.label) for s in sets]
@@ -222,7 +228,9 @@ class ScenesExport:
             f"social_nav_{stem}.json.gz": _episodes(scene_set, self.episodes, self.out, config)
             for stem, scene_set in zip(stems, sets, strict=True)
         }
-        dataset = export_habitat_dataset(scenes, self.out, name=name, force=self.force)
+        dataset = export_habitat_dataset(
+            scenes, self.out, name=name, split_building=self.split_building, force=self.force
+        )
         for file, episodes in episode_files.items():
             if len(episodes):
                 (self.out / "episodes").mkdir(exist_ok=True)

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from h3data.errors import H3DataError, InputError, SceneError
-from h3data.exporters.habitat_lights import SHADER, light_setup
-from h3data.geometry import normalized, transform_points
+from h3data.exporters.habitat.building import building_parts, parts_by_class, speck
+from h3data.exporters.habitat.lights import SHADER, light_setup
+from h3data.geometry import IDENTITY_POSE, normalized
 from h3data.habitat.navmesh.navmesh import NavMeshSettings, navmesh_from_free_space
 from h3data.habitat.navmesh.navmesh_file import navmesh_bytes
 from h3data.habitat.scenes.colliders import part_mesh, scaled_asset
@@ -59,23 +60,27 @@ who bakes a navmesh from these has to ask for furniture in Python (docs/habitat.
 
 _AXES = {"up": [0, 1, 0], "front": [0, 0, -1]}
 """Always written: without them habitat-sim reads a stage as Z-up (habitat-findings 13)."""
-_CEILING_SLACK_M = 0.01
 _LEXICON = "semantics/h3data_semantic_lexicon.json"
 _ROOM_HEIGHT_M = 2.6
 _MARK = "h3data.habitat_export"
 """Stands in the dataset config: ``force`` deletes no folder without it."""
 
 
-def export_habitat(scene: Scene, folder: str | Path, *, force: bool = False) -> Path:
+def export_habitat(scene: Scene, folder: str | Path, *, split_building: bool = False, force: bool = False) -> Path:
     """Path of the ``*.scene_dataset_config.json`` of a new folder with one scene in Habitat's formats.
 
     As `export_habitat_dataset` with one scene.
     """
-    return export_habitat_dataset([scene], folder, force=force)
+    return export_habitat_dataset([scene], folder, split_building=split_building, force=force)
 
 
 def export_habitat_dataset(
-    scenes: Sequence[Scene], folder: str | Path, *, name: str | None = None, force: bool = False
+    scenes: Sequence[Scene],
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    split_building: bool = False,
+    force: bool = False,
 ) -> Path:
     """Path of the ``*.scene_dataset_config.json`` of a new folder with scenes that share their objects.
 
@@ -88,6 +93,8 @@ def export_habitat_dataset(
         scenes: Their names must differ.
         folder: Must not exist, or be empty.
         name: Name of the dataset; by default that of its only scene, else of the folder.
+        split_building: Draw floors, walls, ceilings, windows, doors and trim as one static object each, so that they have
+            semantic ids; the stage then only collides. Habitat's stages have no ids without a semantic mesh.
         force: Replace a folder that an earlier export made; any other is refused still.
     """
     if not scenes:
@@ -96,7 +103,7 @@ def export_habitat_dataset(
     if len(set(handles)) < len(handles):
         raise InputError(f"Scenes of one dataset need different names, got {', '.join(sorted(handles))}.")
     name = name or (handles[0] if len(scenes) == 1 else Path(folder).name)
-    dataset = DatasetExport(folder, name, force=force)
+    dataset = DatasetExport(folder, name, split_building=split_building, force=force)
     for scene in scenes:
         dataset.add_scene(scene)
     return dataset.write()
@@ -105,11 +112,11 @@ def export_habitat_dataset(
 class DatasetExport:
     """A scene dataset that is put together scene by scene; see `export_habitat_dataset`."""
 
-    def __init__(self, folder: str | Path, name: str, *, force: bool = False) -> None:
+    def __init__(self, folder: str | Path, name: str, *, split_building: bool = False, force: bool = False) -> None:
         """Refuses a folder that holds anything, unless ``force`` and an earlier export made it."""
         self.folder, self._force = Path(folder), force
         self.config = self.folder / f"{_file_name(name)}{DATASET_ENDING}"
-        self._files = _Files()
+        self._files = _Files(split_building)
         _refuse(self.folder, force=force)
 
     def add_scene(self, scene: Scene) -> tuple[Path, Mapping[str, str]]:
@@ -141,6 +148,7 @@ class DatasetExport:
 class _Files:
     """What the folder will hold, and which asset has which template already."""
 
+    split_building: bool = False
     content: dict[str, bytes] = field(default_factory=dict)
     classes: dict[int, str] = field(default_factory=lambda: {0: "unknown"})
     navmeshes: dict[str, str] = field(default_factory=dict)
@@ -196,8 +204,7 @@ def _add_scene(files: _Files, handle: str, scene: Scene) -> Mapping[str, str]:
             f"Scene {scene.name!r} has no building, so there is no stage to write. Expected static instances of a "
             f"category among: {', '.join(sorted(STAGE_CATEGORIES))}."
         )
-    _add_stage(files, handle, scene, stage)
-    objects: list[dict[str, Any]] = []
+    objects = _add_stage(files, handle, scene, stage, split=files.split_building)
     receptacles = {ours: f"stage|{e['name']}" for ours, _, e in _stage_receptacles(scene, stage)}
     counts: dict[str, int] = {}
     inside = {i.name for i in stage}
@@ -249,48 +256,37 @@ def _add_navmesh(files: _Files, handle: str, scene: Scene) -> bool:
 
 
 def _object_instance(instance: Instance, template: str, category: str) -> dict[str, Any]:
-    x, y, z, w = normalized(instance.pose[3:]).tolist()
     ours = {"name": instance.name, "category": category, "layer": instance.layer}
+    return _instance_record(instance.pose, template, instance.motion, ours)
+
+
+def _instance_record(pose: NDArray[np.float64], template: str, motion: str, ours: Mapping[str, Any]) -> dict[str, Any]:
+    x, y, z, w = normalized(pose[3:]).tolist()
     return {
         "template_name": template,
         "translation_origin": "asset_local",
-        "translation": instance.pose[:3].tolist(),
+        "translation": pose[:3].tolist(),
         "rotation": [w, x, y, z],
-        "motion_type": instance.motion.upper(),
-        "user_defined": {"h3data": ours},
+        "motion_type": motion.upper(),
+        "user_defined": {"h3data": dict(ours)},
     }
 
 
-def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instance]) -> None:
-    meshes: list[Mesh] = []
-    shared: dict[str, int] = {}
-    nodes = []
-    ceilings = [_world_box(scene, i) for i in stage if scene.assets[i.asset].category == "ceiling"]
-    for instance in stage:
-        asset = scene.assets[instance.asset]
-        mesh = _without_roof(asset.mesh, instance_matrix(instance), ceilings)
-        if not len(mesh.faces):
-            continue
-        number = shared.get(instance.asset) if mesh is asset.mesh else None
-        if number is None:
-            number = len(meshes)
-            meshes.append(mesh)
-            if mesh is asset.mesh:
-                shared[instance.asset] = number
-        files.classes.setdefault(int(instance.semantic_id), asset.category)
-        extras = {"category": asset.category, "semantic_id": int(instance.semantic_id), "layer": instance.layer}
-        nodes.append(
-            GlbNode(
-                name=instance.name,
-                mesh=number,
-                pose=instance.pose,
-                scale=instance.scale,
-                extras={"h3data": extras},
-            )
-        )
+def _add_stage(
+    files: _Files, handle: str, scene: Scene, stage: Sequence[Instance], *, split: bool
+) -> list[dict[str, Any]]:
+    """Adds the building; returns its object instances if it is ``split``."""
+    meshes, nodes = building_parts(scene, stage)
+    for node in nodes:
+        ours = node.extras["h3data"]
+        files.classes.setdefault(ours["semantic_id"], ours["category"])
     files.content[f"stages/{handle}.glb"] = glb_bytes(meshes, nodes)
+    render_asset = f"{handle}.glb"
+    if split:
+        render_asset = f"{handle}.speck.glb"
+        files.content[f"stages/{render_asset}"] = glb_bytes([speck(scene, stage)])
     config = {
-        "render_asset": f"{handle}.glb",
+        "render_asset": render_asset,
         "collision_asset": f"{handle}.glb",
         **_AXES,
         "origin": [0, 0, 0],
@@ -302,31 +298,24 @@ def _add_stage(files: _Files, handle: str, scene: Scene, stage: Sequence[Instanc
         "user_defined": {key: entry for _, key, entry in _stage_receptacles(scene, stage)},
     }
     files.json(f"stages/{handle}.stage_config.json", config)
+    if not split:
+        return []
+    return [_add_building_object(files, handle, *alike) for alike in parts_by_class(meshes, nodes)]
 
 
-def _world_box(scene: Scene, instance: Instance) -> NDArray[np.float64]:
-    """Lower and upper corner [2, 3] [m] of an instance in the world."""
-    points = transform_points(instance_matrix(instance), scene.assets[instance.asset].mesh.vertices.astype(np.float64))
-    return np.stack([points.min(0), points.max(0)])
-
-
-def _without_roof(mesh: Mesh, matrix: NDArray[np.float64], ceilings: Sequence[NDArray[np.float64]]) -> Mesh:
-    """The mesh without what faces up on or in a ceiling, which nobody sees from inside.
-
-    habitat-sim bakes its navmesh from the stage: the roof was the largest island. A ceiling whose underside alone is left
-    is too steep to walk on, and tops of walls in it would lend it their walkability (``rcAddSpan`` merges spans).
-    """
-    corners = transform_points(matrix, mesh.vertices.astype(np.float64))[mesh.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    upward = normal[:, 1] > 0.5 * np.linalg.norm(normal, axis=1)
-    middle, roof = corners.mean(1), np.zeros(len(corners), bool)
-    for low, high in ceilings:
-        roof |= ((middle >= low - _CEILING_SLACK_M) & (middle <= high + _CEILING_SLACK_M)).all(1)
-    kept = ~(upward & roof)
-    if kept.all():
-        return mesh
-    textures = None if mesh.face_textures is None else mesh.face_textures[kept]
-    return replace(mesh, faces=np.ascontiguousarray(mesh.faces[kept]), face_textures=textures)
+def _add_building_object(
+    files: _Files, handle: str, meshes: Sequence[Mesh], nodes: Sequence[GlbNode]
+) -> dict[str, Any]:
+    """Adds an object of all parts of the building that look alike to a semantic sensor; the stage does their collisions."""
+    ours = nodes[0].extras["h3data"]
+    content = glb_bytes(meshes, nodes)
+    name = f"{handle}_{ours['category']}_{hashlib.sha256(content).hexdigest()[:16]}"
+    files.content[f"objects/{name}.glb"] = content
+    config = {**_object_config(f"{name}.glb", ours["semantic_id"]), "is_collidable": False}
+    files.json(
+        f"objects/{name}.object_config.json", {**config, "user_defined": {"h3data": {"category": ours["category"]}}}
+    )
+    return _instance_record(IDENTITY_POSE, name, "static", {"name": f"{ours['category']}s", **ours})
 
 
 def _stage_receptacles(scene: Scene, stage: Sequence[Instance]) -> list[tuple[str, str, dict[str, Any]]]:
@@ -383,15 +372,8 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
     file = files.glb("objects", asset.mesh)
     digest = hashlib.sha256(identity + file.encode()).hexdigest()[:16]
     handle = f"{_file_name(asset.category)}_{digest}"
-    config: dict[str, Any] = {
-        "render_asset": file,
-        **_AXES,
-        "scale": [1, 1, 1],
-        "units_to_meters": 1.0,
-        "COM": [0, 0, 0],
-        "compute_COM_from_shape": False,
-        "semantic_id": semantic_id,
-        "shader_type": SHADER,
+    config = {
+        **_object_config(file, semantic_id),
         "is_collidable": bool(asset.shapes),
         "use_bounding_box_for_collision": False,
         "join_collision_meshes": False,
@@ -407,6 +389,19 @@ def _add_object(files: _Files, asset: Asset, semantic_id: int) -> str:
     }
     files.json(f"objects/{handle}.object_config.json", config)
     return handle
+
+
+def _object_config(render_asset: str, semantic_id: int) -> dict[str, Any]:
+    return {
+        "render_asset": render_asset,
+        **_AXES,
+        "scale": [1, 1, 1],
+        "units_to_meters": 1.0,
+        "COM": [0, 0, 0],
+        "compute_COM_from_shape": False,
+        "semantic_id": semantic_id,
+        "shader_type": SHADER,
+    }
 
 
 def _receptacle(receptacle: Receptacle, scale: NDArray[np.float64], name: str) -> dict[str, Any]:

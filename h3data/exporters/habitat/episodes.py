@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from h3data.errors import InputError
-from h3data.exporters.habitat_scenes import DatasetExport
+from h3data.exporters.habitat.scenes import DatasetExport
 from h3data.formats import Exported, ExportRequest
 from h3data.geometry import pose_to_matrix
 from h3data.habitat.episodes.episode_files import write_episodes

@@ -1,0 +1,1 @@
+"""Habitat's own formats: scene datasets with their stages, objects and lights, and episode files."""
