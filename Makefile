@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all check check-docs check-lerobot check-gltf format bench wheel clean
+.PHONY: setup demo test test-all check check-docs check-lerobot check-gltf web check-web format bench wheel clean
 
 setup: $(STAMP)
 
@@ -54,6 +54,17 @@ check-gltf: setup  ## exported animations and scenes pass the Khronos validator 
 	$(BIN)/h3data scenes export small:0 --force -o $(GLTF)/scene
 	npm install --silent --no-save --prefix $(GLTF) gltf-validator@2.0.0-dev.3.10
 	NODE_PATH=$(GLTF)/node_modules node tests/export/gltf_validator/validate.js $(GLTF)/episode.glb `find $(GLTF)/scene -name '*.glb'`
+
+WEB := viewers/h3data_viewers/hitl/web
+web:  ## the page of h3data play, built into the package; needs node 20.19 or newer
+	npm ci --silent --prefix $(WEB)
+	npm run build --silent --prefix $(WEB)
+
+check-web:  ## the page's types and tests, and whether the committed build is that of the committed sources
+	npm ci --silent --prefix $(WEB)
+	npm test --silent --prefix $(WEB)
+	npm run build --silent --prefix $(WEB) -- --outDir ../../../../out/web --emptyOutDir --logLevel error
+	diff -r $(WEB)/dist out/web || { echo "The committed page is not the one that its sources give: run make web and commit."; exit 1; }
 
 check: setup  ## format, lint, types, layers, circles
 	$(BIN)/ruff format --check .

@@ -52,6 +52,9 @@ def test_the_wheel_works_outside_the_repository(script: str, says: str, tmp_path
         names
     )
     assert {"h3data_viewers/html_report/page/page.css", "h3data/metrics/paper/published.toml"} <= set(names)
+    page = {name.rpartition("/hitl/web/")[2] for name in names if "/hitl/web/" in name}
+    assert "dist/index.html" in page
+    assert all(name.startswith("dist/") for name in page), page
     assert not any(name.endswith((".pyc", ".nbi", ".nbc")) for name in names)
     script = (
         "import h3data, h3data.builtin, h3data_pipelines.cli as cli\n"

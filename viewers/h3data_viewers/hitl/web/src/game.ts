@@ -1,0 +1,304 @@
+/** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
+
+import { Vector3, WebGLRenderer } from "three";
+import { hints, situation, type Situation } from "./player/actions.ts";
+import { CameraRig, type View } from "./scene/camera.ts";
+import { Cues } from "./screen/cues.ts";
+import type { Base } from "./motion/drive.ts";
+import type { Hud, TodoItem } from "./screen/hud.ts";
+import { Input, Stick, type Wish } from "./player/input.ts";
+import type { Manifest } from "./link/manifest.ts";
+import type { Net } from "./link/net.ts";
+import { Pointing } from "./scene/pointing.ts";
+import { Predictor } from "./motion/predict.ts";
+import type { Sdf } from "./motion/sdf.ts";
+import { Sound } from "./player/sound.ts";
+import { Steering } from "./motion/steering.ts";
+import { FLAG, type State } from "./link/wire.ts";
+import { between, type World } from "./scene/world.ts";
+
+/** Others are shown this late, so that there are two states to go between. */
+const LATE_MS = 50;
+/** The server is asked about a place at most this often. */
+const ASK_MS = 120;
+/** A place is another one from here on, m. */
+const ASK_M = 0.01;
+
+const SLOW_MS = 40;
+const SLOW_FRAMES = 20;
+const LEAST_RATIO = 0.5;
+
+export class Game {
+  readonly camera: CameraRig;
+  readonly renderer: WebGLRenderer;
+  readonly sound = new Sound();
+  readonly input: Input;
+  readonly predictor: Predictor | null = null;
+  readonly frameMs: number[] = [];
+  /** Where the player's body is shown. */
+  shown: Base = { x: 0, z: 0, heading: 0 };
+  now: Situation | null = null;
+  frames = 0;
+  private readonly cues: Cues;
+  private readonly pointing: Pointing;
+  private readonly steering: Steering | null = null;
+  private before = performance.now();
+  private held = -1;
+  private aim: { point: Vector3; fits: boolean | null; why: string; askedAt: number } | null = null;
+  private walkTo: Vector3 | null = null;
+  private ended = false;
+
+  constructor(
+    readonly manifest: Manifest,
+    readonly world: World,
+    sdf: Sdf,
+    readonly net: Net,
+    private readonly hud: Hud,
+    options: { antialias: boolean; pixelRatio: number },
+  ) {
+    const { origin, shape, cell } = manifest.sdf;
+    const [x1, z1] = [origin[0] + shape[0] * cell, origin[1] + shape[1] * cell];
+    this.camera = new CameraRig(manifest.floor_y, [origin[0], origin[1], x1, z1]);
+    this.renderer = new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
+    this.renderer.setPixelRatio(options.pixelRatio);
+    this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
+    this.pointing = new Pointing(world, manifest.floor_y);
+    const agent = manifest.agents[manifest.me];
+    if (agent) {
+      this.predictor = new Predictor(sdf, agent.drive, manifest.dt);
+      const sink = { sendMove: (f: number, t: number) => this.sendMove(f, t) };
+      this.steering = new Steering(sink, this.predictor, agent.drive, manifest.dt);
+    }
+    this.input = new Input(hud.canvas, {
+      wish: (wish) => this.wish(wish),
+      look: (dyaw, dpitch) => this.camera.look(dyaw, dpitch),
+      zoom: (factor) => this.camera.zoom(factor),
+      point: (x, y) => this.point(x, y),
+    });
+    new Stick(hud.ring, hud.knob, this.input);
+    for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish));
+    this.setView(agent ? "third" : "above");
+    addEventListener("resize", () => this.resize());
+    this.resize();
+  }
+
+  // --- from the server ----------------------------------------------------------------------------------------------
+  hear(state: State): void {
+    const me = this.manifest.me;
+    const base = state.agents[me];
+    if (!base) return;
+    this.predictor?.hear({ step: state.step, ack: state.ack, base }, (state.flags & FLAG.busy) !== 0);
+    const held = state.things.findIndex((thing) => thing.held === me);
+    if (held !== this.held) this.sound.play(held >= 0 ? "take" : "put");
+    this.held = held;
+    if (this.walkTo && !(state.flags & FLAG.busy) && this.arrived(base)) this.stopWalkingTo();
+  }
+
+  answer(point: number[], why: string): void {
+    const aim = this.aim;
+    if (!aim || Math.hypot(aim.point.x - point[0]!, aim.point.z - point[2]!) > ASK_M) return;
+    aim.fits = !why;
+    aim.why = why;
+  }
+
+  refused(why: string): void {
+    this.hud.toast(why);
+    this.sound.play("refused");
+    this.stopWalkingTo();
+  }
+
+  reconnected(): void {
+    this.steering?.reset();
+    this.input.release();
+  }
+
+  over(success: boolean): void {
+    this.ended = true;
+    if (success) this.sound.play("done");
+  }
+
+  // --- from the player ----------------------------------------------------------------------------------------------
+  wish(wish: Wish): void {
+    if (wish === "view") this.setView(NEXT_VIEW[this.camera.view]);
+    else if (wish === "help") this.hud.toggleHelp();
+    else if (wish === "map") this.hud.toggleMap();
+    else if (wish === "sound") this.hud.pressed("button-sound", this.sound.toggle());
+    else if (this.now && !this.ended) this.doSomething(wish, this.now);
+  }
+
+  private doSomething(wish: Wish, now: Situation): void {
+    if (wish === "cancel") this.stopWalkingTo(true);
+    else if (wish === "drop" && now.held >= 0) this.net.send({ k: "drop" });
+    else if (wish === "give" && now.held >= 0) {
+      if (now.robot >= 0) this.net.send({ k: "give", a: now.robot });
+      else this.refused("There is no robot near enough to give it to.");
+    } else if (wish === "act" || wish === "goto") this.handle(now, wish === "goto");
+  }
+
+  /** Takes the next thing or puts down what is held; with `lead`, walks there first. */
+  private handle(now: Situation, lead: boolean): void {
+    if (now.held >= 0) {
+      const aim = lead ? null : this.aim;
+      const goal = this.manifest.goals[now.held];
+      if (aim && aim.fits === false) this.refused(aim.why);
+      else if (aim) this.net.send({ k: "place", p: numbers(aim.point) });
+      else if (goal) this.net.send({ k: "place", p: goal.position, lead });
+    } else if (now.next >= 0) this.net.send({ k: "pick", o: now.next, lead });
+    else this.hud.toast("Everything is where it belongs, or in somebody's hand.");
+  }
+
+  private point(x: number, y: number): void {
+    if (!this.now || this.ended || !this.steering) return;
+    const [px, py] = document.pointerLockElement ? [0, 0] : [x, y];
+    const target = this.pointing.target(px, py, this.camera.camera, this.now.held);
+    if (target.kind === "thing" && this.now.held < 0) this.net.send({ k: "pick", o: target.thing, lead: true });
+    else if (target.kind === "top" && this.now.held >= 0)
+      this.net.send({ k: "place", p: this.standing(target.point), lead: true });
+    else if (target.kind === "floor") {
+      this.walkTo = target.point;
+      this.cues.walkingTo(target.point);
+      this.net.send({ k: "goto", p: numbers(target.point) });
+    }
+  }
+
+  private sendMove(forward: number, turn: number): { seq: number; step: number } {
+    if (forward || turn) this.stopWalkingTo();
+    return this.net.send({ k: "move", f: forward, t: turn });
+  }
+
+  private stopWalkingTo(tell = false): void {
+    if (tell) this.net.send({ k: "stop" });
+    this.walkTo = null;
+    this.cues.walkingTo(null);
+  }
+
+  private arrived(base: Base): boolean {
+    return !!this.walkTo && Math.hypot(this.walkTo.x - base.x, this.walkTo.z - base.z) < 0.35;
+  }
+
+  /** Where the origin of what is held comes to be if it stands on a point. */
+  private standing(point: Vector3): number[] {
+    const up = this.held >= 0 ? -this.cues.low(this.held) : 0;
+    return numbers(new Vector3(point.x, point.y + up + 0.002, point.z));
+  }
+
+  // --- every frame --------------------------------------------------------------------------------------------------
+  frame(frame?: XRFrame): void {
+    const time = performance.now();
+    const seconds = Math.min((time - this.before) / 1000, 0.2);
+    this.frameMs.push(time - this.before);
+    if (this.frameMs.length > 600) this.frameMs.shift();
+    this.before = time;
+    const state = this.net.latest;
+    if (!state || !this.net.states.length) {
+      this.renderer.render(this.world.scene, this.camera.camera);
+      return;
+    }
+    this.input.poll(seconds);
+    if (!this.ended) this.steering?.steer(this.input.command(), this.camera, this.shown.heading);
+    const [a, b, share] = this.span(this.net.clock - LATE_MS);
+    this.place(state, a, b, share, seconds);
+    this.world.pose(a, b, share, this.manifest.me, this.steering ? this.shown : null);
+    this.camera.follow(this.shown, this.world.solid, seconds);
+    this.world.showBody(this.manifest.me, !this.camera.hidesBody);
+    this.now = situation(this.manifest, state, this.manifest.me, this.shown);
+    this.preview(this.now);
+    this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
+    this.tell(state, this.now);
+    this.renderer.render(this.world.scene, this.camera.camera);
+    this.coarsen();
+    if (!this.frames++) performance.mark("first-frame");
+    void frame;
+  }
+
+  /** Where the own body is: predicted while the player steers it, else as late as everybody. */
+  private place(state: State, a: State, b: State, share: number, seconds: number): void {
+    const me = this.manifest.me;
+    if (!this.predictor || !this.steering) return;
+    const busy = (state.flags & (FLAG.busy | FLAG.ended)) !== 0;
+    const told = { step: state.step, ack: state.ack, base: state.agents[me]! };
+    const target = busy ? between(a.agents[me]!, b.agents[me]!, share) : this.predictor.at(told, this.net.ahead);
+    this.shown = this.predictor.smooth(target, this.steering.command, !busy, seconds);
+  }
+
+  private span(clock: number): [State, State, number] {
+    const states = this.net.states;
+    let k = states.length - 1;
+    while (k > 0 && states[k - 1]!.clockMs > clock) k--;
+    const a = states[Math.max(k - 1, 0)]!;
+    const b = states[k]!;
+    const long = b.clockMs - a.clockMs;
+    return [a, b, long > 0 ? Math.min(Math.max((clock - a.clockMs) / long, 0), 1) : 1];
+  }
+
+  /** Shows where what is held would stand, at the pointer or else at its goal, and asks the server whether it may. */
+  private preview(now: Situation): void {
+    const point = now.held >= 0 ? this.placeAimedAt(now) : null;
+    if (!point) this.aim = null;
+    else if (!this.aim || this.aim.point.distanceTo(point) > ASK_M)
+      this.aim = { point, fits: null, why: "", askedAt: this.aim?.askedAt ?? 0 };
+    this.cues.preview(now.held, point, this.aim?.fits ?? null);
+    if (this.aim && this.aim.fits === null && performance.now() - this.aim.askedAt > ASK_MS) {
+      this.aim.askedAt = performance.now();
+      this.net.ask({ k: "can", p: numbers(this.aim.point) });
+    }
+  }
+
+  private placeAimedAt(now: Situation): Vector3 | null {
+    const pointer = this.input.pointer;
+    if (pointer && this.input.device === "keys") {
+      const target = this.pointing.target(pointer.x, pointer.y, this.camera.camera, now.held);
+      if (target.kind === "top" && Math.hypot(target.point.x - this.shown.x, target.point.z - this.shown.z) < 1.6)
+        return new Vector3(...(this.standing(target.point) as [number, number, number]));
+    }
+    const goal = this.manifest.goals[now.held];
+    return goal && now.far < 1.6 ? new Vector3(...goal.position) : null;
+  }
+
+  private tell(state: State, now: Situation): void {
+    this.hud.device(this.input.device);
+    this.hud.link(this.net.rtt, this.net.statesPerSecond);
+    this.hud.time(state.step * this.manifest.dt, null);
+    const parts = this.steering && !this.ended ? hints(now, this.manifest, this.input.device) : [];
+    const busy = (state.flags & FLAG.busy) !== 0;
+    this.hud.hint(busy ? [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]] : parts);
+    this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
+      const holder = state.things[k]!.held;
+      const who = holder === this.manifest.me ? "in your hand" : holder >= 0 ? `${this.manifest.agents[holder]!.name} has it` : "";
+      const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
+      return { ...item, state: item.done ? "there" : who || `to the ${goal.label}` };
+    }));
+    this.hud.thumb(now.held >= 0 ? "Put down" : "Take", now.held >= 0 ? "Bring it" : "Fetch");
+  }
+
+  setView(view: View): void {
+    this.camera.view = view;
+    this.world.showLids(view !== "above");
+    this.hud.view(view);
+  }
+
+  /** Where frames take long, the picture gets coarser: who waits for pictures plays worse than who sees fewer pixels. */
+  private coarsen(): void {
+    if (this.frames % SLOW_FRAMES || !this.frames) return;
+    const recent = this.frameMs.slice(-SLOW_FRAMES).sort((a, b) => a - b);
+    const ratio = this.renderer.getPixelRatio();
+    if (recent[SLOW_FRAMES >> 1]! > SLOW_MS && ratio > LEAST_RATIO) {
+      this.renderer.setPixelRatio(Math.max(ratio * 0.75, LEAST_RATIO));
+      this.resize();
+    }
+  }
+
+  private resize(): void {
+    this.renderer.setSize(innerWidth, innerHeight, false);
+    this.camera.resize(innerWidth, innerHeight);
+  }
+}
+
+const BUTTONS: [string, Wish][] = [
+  ["button-view", "view"], ["button-map", "map"], ["button-sound", "sound"], ["button-help", "help"],
+  ["thumb-act", "act"], ["thumb-goto", "goto"],
+];
+const NEXT_VIEW: Record<View, View> = { third: "first", first: "third", above: "above" };
+
+/** To the tenth of a millimetre: what is recorded is read by people. */
+const numbers = (point: Vector3): number[] => point.toArray().map((value) => Math.round(value * 1e4) / 1e4);

@@ -1,0 +1,38 @@
+/** From the address of the page to a seat: what the server hands out before anything moves. */
+
+import type { Manifest } from "./manifest.ts";
+import { Sdf } from "../motion/sdf.ts";
+
+export interface Seat {
+  manifest: Manifest;
+  glb: ArrayBuffer;
+  sdf: Sdf;
+  socket: string;
+}
+
+/** The server's answer was no; the text is for the player. */
+export class Refused extends Error {}
+
+export async function takeSeat(progress: (text: string) => void): Promise<Seat> {
+  progress("The home is being set up.");
+  const answer = await post("api/session", {});
+  const manifest = answer.manifest as Manifest;
+  progress("The home is on its way.");
+  const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
+  const url = new URL(answer.socket as string, location.href);
+  url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  return { manifest, glb, sdf: new Sdf(manifest.sdf, grid), socket: url.href };
+}
+
+async function post(path: string, body: unknown): Promise<Record<string, unknown>> {
+  const headers = { "Content-Type": "application/json" };
+  const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body) });
+  if (!response.ok) throw new Refused(await response.text());
+  return (await response.json()) as Record<string, unknown>;
+}
+
+async function bytes(path: string): Promise<ArrayBuffer> {
+  const response = await fetch(path);
+  if (!response.ok) throw new Refused(`The server has no ${path} (${response.status}). Reload the page.`);
+  return response.arrayBuffer();
+}

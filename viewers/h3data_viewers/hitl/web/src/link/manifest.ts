@@ -1,0 +1,42 @@
+/** What the server tells once: who and what is there, the rules of motion, the floor. */
+
+import type { Driving } from "../motion/drive.ts";
+import type { Link, Pose7 } from "../scene/robot.ts";
+import type { SdfShape } from "../motion/sdf.ts";
+
+export interface AgentInfo {
+  name: string;
+  kind: "robot" | "human";
+  /** Robot: from the base on the floor to the frame of its links; the links; how many joints a state has. */
+  base?: Pose7;
+  links?: Link[];
+  joints?: number;
+  /** Person: names of the joints that states move, the pelvis first. */
+  bones?: string[];
+  drive: Driving;
+}
+
+export interface ThingInfo {
+  name: string;
+  label: string;
+}
+
+export interface GoalInfo {
+  position: [number, number, number];
+  /** Where that is, such as "nightstand". */
+  label: string;
+}
+
+export interface Manifest {
+  version: number;
+  agents: AgentInfo[];
+  /** Index of the player's agent; -1: a spectator. */
+  me: number;
+  objects: ThingInfo[];
+  /** One for each object that has to be brought somewhere, by the index of the object. */
+  goals: GoalInfo[];
+  floor_y: number;
+  /** Seconds per step. */
+  dt: number;
+  sdf: SdfShape & { url: string };
+}

@@ -1,0 +1,233 @@
+/** The home as it is shown: nodes of its GLB, moved by states. */
+
+import {
+  Bone,
+  Box3,
+  CanvasTexture,
+  Color,
+  DirectionalLight,
+  Group,
+  HemisphereLight,
+  Mesh,
+  MeshBasicMaterial,
+  MeshLambertMaterial,
+  PlaneGeometry,
+  Quaternion,
+  Scene,
+  Vector3,
+  type MeshStandardMaterial,
+  type Object3D,
+} from "three";
+import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+import type { Base } from "../motion/drive.ts";
+import type { AgentInfo, Manifest } from "../link/manifest.ts";
+import { RobotRig } from "./robot.ts";
+import type { PersonState, RobotState, State } from "../link/wire.ts";
+
+const UP = new Vector3(0, 1, 0);
+const SHADOW_M = 0.42;
+
+/** A person's joints in the order of the state: the pelvis, then those that move. */
+interface PersonRig {
+  bones: (Bone | undefined)[];
+  meshes: Object3D[];
+}
+
+export class World {
+  readonly scene = new Scene();
+  readonly things: Object3D[];
+  /** What a camera may not pass, and what a click on the floor may hit. */
+  readonly solid: Object3D[] = [];
+  readonly floors: Object3D[] = [];
+  /** Everything that stands still and can carry a thing. */
+  readonly home: Object3D[] = [];
+  /** Hidden for those who look from above. */
+  private readonly lids: Object3D[] = [];
+  private readonly rigs: (RobotRig | PersonRig)[];
+  private readonly shadows: Mesh[];
+  private readonly named = new Map<string, Object3D>();
+  private readonly turn = new Quaternion();
+  private readonly swing = new Quaternion();
+  private readonly from = new Vector3();
+
+  static async load(glb: ArrayBuffer, manifest: Manifest): Promise<World> {
+    const file = await new GLTFLoader().parseAsync(glb, "");
+    return new World(file.scene, manifest);
+  }
+
+  private constructor(
+    root: Group,
+    private readonly manifest: Manifest,
+  ) {
+    this.scene.background = new Color(0xdfe6ec);
+    this.scene.add(root, ...lights());
+    for (const node of root.children) this.sort(node, node.userData.name ?? node.name);
+    root.traverse((node) => {
+      const name: string = node.userData.name ?? node.name;
+      if (!this.named.has(name)) this.named.set(name, node);
+      // a skinned mesh is culled by where it was made, not by where its bones are
+      if ("isSkinnedMesh" in node) node.frustumCulled = false;
+      if ("isMesh" in node) (node as Mesh).material = matt((node as Mesh).material as MeshStandardMaterial);
+    });
+    this.things = manifest.objects.map((thing) => {
+      const node = this.named.get(thing.name);
+      if (!node) throw new Error(`The home's file has no object called ${thing.name}.`);
+      return node;
+    });
+    const texture = softDisc();
+    this.shadows = manifest.agents.map(() => this.addShadow(texture));
+    this.rigs = manifest.agents.map((agent) => (agent.kind === "robot" ? this.robotRig(agent) : personRig(root, agent)));
+  }
+
+  /** Bones of people that were found by name, of all that states move. */
+  get bonesFound(): number {
+    return this.rigs.reduce((sum, rig) => sum + ("bones" in rig ? rig.bones.filter(Boolean).length : 0), 0);
+  }
+
+  /** Lowest point of a thing below its origin, m. */
+  lowest(thing: Object3D): number {
+    return new Box3().setFromObject(thing).min.y - thing.getWorldPosition(this.from).y;
+  }
+
+  showLids(shown: boolean): void {
+    for (const lid of this.lids) lid.visible = shown;
+  }
+
+  showBody(agent: number, shown: boolean): void {
+    const rig = this.rigs[agent];
+    if (rig && "meshes" in rig) for (const mesh of rig.meshes) mesh.visible = shown;
+  }
+
+  /** Poses everything between two states. `own` takes the place of the base of agent `me`, and what it holds rides along. */
+  pose(a: State, b: State, share: number, me: number, own: Base | null): void {
+    const floorY = this.manifest.floor_y;
+    this.manifest.agents.forEach((_, k) => {
+      const was = a.agents[k]!;
+      const is = b.agents[k]!;
+      const rig = this.rigs[k]!;
+      const base = between(was, is, share);
+      const shown = k === me && own ? own : base;
+      this.shadows[k]!.position.set(shown.x, floorY + 0.006, shown.z);
+      if (rig instanceof RobotRig) {
+        const joints = [(was as RobotState).joints, (is as RobotState).joints] as const;
+        rig.pose(shown.x, floorY, shown.z, shown.heading, ...joints, share);
+      } else this.posePerson(rig, was as PersonState, is as PersonState, share, base, shown);
+    });
+    b.things.forEach((thing, k) => {
+      const node = this.things[k]!;
+      const was = a.things[k]!.pose;
+      lerpPose(node, was, thing.pose, share, this.turn);
+      if (own && thing.held === me && a.things[k]!.held === me) {
+        this.carry(node, between(a.agents[me]!, b.agents[me]!, share), own);
+      }
+    });
+  }
+
+  private posePerson(rig: PersonRig, a: PersonState, b: PersonState, share: number, base: Base, shown: Base): void {
+    const pelvis = rig.bones[0];
+    if (!pelvis) return;
+    lerpPose(pelvis, a.root, b.root, share, this.turn);
+    if (shown !== base) this.carry(pelvis, base, shown);
+    for (let k = 1; k < rig.bones.length && 4 * k <= a.quats.length; k++) {
+      const i = 4 * (k - 1);
+      this.turn.fromArray(b.quats, i);
+      rig.bones[k]?.quaternion.fromArray(a.quats, i).slerp(this.turn, share);
+    }
+  }
+
+  /** Moves a node as if the base under it were somewhere else. */
+  private carry(node: Object3D, from: Base, to: Base): void {
+    const turn = to.heading - from.heading;
+    node.position.sub(this.from.set(from.x, 0, from.z)).applyAxisAngle(UP, turn);
+    node.position.add(this.from.set(to.x, 0, to.z));
+    node.quaternion.premultiply(this.swing.setFromAxisAngle(UP, turn));
+  }
+
+  private sort(node: Object3D, name: string): void {
+    if (name.startsWith("ceiling")) this.lids.push(node);
+    else if (this.manifest.agents.some((agent) => agent.name === name)) return;
+    else this.home.push(node);
+    if (name === "walls" || name.startsWith("wall")) this.solid.push(node);
+    if (name.startsWith("floor_") || name.startsWith("rug") || name === "floor") this.floors.push(node);
+    if (TALL.some((kind) => name.startsWith(kind))) this.solid.push(node);
+  }
+
+  private robotRig(agent: AgentInfo): RobotRig {
+    const links = agent.links ?? [];
+    const nodes = links.map((link) => this.named.get(`${agent.name}/${link.name}`));
+    return new RobotRig(links, agent.base ?? [0, 0, 0, 0, 0, 0, 1], nodes);
+  }
+
+  private addShadow(map: CanvasTexture): Mesh {
+    const material = new MeshBasicMaterial({ map, transparent: true, depthWrite: false, opacity: 0.55 });
+    const shadow = new Mesh(new PlaneGeometry(2 * SHADOW_M, 2 * SHADOW_M), material);
+    shadow.rotation.x = -Math.PI / 2;
+    this.scene.add(shadow);
+    return shadow;
+  }
+}
+
+/** Furniture that would stand between the camera and the person. */
+const TALL = ["fridge", "wardrobe", "shelf", "front_door", "kitchen_cabinet", "shower", "window", "blind"];
+
+function personRig(root: Group, agent: AgentInfo): PersonRig {
+  const group = root.children.find((node) => nameOf(node) === agent.name && !("isMesh" in node) && node.children.length);
+  const bones = new Map<string, Bone>();
+  group?.traverse((node) => {
+    if ("isBone" in node) bones.set(nameOf(node), node as Bone);
+  });
+  const meshes: Object3D[] = [];
+  root.traverse((node) => {
+    if ("isSkinnedMesh" in node && [nameOf(node), nameOf(node.parent!)].includes(agent.name)) meshes.push(node);
+  });
+  return { bones: (agent.bones ?? []).map((name) => bones.get(name)), meshes };
+}
+
+/** three cleans names (`robot/arm` loses its slash, doubles get a number): user data keep what the file said. */
+const nameOf = (node: Object3D): string => (node.userData.name as string | undefined) ?? node.name;
+
+export function between(a: Base, b: Base, share: number): Base {
+  const mix = (u: number, v: number): number => u + (v - u) * share;
+  return { x: mix(a.x, b.x), z: mix(a.z, b.z), heading: mix(a.heading, b.heading) };
+}
+
+function lerpPose(node: Object3D, a: Float32Array, b: Float32Array, share: number, turn: Quaternion): void {
+  const mix = (k: number): number => a[k]! + (b[k]! - a[k]!) * share;
+  node.position.set(mix(0), mix(1), mix(2));
+  node.quaternion.fromArray(a, 3).slerp(turn.fromArray(b, 3), share);
+}
+
+/** Everything in a home is matt: the same picture at half the cost, which counts where a processor draws it. */
+const matt = cached((material: MeshStandardMaterial): MeshLambertMaterial => {
+  const { color, map, side, transparent, opacity, alphaTest, vertexColors, emissive } = material;
+  return new MeshLambertMaterial({ color, map, side, transparent, opacity, alphaTest, vertexColors, emissive });
+});
+
+function cached<A extends object, B>(make: (key: A) => B): (key: A) => B {
+  const made = new Map<A, B>();
+  return (key) => {
+    if (!made.has(key)) made.set(key, make(key));
+    return made.get(key)!;
+  };
+}
+
+function lights(): Object3D[] {
+  const sun = new DirectionalLight(0xfff4e2, 1.4);
+  sun.position.set(4, 9, 2.5);
+  const fill = new DirectionalLight(0xdfe9ff, 0.5);
+  fill.position.set(-5, 4, -4);
+  return [new HemisphereLight(0xffffff, 0xdcd2c4, 2.1), sun, fill];
+}
+
+function softDisc(): CanvasTexture {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 64;
+  const brush = canvas.getContext("2d")!;
+  const fade = brush.createRadialGradient(32, 32, 4, 32, 32, 32);
+  fade.addColorStop(0, "rgba(0,0,0,0.75)");
+  fade.addColorStop(0.6, "rgba(0,0,0,0.35)");
+  fade.addColorStop(1, "rgba(0,0,0,0)");
+  brush.fillStyle = fade;
+  brush.fillRect(0, 0, 64, 64);
+  return new CanvasTexture(canvas);
+}

@@ -1,0 +1,119 @@
+/** What is drawn over the home for the player: rings, labels, the map, the preview of a place. */
+
+import { Vector3, type PerspectiveCamera } from "three";
+import { NEAR_M, type Situation } from "../player/actions.ts";
+import type { Base } from "../motion/drive.ts";
+import type { Manifest } from "../link/manifest.ts";
+import { FloorRing, Ghost, Labels, type Mark } from "./markers.ts";
+import { MiniMap } from "./minimap.ts";
+import { thingColor } from "./palette.ts";
+import type { Sdf } from "../motion/sdf.ts";
+import type { State } from "../link/wire.ts";
+import type { World } from "../scene/world.ts";
+
+/** Labels float this high over what they name. */
+const OVER_M = 0.22;
+/** Of the frames, one in so many draws the map. */
+const MAP_FRAMES = 4;
+
+export class Cues {
+  private readonly labels: Labels;
+  private readonly ghost: Ghost;
+  private readonly goals: FloorRing[];
+  private readonly spot: FloorRing;
+  private readonly map: MiniMap;
+  private readonly heights: number[];
+  private frame = 0;
+
+  constructor(
+    private readonly world: World,
+    private readonly manifest: Manifest,
+    sdf: Sdf,
+    marks: HTMLElement,
+    map: HTMLCanvasElement,
+  ) {
+    this.labels = new Labels(marks);
+    this.ghost = new Ghost(world.scene);
+    this.goals = manifest.goals.map((_, k) => new FloorRing(world.scene, thingColor(k), 0.105, 0.13));
+    this.spot = new FloorRing(world.scene, "#ffffff", 0.17, 0.21);
+    this.spot.hide();
+    this.map = new MiniMap(map, sdf);
+    this.heights = world.things.map((thing) => world.lowest(thing));
+  }
+
+  /** The point that the player walks to; null: none. */
+  walkingTo(point: Vector3 | null): void {
+    if (point) this.spot.show(point.x, point.y + 0.02, point.z);
+    else this.spot.hide();
+  }
+
+  /** Lowest point of a thing below its origin, m. */
+  low(thing: number): number {
+    return this.heights[thing]!;
+  }
+
+  preview(thing: number, point: Vector3 | null, fits: boolean | null): void {
+    if (point && thing >= 0) this.ghost.show(this.world.things[thing]!, point, fits);
+    else this.ghost.hide();
+  }
+
+  draw(state: State, now: Situation, me: number, own: Base, camera: PerspectiveCamera, yaw: number): void {
+    this.manifest.goals.forEach((goal, k) => {
+      const [x, y, z] = goal.position;
+      const ring = this.goals[k]!;
+      // the goal is where the thing's origin comes to be: the ring lies under it
+      if (now.done[k]) ring.hide();
+      else ring.show(x, y + this.heights[k]! + 0.004, z, now.held === k ? 1 + 0.12 * Math.sin(performance.now() / 180) : 1);
+    });
+    this.labels.show(this.marks(state, now, own), camera, innerWidth, innerHeight);
+    if (this.frame++ % MAP_FRAMES === 0) this.drawMap(state, now, me, own, yaw);
+  }
+
+  private marks(state: State, now: Situation, own: Base): Mark[] {
+    const marks: Mark[] = [];
+    state.things.forEach((thing, k) => {
+      const goal = this.manifest.goals[k];
+      if (!goal || now.done[k]) return;
+      const label = this.manifest.objects[k]!.label;
+      const [x, y, z] = goal.position;
+      if (thing.held >= 0)
+        marks.push({
+          point: new Vector3(x, y + OVER_M, z),
+          text: goal.label,
+          thing: k,
+          near: now.held === k && now.far < NEAR_M,
+          far: Math.hypot(x - own.x, z - own.z),
+        });
+      else {
+        const at = this.world.things[k]!.position;
+        marks.push({
+          point: new Vector3(at.x, at.y + OVER_M, at.z),
+          text: `${label} → ${goal.label}`,
+          thing: k,
+          near: now.next === k && now.far < NEAR_M,
+          far: Math.hypot(at.x - own.x, at.z - own.z),
+        });
+      }
+    });
+    return marks;
+  }
+
+  private drawMap(state: State, now: Situation, me: number, own: Base, yaw: number): void {
+    const agents = this.manifest.agents.map((agent, k) => {
+      const at = k === me ? own : state.agents[k]!;
+      return { x: at.x, z: at.z, heading: at.heading, kind: agent.kind, me: k === me };
+    });
+    const things = state.things.map((thing, k) => {
+      const goal = this.manifest.goals[k];
+      const at = this.world.things[k]!.position;
+      return {
+        x: at.x,
+        z: at.z,
+        goal: goal ? { x: goal.position[0], z: goal.position[2] } : null,
+        done: now.done[k] ?? false,
+        held: thing.held >= 0,
+      };
+    });
+    this.map.draw(agents, things, yaw);
+  }
+}
