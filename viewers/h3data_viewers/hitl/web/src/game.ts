@@ -4,7 +4,8 @@ import { Vector3, WebGLRenderer } from "three";
 import { hints, situation, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
-import type { Base } from "./motion/drive.ts";
+import { Headset } from "./headset/xr.ts";
+import type { Base, Driving } from "./motion/drive.ts";
 import type { Hud, TodoItem } from "./screen/hud.ts";
 import { Input, Stick, type Wish } from "./player/input.ts";
 import type { Manifest } from "./link/manifest.ts";
@@ -39,6 +40,7 @@ export class Game {
   shown: Base = { x: 0, z: 0, heading: 0 };
   now: Situation | null = null;
   frames = 0;
+  headset: Headset | null = null;
   private readonly cues: Cues;
   private readonly pointing: Pointing;
   private readonly steering: Steering | null = null;
@@ -76,7 +78,10 @@ export class Game {
       point: (x, y) => this.point(x, y),
     });
     new Stick(hud.ring, hud.knob, this.input);
+    hud.on("button-leave", () => hud.askToLeave(() => this.net.send({ k: "leave" })));
+    hud.show("button-leave", agent !== undefined);
     for (const [button, wish] of BUTTONS) hud.on(button, () => this.wish(wish));
+    if (agent) void this.offerHeadset(agent.drive);
     this.setView(agent ? "third" : "above");
     addEventListener("resize", () => this.resize());
     this.resize();
@@ -195,12 +200,13 @@ export class Game {
       return;
     }
     this.input.poll(seconds);
-    if (!this.ended) this.steering?.steer(this.input.command(), this.camera, this.shown.heading);
+    if (!this.ended && this.hud.playing) this.steer(state, seconds, frame);
     const [a, b, share] = this.span(this.net.clock - LATE_MS);
     this.place(state, a, b, share, seconds);
     this.world.pose(a, b, share, this.manifest.me, this.steering ? this.shown : null);
-    this.camera.follow(this.shown, this.world.solid, seconds);
-    this.world.showBody(this.manifest.me, !this.camera.hidesBody);
+    if (!this.headset?.on) this.camera.follow(this.shown, this.world.solid, seconds);
+    this.world.showBody(this.manifest.me, this.headset?.on || !this.camera.hidesBody);
+    this.world.showHead(this.manifest.me, !this.headset?.on && this.camera.view !== "first");
     this.now = situation(this.manifest, state, this.manifest.me, this.shown);
     this.preview(this.now);
     this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
@@ -208,7 +214,14 @@ export class Game {
     this.renderer.render(this.world.scene, this.camera.camera);
     this.coarsen();
     if (!this.frames++) performance.mark("first-frame");
-    void frame;
+  }
+
+  private steer(state: State, seconds: number, frame?: XRFrame): void {
+    if (!this.steering) return;
+    if (this.headset?.on && frame) {
+      this.headset.frame(frame, this.shown, (state.flags & FLAG.busy) !== 0, this.hud.words(), seconds);
+      this.steering.send(this.headset.command);
+    } else this.steering.steer(this.input.command(), this.camera, this.shown.heading);
   }
 
   /** Where the own body is: predicted while the player steers it, else as late as everybody. */
@@ -258,7 +271,7 @@ export class Game {
   private tell(state: State, now: Situation): void {
     this.hud.device(this.input.device);
     this.hud.link(this.net.rtt, this.net.statesPerSecond);
-    this.hud.time(state.step * this.manifest.dt, null);
+    this.hud.time(state.step * this.manifest.dt);
     const parts = this.steering && !this.ended ? hints(now, this.manifest, this.input.device) : [];
     const busy = (state.flags & FLAG.busy) !== 0;
     this.hud.hint(busy ? [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]] : parts);
@@ -271,6 +284,23 @@ export class Game {
     this.hud.thumb(now.held >= 0 ? "Put down" : "Take", now.held >= 0 ? "Bring it" : "Fetch");
   }
 
+  private async offerHeadset(drive: Driving): Promise<void> {
+    if (!(await Headset.supported())) return;
+    const player = {
+      act: () => this.now && this.handle(this.now, true),
+      drop: () => this.wish("drop"),
+      send: (message: Record<string, unknown>) => this.net.send(message),
+    };
+    const speed = { forward: drive.speed, turn: drive.turn, step: this.manifest.dt };
+    const headset = new Headset(this.renderer, this.camera.camera, this.manifest.floor_y, speed, player);
+    this.world.scene.add(headset.rig);
+    this.headset = headset;
+    this.hud.show("button-vr", true);
+    this.hud.on("button-vr", () =>
+      headset.enter(() => this.resize()).catch((error: Error) => this.hud.toast(`The headset could not start: ${error.message}`)),
+    );
+  }
+
   setView(view: View): void {
     this.camera.view = view;
     this.world.showLids(view !== "above");
@@ -279,7 +309,7 @@ export class Game {
 
   /** Where frames take long, the picture gets coarser: who waits for pictures plays worse than who sees fewer pixels. */
   private coarsen(): void {
-    if (this.frames % SLOW_FRAMES || !this.frames) return;
+    if (this.frames % SLOW_FRAMES || !this.frames || this.headset?.on) return;
     const recent = this.frameMs.slice(-SLOW_FRAMES).sort((a, b) => a - b);
     const ratio = this.renderer.getPixelRatio();
     if (recent[SLOW_FRAMES >> 1]! > SLOW_MS && ratio > LEAST_RATIO) {

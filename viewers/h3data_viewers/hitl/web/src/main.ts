@@ -2,7 +2,7 @@ import { Refused, takeSeat } from "./link/flow.ts";
 import { Game } from "./game.ts";
 import { Hud } from "./screen/hud.ts";
 import { Net, type Link } from "./link/net.ts";
-import { installProbe } from "./probe.ts";
+import { installProbe, noteOver } from "./probe.ts";
 import { World } from "./scene/world.ts";
 
 const query = new URLSearchParams(location.search);
@@ -19,7 +19,7 @@ async function play(): Promise<void> {
   const options = { url: seat.socket, agents, stepMs: manifest.dt * 1000, lagMs: Number(query.get("lag")) || 0 };
   const net = new Net(options, {
     state: (state) => game?.hear(state),
-    told: (message) => game && hear(game, message),
+    told: (message) => game && hear(game, message as Message),
     link: (link, why) => game && linked(game, link, why),
   });
   const plain = query.has("plain");
@@ -31,16 +31,34 @@ async function play(): Promise<void> {
   game.renderer.setAnimationLoop((_, frame) => game!.frame(frame));
 }
 
-function hear(game: Game, message: Record<string, unknown>): void {
-  if (typeof message.why === "string") game.refused(message.why);
-  if (message.hud) hud.title((message.hud as { task: string }).task);
-  if (message.can) game.answer((message.can as { p: number[] }).p, (message.can as { why: string }).why);
-  if (message.over) {
-    const over = message.over as { ended: string };
-    game.over(over.ended === "success");
-    game.net.close("");
-    hud.phase("over", over.ended === "success" ? "Done. Thank you!" : "The episode has ended", "");
-  }
+/** A text frame of the server; it may say several things. */
+interface Message {
+  why?: string;
+  toast?: string;
+  hud?: { task: string; left_s?: number | null; lines?: string[] };
+  can?: { p: number[]; why: string };
+  pause?: string;
+  over?: { ended: string; text?: string; next?: boolean };
+}
+
+function hear(game: Game, message: Message): void {
+  if (message.why) game.refused(message.why);
+  if (message.toast) hud.toast(message.toast, "good");
+  if (message.hud) hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
+  if (message.can) game.answer(message.can.p, message.can.why);
+  if (message.pause) hud.phase("paused", "The home stands still", message.pause);
+  else if (message.pause === "") hud.phase("playing");
+  if (message.over) over(game, message.over);
+}
+
+function over(game: Game, message: NonNullable<Message["over"]>): void {
+  const { ended, text, next } = message;
+  noteOver(message);
+  const success = ended === "success";
+  game.over(success);
+  game.net.close("");
+  const [title, said] = success ? ["Well done!", "Everything is where it belongs."] : ["The episode has ended", ""];
+  hud.phase("over", title, text ?? said, next ? "Next episode" : "", () => location.reload());
 }
 
 function linked(game: Game, link: Link, why: string): void {

@@ -1,4 +1,5 @@
-/** What tests and the device check read of a session: `window.probe`. It changes nothing. */
+/** What tests and the device check read of a session: `window.probe`. It changes nothing, but `drop` cuts the
+ * connection. */
 
 import type { Game } from "./game.ts";
 
@@ -15,7 +16,12 @@ export function installProbe(game: Game): void {
     connects: game.net.connects,
     bones: game.world.bonesFound,
   });
-  Object.assign(window, { probe: { game, stats } });
+  Object.assign(window, { probe: { game, stats, over: null, drop: () => game.net.drop() } });
+}
+
+/** Notes how the episode has ended. */
+export function noteOver(over: unknown): void {
+  Object.assign((window as unknown as { probe: object }).probe, { over });
 }
 
 function share(values: number[], part: number): number | null {

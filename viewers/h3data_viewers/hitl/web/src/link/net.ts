@@ -31,6 +31,9 @@ const KEPT_STATES = 60;
 const FIRST_RETRY_MS = 250;
 const MOST_RETRY_MS = 3000;
 const PING_MS = 500;
+const KEPT_TRIPS = 8;
+/** No state for so long: the clock of the session may have stood still. */
+const PAUSE_MS = 600;
 /** No word from the server for so long: the link is dead, even if the browser has not noticed. */
 const SILENT_MS = 4000;
 /** A message arrives a little later than half of a round trip at times; it is meant for a step that much later. */
@@ -51,6 +54,9 @@ export class Net {
   private retry = FIRST_RETRY_MS;
   private offset = Infinity;
   private heardAt = performance.now();
+  private beatAt = performance.now();
+  private stateAt = -Infinity;
+  private readonly trips: number[] = [];
   private margin = FIRST_MARGIN_MS;
   private readonly inFlight: { seq: number; at: number; step: number }[] = [];
   private readonly rates: number[] = [];
@@ -101,6 +107,11 @@ export class Net {
     this.write(JSON.stringify(message));
   }
 
+  /** Cuts the connection, as a bad network does; it is made again. */
+  drop(): void {
+    this.socket?.close(4000);
+  }
+
   /** Ends the link for good. */
   close(why: string): void {
     this.become("closed", why);
@@ -147,13 +158,20 @@ export class Net {
     this.bytes += data.byteLength;
     const pong = decodePong(data);
     if (pong) {
-      this.rtt = this.rtt ? this.rtt * 0.7 + (now - pong.clientMs) * 0.3 : now - pong.clientMs;
+      // the least of some seconds: a frame that takes long delays the answer, not the connection
+      this.trips.push(now - pong.clientMs);
+      if (this.trips.length > KEPT_TRIPS) this.trips.shift();
+      this.rtt = Math.min(...this.trips);
       return;
     }
     const state = decodeState(data, this.options.agents, this.latest);
-    // the state that came fastest tells the offset; it is let go slowly, because clocks drift
-    this.offset = Math.min(this.offset + 0.02, now - state.clockMs);
+    // the state that came fastest tells the offset; it is let go slowly, because clocks drift, and at once after a pause
+    const drift = now - this.stateAt > PAUSE_MS ? Infinity : 0.02;
+    this.offset = Math.min(this.offset + drift, now - state.clockMs);
+    this.stateAt = now;
     this.noteAcks(state, now);
+    // after a reload the numbers go on where the page before has stopped
+    this.seq = Math.max(this.seq, state.ack + 1);
     this.received++;
     this.rates.push(now);
     this.states.push(state);
@@ -178,8 +196,12 @@ export class Net {
   }
 
   private beat(): void {
-    if (this.link === "open" && performance.now() - this.heardAt > SILENT_MS) {
-      this.socket?.close(4000);
+    const now = performance.now();
+    // a page that was busy itself has not listened either
+    if (now - this.beatAt > 2 * PING_MS) this.heardAt = now;
+    this.beatAt = now;
+    if (this.link === "open" && now - this.heardAt > SILENT_MS) {
+      this.drop();
       return;
     }
     this.ping();

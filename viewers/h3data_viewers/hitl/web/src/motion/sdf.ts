@@ -10,7 +10,7 @@ export interface SdfShape {
   /** Metres per unit of the stored integers. */
   unit: number;
   /** How they are stored, little-endian. */
-  type: "int8" | "int16";
+  type?: "int8" | "int16";
 }
 
 export class Sdf {

@@ -32,7 +32,7 @@ export class Steering {
     if (camera.steers && wanted.forward > 0 && turn === 0 && Math.abs(camera.yaw) > ALIGN_RAD)
       turn = clamp(wrapAngle(camera.yaw) / (this.how.turn * this.stepS * ALIGN_STEPS), -1, 1);
     camera.hold(turn !== 0 && wanted.turn === 0, heading);
-    this.send({ forward: tidy(wanted.forward), turn: tidy(turn) });
+    this.send({ forward: wanted.forward, turn });
   }
 
   /** The next command is sent even if it is the same: after a reconnect the server knows of none. */
@@ -41,8 +41,10 @@ export class Steering {
     this.predictor.reset();
   }
 
-  private send(command: Velocity): void {
+  /** Sends a command that has changed. */
+  send(wanted: Velocity): void {
     const now = performance.now();
+    const command = { forward: tidy(wanted.forward), turn: tidy(wanted.turn) };
     const same = command.forward === this.command.forward && command.turn === this.command.turn;
     const pressed = Math.sign(command.forward) !== Math.sign(this.command.forward) || (!command.turn && this.command.turn);
     if (same || (!pressed && now - this.sentAt < SEND_MS)) return;

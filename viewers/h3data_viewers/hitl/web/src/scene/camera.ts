@@ -36,7 +36,7 @@ export class CameraRig {
 
   /** Whether the player's own body would be in the way of the picture. */
   get hidesBody(): boolean {
-    return this.view === "first" || (this.view === "third" && this.boom < HIDE_M);
+    return this.view === "third" && this.boom < HIDE_M;
   }
 
   look(dyaw: number, dpitch: number): void {

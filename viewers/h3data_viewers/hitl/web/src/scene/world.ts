@@ -21,6 +21,7 @@ import {
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import type { Base } from "../motion/drive.ts";
 import type { AgentInfo, Manifest } from "../link/manifest.ts";
+import { wrapAngle } from "../motion/sdf.ts";
 import { RobotRig } from "./robot.ts";
 import type { PersonState, RobotState, State } from "../link/wire.ts";
 
@@ -91,6 +92,12 @@ export class World {
 
   showLids(shown: boolean): void {
     for (const lid of this.lids) lid.visible = shown;
+  }
+
+  /** Without a head, who looks through the person's eyes sees the body and not the inside of the face. */
+  showHead(agent: number, shown: boolean): void {
+    const rig = this.rigs[agent];
+    if (rig && "bones" in rig) rig.bones.find((bone) => bone && nameOf(bone) === "neck")?.scale.setScalar(shown ? 1 : 1e-3);
   }
 
   showBody(agent: number, shown: boolean): void {
@@ -188,7 +195,8 @@ const nameOf = (node: Object3D): string => (node.userData.name as string | undef
 
 export function between(a: Base, b: Base, share: number): Base {
   const mix = (u: number, v: number): number => u + (v - u) * share;
-  return { x: mix(a.x, b.x), z: mix(a.z, b.z), heading: mix(a.heading, b.heading) };
+  // headings are told in -pi..pi: between two of them lies the shorter turn
+  return { x: mix(a.x, b.x), z: mix(a.z, b.z), heading: a.heading + wrapAngle(b.heading - a.heading) * share };
 }
 
 function lerpPose(node: Object3D, a: Float32Array, b: Float32Array, share: number, turn: Quaternion): void {

@@ -24,21 +24,30 @@ export class Cues {
   private readonly map: MiniMap;
   private readonly heights: number[];
   private frame = 0;
+  private corner = { x: Infinity, y: Infinity };
 
   constructor(
     private readonly world: World,
     private readonly manifest: Manifest,
     sdf: Sdf,
     marks: HTMLElement,
-    map: HTMLCanvasElement,
+    private readonly mapCanvas: HTMLCanvasElement,
   ) {
     this.labels = new Labels(marks);
     this.ghost = new Ghost(world.scene);
     this.goals = manifest.goals.map((_, k) => new FloorRing(world.scene, thingColor(k), 0.105, 0.13));
     this.spot = new FloorRing(world.scene, "#ffffff", 0.17, 0.21);
     this.spot.hide();
-    this.map = new MiniMap(map, sdf);
+    this.map = new MiniMap(mapCanvas, sdf);
     this.heights = world.things.map((thing) => world.lowest(thing));
+  }
+
+  /** Where the map is: the page may have changed its size. */
+  private layout(): void {
+    const box = this.mapCanvas.getBoundingClientRect();
+    // on a touch screen the map is at the top, where labels do not come
+    const low = box.width > 0 && box.bottom > innerHeight * 0.7;
+    this.corner = low ? { x: box.left, y: box.top } : { x: Infinity, y: Infinity };
   }
 
   /** The point that the player walks to; null: none. */
@@ -65,11 +74,13 @@ export class Cues {
       if (now.done[k]) ring.hide();
       else ring.show(x, y + this.heights[k]! + 0.004, z, now.held === k ? 1 + 0.12 * Math.sin(performance.now() / 180) : 1);
     });
-    this.labels.show(this.marks(state, now, own), camera, innerWidth, innerHeight);
-    if (this.frame++ % MAP_FRAMES === 0) this.drawMap(state, now, me, own, yaw);
+    this.labels.show(this.marks(state, now, me < 0 ? null : own), camera, innerWidth, innerHeight, this.corner);
+    if (this.frame++ % MAP_FRAMES) return;
+    this.layout();
+    this.drawMap(state, now, me, own, yaw);
   }
 
-  private marks(state: State, now: Situation, own: Base): Mark[] {
+  private marks(state: State, now: Situation, own: Base | null): Mark[] {
     const marks: Mark[] = [];
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];
@@ -82,7 +93,7 @@ export class Cues {
           text: goal.label,
           thing: k,
           near: now.held === k && now.far < NEAR_M,
-          far: Math.hypot(x - own.x, z - own.z),
+          far: own && Math.hypot(x - own.x, z - own.z),
         });
       else {
         const at = this.world.things[k]!.position;
@@ -91,7 +102,7 @@ export class Cues {
           text: `${label} → ${goal.label}`,
           thing: k,
           near: now.next === k && now.far < NEAR_M,
-          far: Math.hypot(at.x - own.x, at.z - own.z),
+          far: own && Math.hypot(at.x - own.x, at.z - own.z),
         });
       }
     });

@@ -38,6 +38,7 @@ export class Hud {
   readonly knob = $("knob");
   private readonly help = $<HTMLDialogElement>("help");
   private toastTimer = 0;
+  private left: { seconds: number; at: number } | null = null;
   private lastTodo = "";
   private hinted = "";
 
@@ -71,8 +72,12 @@ export class Hud {
     else if (phase === "playing") this.canvas.focus({ preventScroll: true });
   }
 
-  title(text: string): void {
+  /** What is to be done, more of it in lines, and how long there is for it [s]. */
+  task(text: string, lines: string[], left: number | null): void {
     setText($("title"), text);
+    if ($("lines").textContent !== lines.join(""))
+      $("lines").replaceChildren(...lines.map((line) => Object.assign(document.createElement("p"), { textContent: line })));
+    this.left = left === null ? null : { seconds: left, at: performance.now() };
   }
 
   /** Only changes are written: the region is read aloud when it changes. */
@@ -90,8 +95,10 @@ export class Hud {
     );
   }
 
-  time(seconds: number, left: number | null): void {
-    setText($("timer"), left === null ? clock(seconds) : `${clock(left)} left`);
+  /** Time that has passed, or that is left where there is a limit. */
+  time(seconds: number): void {
+    const gone = this.left && document.body.dataset.state === "playing" ? (performance.now() - this.left.at) / 1000 : 0;
+    setText($("timer"), this.left ? `${clock(this.left.seconds - gone)} left` : clock(seconds));
   }
 
   link(rttMs: number, statesPerSecond: number): void {
@@ -131,6 +138,26 @@ export class Hud {
 
   toggleMap(): void {
     this.pressed("button-map", !document.body.classList.toggle("no-map"));
+  }
+
+  /** What the page says, for a headset. */
+  words(): string[] {
+    const rows = [...document.querySelectorAll("#todo li")].map((row) => [...row.children].map((cell) => cell.textContent));
+    const todo = rows.map(([letter, name, state]) => `${letter}  ${name}: ${state}`);
+    const cover = this.playing ? [] : [$("cover-title"), $("cover-text")].map((node) => node.textContent!);
+    return [$("title").textContent!, ...todo, ...cover, $("toast").textContent!].filter(Boolean);
+  }
+
+  get playing(): boolean {
+    return document.body.dataset.state === "playing";
+  }
+
+  /** Asks before what cannot be taken back. */
+  askToLeave(leave: () => void): void {
+    const dialog = $<HTMLDialogElement>("leave");
+    dialog.onclose = () => dialog.returnValue === "leave" && leave();
+    dialog.returnValue = "";
+    dialog.showModal();
   }
 
   toggleHelp(): void {

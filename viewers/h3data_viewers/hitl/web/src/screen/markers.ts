@@ -22,11 +22,13 @@ export interface Mark {
   thing: number;
   /** Whether it would be taken, or is the goal of what is held. */
   near: boolean;
-  far: number;
+  /** From the player, m; null: there is none. */
+  far: number | null;
 }
 
 /** Labels stay this far inside the picture: px at the sides, shares of the height at the top and the bottom. */
 const EDGE_PX = 12;
+const LABEL_PX = 18;
 const EDGE_TOP = 0.7;
 const EDGE_BOTTOM = -0.7;
 
@@ -36,22 +38,25 @@ export class Labels {
 
   constructor(private readonly layer: HTMLElement) {}
 
-  show(marks: Mark[], camera: PerspectiveCamera, width: number, height: number): void {
+  /** `free` is the corner of the picture that labels leave to the map: its left and upper border, px. */
+  show(marks: Mark[], camera: PerspectiveCamera, width: number, height: number, free: { x: number; y: number }): void {
     while (this.pool.length < marks.length) this.pool.push(this.make());
     this.pool.forEach((label, k) => {
       const mark = marks[k];
       label.hidden = !mark;
-      if (mark) this.place(label, mark, camera, width, height);
+      if (mark) this.place(label, mark, camera, width, height, free);
     });
   }
 
-  private place(label: HTMLElement, mark: Mark, camera: PerspectiveCamera, width: number, height: number): void {
+  private place(
+    label: HTMLElement, mark: Mark, camera: PerspectiveCamera, width: number, height: number, free: { x: number; y: number },
+  ): void {
     const at = this.at.copy(mark.point).project(camera);
     if (at.z > 1) at.set(-at.x * 9, -9, 0); // behind: at the lower border, on its side
     const [chip, name, far, arrow] = label.children as unknown as HTMLElement[];
     setText(chip!, thingLetter(mark.thing));
     setText(name!, mark.text);
-    setText(far!, `${mark.far.toFixed(mark.far < 10 ? 1 : 0)} m`);
+    setText(far!, mark.far === null ? "" : `${mark.far.toFixed(mark.far < 10 ? 1 : 0)} m`);
     const half = label.offsetWidth / 2 + EDGE_PX;
     const left = ((at.x + 1) / 2) * width;
     const x = Math.min(Math.max(left, half), width - half);
@@ -60,7 +65,9 @@ export class Labels {
     label.classList.toggle("outside", outside);
     label.classList.toggle("near", mark.near);
     label.style.setProperty("--tone", thingColor(mark.thing));
-    label.style.transform = `translate(${x}px, ${((1 - y) / 2) * height}px) translate(-50%, -50%)`;
+    const top = ((1 - y) / 2) * height;
+    const down = x + half > free.x ? Math.min(top, free.y - LABEL_PX) : top;
+    label.style.transform = `translate(${x}px, ${down}px) translate(-50%, -50%)`;
     if (outside) arrow!.style.transform = `rotate(${Math.atan2(((y - at.y) / 2) * height, left - x)}rad)`;
   }
 

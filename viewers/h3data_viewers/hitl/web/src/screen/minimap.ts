@@ -34,8 +34,7 @@ export class MiniMap {
     this.scale = PX_PER_M * Math.min(devicePixelRatio, 2);
     canvas.width = Math.round(shape[0] * cell * this.scale);
     canvas.height = Math.round(shape[1] * cell * this.scale);
-    canvas.style.width = `${shape[0] * cell * PX_PER_M}px`;
-    canvas.style.aspectRatio = `${shape[0]} / ${shape[1]}`;
+    canvas.style.setProperty("--wide", `${shape[0] * cell * PX_PER_M}px`);
     this.brush = canvas.getContext("2d")!;
     this.plan = this.drawPlan(canvas.width, canvas.height);
   }

@@ -1,0 +1,81 @@
+/** A scripted player in a real browser without a window. */
+
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+
+const BUSY = 8;
+const START_MS = 60_000;
+const emulator = createRequire(import.meta.url).resolve("iwer/build/iwer.min.js");
+
+export async function openPage(url, { width = 1280, height = 720, headset = false, touch = false } = {}) {
+  const browser = await chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"],
+  });
+  const context = await browser.newContext({ viewport: { width, height }, hasTouch: touch });
+  const page = await context.newPage();
+  const faults = [];
+  page.on("console", (message) => message.type() === "error" && faults.push(message.text()));
+  page.on("pageerror", (error) => faults.push(error.message));
+  if (headset) {
+    await page.addInitScript({ path: emulator });
+    await page.addInitScript(() => {
+      const device = new window.IWER.XRDevice(window.IWER.metaQuest3);
+      device.installRuntime({ forceInstall: true }); // Chromium has a `navigator.xr` of its own, without any device
+      window.headset = device;
+    });
+  }
+  await page.goto(url);
+  return new Player(browser, page, faults);
+}
+
+export class Player {
+  constructor(browser, page, faults) {
+    Object.assign(this, { browser, page, faults });
+  }
+
+  /** Evaluates an expression in the page. Playwright's waitForFunction needs `eval` there, which the page's policy forbids. */
+  ask(expression) {
+    return this.page.evaluate(expression);
+  }
+
+  nap(ms) {
+    return this.page.waitForTimeout(ms);
+  }
+
+  async until(expression, what, ms = 30_000) {
+    for (const end = Date.now() + ms; Date.now() < end; await this.nap(50)) if (await this.ask(expression)) return;
+    const cover = await this.ask("document.body.dataset.state + ': ' + document.getElementById('cover').innerText");
+    throw new Error(`Waited ${ms / 1000} s for ${what}; the page says ${cover}; faults: ${this.faults.join(" | ")}`);
+  }
+
+  started() {
+    return this.until("!!window.probe && probe.game.frames > 2 && document.body.dataset.state === 'playing'", "the first frame", START_MS);
+  }
+
+  async press(key, ms = 60) {
+    await this.page.keyboard.down(key);
+    await this.nap(ms);
+    await this.page.keyboard.up(key);
+  }
+
+  /** Until no skill and no walk of the server's moves the player's body. */
+  async idle(ms = 60_000) {
+    await this.nap(300);
+    await this.until(`!!probe.over || (probe.game.net.latest.flags & ${BUSY}) === 0`, "the body to stand", ms);
+  }
+
+  get over() {
+    return this.ask("window.probe.over");
+  }
+
+  shot(path) {
+    return path ? this.page.screenshot({ path }) : undefined;
+  }
+
+  async close() {
+    const stats = await this.ask("window.probe ? probe.stats() : null");
+    await this.browser.close();
+    return { ...stats, faults: this.faults };
+  }
+}

@@ -1,0 +1,135 @@
+/** Plays one scenario against a running server and prints what happened as JSON.
+ *
+ * node play.mjs SCENARIO URL [PICTURES]
+ */
+
+import { openPage } from "./browser.mjs";
+
+const [scenario, url, pictures = ""] = process.argv.slice(2);
+const picture = (name) => (pictures ? `${pictures}_${name}.png` : "");
+
+/** The whole task by one key: F leads to the next thing and takes it, then to its place and puts it there. */
+async function task() {
+  const player = await openPage(url);
+  await player.started();
+  await player.shot(picture("start"));
+  for (let k = 0; k < 14 && !(await player.over); k++) {
+    await player.press("f");
+    await player.idle();
+    if (k < 2) await player.shot(picture(k ? "put" : "taken"));
+  }
+  await player.until("!!probe.over", "the end of the episode");
+  await player.shot(picture("end"));
+  return { over: await player.over, ...(await player.close()) };
+}
+
+/** Walks about by keys: how far prediction and server are apart, and how soon a key shows. */
+async function walk() {
+  const player = await openPage(`${url}?plain&dpr=0.25`, { width: 480, height: 300 });
+  await player.started();
+  const from = await player.ask("({ ...probe.game.shown })");
+  for (let k = 0; k < 12; k++) {
+    await player.press("w", 180 + 29 * k);
+    await player.press(k % 3 ? "a" : "d", 150 + 23 * k);
+    await player.nap(80);
+  }
+  await player.nap(500);
+  const to = await player.ask("({ ...probe.game.shown })");
+  return { walked: Math.hypot(to.x - from.x, to.z - from.z), ...(await player.close()) };
+}
+
+/** Clicks on the floor and is walked there. */
+async function click() {
+  const player = await openPage(url);
+  await player.started();
+  const from = await player.ask("({ ...probe.game.shown })");
+  await player.page.mouse.click(640, 600);
+  await player.idle();
+  const to = await player.ask("({ ...probe.game.shown })");
+  await player.shot(picture("clicked"));
+  return { walked: Math.hypot(to.x - from.x, to.z - from.z), ...(await player.close()) };
+}
+
+/** Loses the connection for a moment and goes on in the same seat. */
+async function reconnect() {
+  const player = await openPage(url);
+  await player.started();
+  await player.press("w", 300);
+  const step = await player.ask("probe.game.net.latest.step");
+  await player.ask("probe.drop(); 0");
+  await player.until("document.body.dataset.state === 'lost'", "the page to say that the connection is lost", 5000);
+  await player.shot(picture("lost"));
+  await player.until("document.body.dataset.state === 'playing'", "the connection to be back", 10_000);
+  await player.press("w", 300);
+  await player.nap(500);
+  return { before: step, after: await player.ask("probe.game.net.latest.step"), ...(await player.close()) };
+}
+
+/** A person in a headset: looks, walks, turns, moves a hand, takes and puts down by the trigger. */
+async function headset() {
+  const player = await openPage(url, { headset: true, width: 960, height: 540 });
+  await player.started();
+  const left = (call) => player.ask(`headset.controllers.left.${call}; 0`);
+  const right = (call) => player.ask(`headset.controllers.right.${call}; 0`);
+  await player.page.click("#button-vr");
+  await player.until("probe.game.headset.on", "the headset to be entered");
+  await player.nap(1500);
+  const from = await player.ask("({ ...probe.game.shown })");
+  await player.ask("headset.position.set(0.05, 1.62, 0.1); 0");
+  await right("position.set(0.3, 1.15, -0.3)");
+  await left("updateAxes('thumbstick', 0, -1)");
+  await player.nap(900);
+  await left("updateAxes('thumbstick', 0, 0)");
+  await player.nap(400);
+  const to = await player.ask("({ ...probe.game.shown })");
+  await right("updateAxes('thumbstick', 1, 0)");
+  await player.nap(300);
+  await right("updateAxes('thumbstick', 0, 0)");
+  await right("updateButtonValue('squeeze', 1)");
+  await player.nap(1500);
+  await player.shot(picture("hand"));
+  await right("updateButtonValue('squeeze', 0)");
+  const held = [];
+  for (let k = 0; k < 14 && !(await player.over); k++) {
+    await right("updateButtonValue('trigger', 1)");
+    await player.nap(400);
+    await right("updateButtonValue('trigger', 0)");
+    await player.idle();
+    held.push(await player.ask("probe.game.now.held"));
+    if (k === 0) await player.shot(picture("taken"));
+  }
+  return { walked: Math.hypot(to.x - from.x, to.z - from.z), held, over: await player.over, ...(await player.close()) };
+}
+
+/** Watches others play. */
+async function watch() {
+  const player = await openPage(url);
+  await player.started();
+  await player.nap(2500);
+  await player.shot(picture("watched"));
+  return { me: await player.ask("probe.game.manifest.me"), ...(await player.close()) };
+}
+
+/** Pages of other sizes and hands: a phone, a laptop at 200 %, the help by keyboard alone. */
+async function sizes() {
+  const phone = await openPage(url, { width: 844, height: 390, touch: true });
+  await phone.started();
+  await phone.page.touchscreen.tap(430, 250);
+  await phone.nap(1200);
+  await phone.shot(picture("phone"));
+  await phone.close();
+  const zoomed = await openPage(url, { width: 640, height: 360 });
+  await zoomed.started();
+  await zoomed.shot(picture("zoomed"));
+  const overflow = await zoomed.ask("[...document.querySelectorAll('#task, #bar, #map')].map((n) => { const b = n.getBoundingClientRect(); return b.left >= 0 && b.top >= 0 && b.right <= innerWidth && b.bottom <= innerHeight; })");
+  for (let k = 0; k < 12 && (await zoomed.ask("document.activeElement.id")) !== "button-help"; k++) await zoomed.press("Tab");
+  await zoomed.press("Enter");
+  await zoomed.nap(300);
+  const help = await zoomed.ask("document.getElementById('help').open");
+  await zoomed.shot(picture("help"));
+  return { inside: overflow.every(Boolean), help, ...(await zoomed.close()) };
+}
+
+const SCENARIOS = { task, walk, click, reconnect, headset, watch, sizes };
+if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
+console.log(JSON.stringify(await SCENARIOS[scenario]()));
