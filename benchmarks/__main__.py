@@ -25,6 +25,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--episodes", type=int, help="episodes of each task, for groups that simulate some (penetration)"
     )
+    parser.add_argument(
+        "--robot",
+        action="append",
+        metavar="NAME|FILE",
+        help="a robot by name or URDF, or 'all' that are shipped, again for more (penetration; default: quad_arm)",
+    )
     options = parser.parse_args(arguments)
     wanted: list[str] = options.groups
     if options.episodes is not None and options.episodes < 1:
@@ -41,8 +47,9 @@ def main(arguments: list[str]) -> int:
 
     for group in [g for g in GROUPS if not wanted or any(g == w or g.startswith(w + "_") for w in wanted)]:
         run = importlib.import_module(f"benchmarks.{group}").run
-        counted = options.episodes is not None and "episodes" in inspect.signature(run).parameters
-        run(emit, **({"episodes": options.episodes} if counted else {}))
+        given = {"episodes": options.episodes, "robots": options.robot}
+        takes = inspect.signature(run).parameters
+        run(emit, **{name: value for name, value in given.items() if value is not None and name in takes})
     record = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(["python -m benchmarks", *arguments]),

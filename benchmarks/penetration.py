@@ -2,7 +2,10 @@
 ``h3-homes/test``, or in as many as ``--episodes`` says.
 
 ``penetration.<task>.above_2cm`` is the share of steps in which any part of any agent is deeper than 2 cm, outside contact that
-it intends: while an agent picks or places, its hands and what they hold do not count.
+it intends: while an agent picks or places, the hand, the forearm and what it holds may be in what the object lies on.
+
+``--robot`` measures other robots, by name or URDF; ``--robot all`` every shipped one, minutes for each. Their figures are
+called ``penetration.<robot>.<task>``, but those of ``quad_arm``.
 
 For each task and kind of agent, and each part of its body that ever is deeper than 2 mm: the share of steps in which it is
 deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``arm`` arms, hands and what they hold; of people
@@ -10,17 +13,18 @@ deeper than 2 mm, 2 cm, 5 cm, and the worst. ``any`` is any part of an agent, ``
 ``robot.handling.through_walls``: picks and places of robots whose straight line from the arm's base to 10 cm over the object
 goes through a wall.
 
-    python -m benchmarks penetration --episodes 10
+    python -m benchmarks penetration --episodes 10 --robot all --robot fetch.urdf
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from h3data.bodies import Robot
+from h3data.bodies import Robot, load_robot
+from h3data.bodies.robots.robot_files import robot_names
 from h3data.errors import SceneError
 from h3data.habitat.scene_names import named_scenes, open_free_space, open_scene
 from h3data.recording import Recording
@@ -37,41 +41,50 @@ from sim_kinematic.tasks.social_nav import SocialNav
 from sim_kinematic.tasks.wander import Wander
 
 Emit = Callable[[str, float, str], None]
+DEFAULT_ROBOT, ALL_ROBOTS = "quad_arm", "all"
 DEPTHS_M = {"2mm": 0.002, "2cm": 0.02, "5cm": 0.05}
 BODIES = ("female_0", "male_1", "female_2", "male_2")
-WANDERERS = "robot,human,male_1"
+WANDERERS = "robot:{robot},human,male_1"
 WANDER_STEPS = 600
 WALLS = "walls"
 """Name of the instance in our homes."""
 
 
-def run(emit: Emit, episodes: int = 50) -> None:
-    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*``."""
-    for task, recordings in EPISODES.items():
-        found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
-        crossed: list[bool] = []
-        above: list[NDArray[np.bool_]] = []
-        for recording in recordings(episodes):
-            crossed += _through_walls(recording)
-            measured = penetrations(recording)
-            above.append(unintended_depth(recording, measured) > DEPTHS_M["2cm"])
-            for kind, part, depth in _depths(recording, measured):
-                found.setdefault((kind, part), []).append(depth)
-        steps = np.concatenate(above)
-        emit(f"penetration.{task}.above_2cm", float(steps.mean()), f"of {len(steps)} steps, any part of any agent")
-        for (kind, part), parts in found.items():
-            depth = np.concatenate(parts)
-            if part != "any" and depth.max() <= DEPTHS_M["2mm"]:
-                continue
-            name = f"penetration.{task}.{kind}.{part}"
-            for label, limit in DEPTHS_M.items():
-                emit(f"{name}.over_{label}", 100 * float((depth > limit).mean()), "% of steps")
-            emit(f"{name}.worst", 1000 * float(depth.max()), "mm")
-            emit(f"{name}.steps", len(depth), "steps")
-        if crossed:
-            name = f"penetration.{task}.robot.handling"
-            emit(f"{name}.through_walls", 100 * float(np.mean(crossed)), "% of picks and places")
-            emit(f"{name}.count", len(crossed), "picks and places")
+def run(emit: Emit, episodes: int = 50, robots: Sequence[str] = (DEFAULT_ROBOT,)) -> None:
+    """Emits ``penetration.<task>.above_2cm`` and ``penetration.<task>.<kind>.<part>.*`` of each robot."""
+    names = [name for robot in robots for name in (robot_names() if robot == ALL_ROBOTS else (robot,))]
+    for robot in dict.fromkeys(names):
+        group = "penetration" if robot == DEFAULT_ROBOT else f"penetration.{load_robot(robot).name}"
+        for task, recordings in EPISODES.items():
+            _measure(emit, f"{group}.{task}", recordings(episodes, robot))
+
+
+def _measure(emit: Emit, name: str, recordings: Iterator[Recording]) -> None:
+    """Emits the figures of some recordings, under a name."""
+    depths: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+    crossed: list[bool] = []
+    above: list[NDArray[np.bool_]] = []
+    for recording in recordings:
+        crossed += _through_walls(recording)
+        measured = penetrations(recording)
+        above.append(unintended_depth(measured) > DEPTHS_M["2cm"])
+        for kind, part, depth in _depths(recording, measured):
+            depths.setdefault((kind, part), []).append(depth)
+    steps = np.concatenate(above) if above else np.zeros(0, np.bool_)
+    if not len(steps):  # this robot fits into none of the homes
+        return
+    emit(f"{name}.above_2cm", float(steps.mean()), f"of {len(steps)} steps, any part of any agent")
+    for (kind, part), parts in depths.items():
+        depth = np.concatenate(parts)
+        if part != "any" and depth.max() <= DEPTHS_M["2mm"]:
+            continue
+        for label, limit in DEPTHS_M.items():
+            emit(f"{name}.{kind}.{part}.over_{label}", 100 * float((depth > limit).mean()), "% of steps")
+        emit(f"{name}.{kind}.{part}.worst", 1000 * float(depth.max()), "mm")
+        emit(f"{name}.{kind}.{part}.steps", len(depth), "steps")
+    if crossed:
+        emit(f"{name}.robot.handling.through_walls", 100 * float(np.mean(crossed)), "% of picks and places")
+        emit(f"{name}.robot.handling.count", len(crossed), "picks and places")
 
 
 def _through_walls(recording: Recording) -> list[bool]:
@@ -116,32 +129,32 @@ def _homes(episodes: int) -> Iterator[tuple[int, Scene, FreeSpace]]:
         yield seed, open_scene(source), open_free_space(source, rules.agent_radius_m, rules.agent_height_m)
 
 
-def _social_nav(episodes: int) -> Iterator[Recording]:
+def _social_nav(episodes: int, robot: str) -> Iterator[Recording]:
     rules = SocialNavSpec(end_on_collision=False)
     for seed, scene, free in _homes(episodes):
         human = BODIES[seed % len(BODIES)]
-        yield simulate(SocialNav(), SocialNav().episode(scene, seed=seed, spec=rules, free=free, human=human))
+        yield simulate(
+            SocialNav(), SocialNav().episode(scene, seed=seed, spec=rules, free=free, robot=robot, human=human)
+        )
 
 
-def _rearrange(episodes: int) -> Iterator[Recording]:
+def _rearrange(episodes: int, robot: str) -> Iterator[Recording]:
     for seed, scene, free in _homes(episodes):
         try:
-            yield simulate(Rearrange(), Rearrange().episode(scene, seed=seed, free=free))
+            yield simulate(Rearrange(), Rearrange().episode(scene, seed=seed, free=free, robot=robot))
         except SceneError:  # no room for the task in this home
             continue
 
 
-def _wander(episodes: int) -> Iterator[Recording]:
+def _wander(episodes: int, robot: str) -> Iterator[Recording]:
+    rules, agents = SocialNavSpec(max_steps=WANDER_STEPS), WANDERERS.format(robot=robot)
     for seed, scene, free in _homes(episodes):
-        yield simulate(
-            Wander(),
-            Wander().episode(scene, seed=seed, spec=SocialNavSpec(max_steps=WANDER_STEPS), agents=WANDERERS, free=free),
-        )
+        yield simulate(Wander(), Wander().episode(scene, seed=seed, spec=rules, agents=agents, free=free))
 
 
-EPISODES: dict[str, Callable[[int], Iterator[Recording]]] = {
+EPISODES: dict[str, Callable[[int, str], Iterator[Recording]]] = {
     "social_nav": _social_nav,
     "rearrange": _rearrange,
     "wander": _wander,
 }
-"""A number of episodes of each task, in the test homes in turn."""
+"""A number of episodes of each task with one robot, in the test homes in turn."""

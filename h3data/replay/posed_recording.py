@@ -255,7 +255,7 @@ class PosedRecording:
         if self.stepping and self.plants_feet:
             quats, pelvis = pose_planted(body.gait_tables, self._gait_of(agent, body)[steps])
             if arms is not None:
-                draw_in(quats, arms)
+                draw_in(quats, arms, shoulders_forward=True)
             return body.joint_matrices(columns[prefix + "base_pose"][steps], quats, pelvis)
         quats, pelvis = body.clip_pose(
             columns[prefix + "motion_id"][steps],

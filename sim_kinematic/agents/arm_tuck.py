@@ -13,10 +13,11 @@ import numpy as np
 
 from h3data.bodies import Humanoid
 from h3data.bodies.people.reach import Hand
-from h3data.geometry import IDENTITY_POSE
+from h3data.geometry import IDENTITY_POSE, Array
 from h3data.kernels import kernel
 from h3data.scene import FreeSpace
-from sim_kinematic.motion.spec import ArmRoomSpec
+from h3data.scene.freespace.free_space import sample_sdf
+from sim_kinematic.motion.spec import STEP_S, ArmRoomSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 
 ROUNDING = 1e-9
@@ -28,6 +29,13 @@ LOOKS = 3
 meanwhile change nothing: a line is done when no further look can change its arm."""
 HANDS: tuple[Hand, ...] = ("left", "right")
 """In the order of `HumanState.arms`."""
+CARRY_FREE_M, CARRY_TIGHT_M = 0.14, 0.06
+"""A hand that carries something is held out where this much room is around its palm, and close to the body where only this
+much is: hand and object reach 8 to 10 cm beyond the palm."""
+FAN = np.linspace(-1.0, 1.0, 9) * 1.2
+"""Turns of the body [rad] that are looked ahead."""
+ONWARD = np.array([0.25, 0.5, 0.75])
+"""Distances [m] straight ahead that are looked ahead."""
 
 
 @kernel(error_model="numpy")
@@ -112,6 +120,41 @@ def draw_arms(
         free.sdf, free.origin, free.cell_m, state.xz, state.heading, state.arms,
         HANDS.index(busy) if busy else -1, rules.rate, rules.aside_m, width + rules.free_m, width + rules.tight_m,
         rules.within_m, rules.fade_m, rules.step_m,
+    )  # fmt: skip
+
+
+@kernel(error_model="numpy")
+def _held_close(sdf, origin, cell, x, z, heading, ahead, aside, per_rad, per_m, free, tight, fan, onward):
+    """How close to the body a hand has to be now, 0..1, so that it is close enough where the body may be soon.
+
+    The hand is ``ahead`` of the body and ``aside`` to its right when held out. A turn of 1 rad takes as long as coming in by
+    ``per_rad``, a metre ahead as long as ``per_m``.
+    """
+    most = 0.0
+    for turn in fan:
+        c, s = math.cos(heading + turn), math.sin(heading + turn)
+        room = sample_sdf(sdf, origin, cell, x + c * ahead + s * aside, z - s * ahead + c * aside)
+        most = max(most, min((free - room) / (free - tight), 1.0) - per_rad * abs(turn))
+    c, s = math.cos(heading), math.sin(heading)
+    for further in onward:
+        far = ahead + further
+        room = sample_sdf(sdf, origin, cell, x + c * far + s * aside, z - s * far + c * aside)
+        most = max(most, min((free - room) / (free - tight), 1.0) - per_m * further)
+    return most
+
+
+def held_close(
+    free: FreeSpace, xz: Array, heading: float, hand: tuple[float, float], spec: WalkerSpec, rules: ArmRoomSpec
+) -> float:
+    """Returns how close to the body a person has to hold what they carry, 0 (held out) to 1, at a place [2] and heading.
+
+    ``hand`` is where the hand is when held out: ahead of the body and to its right [m]. They look ahead as far as the arm
+    needs at ``rules.rate`` per step while they turn and walk at the limits of ``spec``.
+    """
+    return _held_close(
+        free.sdf, free.origin, free.cell_m, xz[0], xz[1], heading, hand[0], hand[1],
+        rules.rate / (spec.turn_rad_s * STEP_S), rules.rate / (spec.speed_mps * STEP_S), CARRY_FREE_M, CARRY_TIGHT_M,
+        FAN, ONWARD,
     )  # fmt: skip
 
 

@@ -2,6 +2,10 @@
 
 The base of a robot and the path of a person keep out of walls and furniture; arms and feet are not looked at while an episode
 runs. This looks at them afterwards.
+
+The one contact that an agent intends: while it picks or places, the hand, the forearm of a person and what the hand holds may
+be in the thing on or in which the object lies, or is to lie, because what is taken from a shelf is taken from inside it.
+Anything else counts: the same hand in the wall beside the shelf, an upper arm in the shelf, the carried object on its way.
 """
 
 from __future__ import annotations
@@ -23,13 +27,13 @@ from h3data.scene.records import Capsule, instance_matrix
 from h3data.scene.shape_bounds import shape_bounds
 from sim_kinematic.agents.arm_contact import arm_links
 from sim_kinematic.contact import FclScene, MovingShapes, contacts
-from sim_kinematic.contact.clearance import FLOOR_M
+from sim_kinematic.contact.clearance import FLOOR_M, supports
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 
 CORE_M = 1e-3
 """Radius of the thin capsule within a capsule, from which depth is measured."""
-REACHING = ("pick", "place", "drop", "hand_over")
-"""Skills in which hands are to touch something."""
+REACHING = ("pick", "place", "drop")
+"""Skills in which a hand goes to what something lies on."""
 HELD = "held object"
 """The part under which everything that an agent carries is counted."""
 
@@ -42,8 +46,8 @@ class Penetration(NamedTuple):
     """Capsules of a person, links of a robot (``arm``: those that move its hand), and `HELD`."""
     arm: NDArray[np.bool_]
     """Which parts are arms, hands and what they hold, [P]."""
-    hand: NDArray[np.bool_]
-    """Which parts are hands and what they hold, [P]."""
+    reaching: NDArray[np.bool_]
+    """Parts that may be in what an object lies on while it is picked or placed: hands, people's forearms, what is held, [P]."""
     steps: NDArray[np.intp]
     """The steps that were looked at, [T]."""
     depth_m: NDArray[np.float64]
@@ -52,6 +56,13 @@ class Penetration(NamedTuple):
     the world."""
     thing: NDArray[np.object_]
     """Name of the instance in which it is deepest, empty where none, [T, P]."""
+    intended: NDArray[np.bool_]
+    """Which of these contacts the agent intends, [T, P]."""
+
+    @property
+    def unintended_m(self) -> NDArray[np.float64]:
+        """``depth_m`` outside contact that the agent intends, [T, P] [m]."""
+        return np.where(self.intended, 0.0, self.depth_m)
 
 
 def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
@@ -71,14 +82,11 @@ def penetrations(recording: Recording, *, every: int = 1) -> list[Penetration]:
     return [_of_agent(replay, k, steps, scenery) for k, agent in enumerate(recording.agents) if agent.model]
 
 
-def unintended_depth(recording: Recording, measured: Sequence[Penetration]) -> NDArray[np.float64]:
-    """Returns how deep the deepest part of any agent is in each step that was looked at, [T] [m].
-
-    While an agent picks or places, its hands and what they hold do not count: they are to touch what they reach for.
-    """
+def unintended_depth(measured: Sequence[Penetration]) -> NDArray[np.float64]:
+    """Returns how deep the deepest part of any agent is in each step looked at, outside contact it intends, [T] [m]."""
     deepest = np.zeros(len(measured[0].steps) if measured else 0)
     for found in measured:
-        deepest = np.maximum(deepest, _outside_contact(recording, found).max(1))
+        deepest = np.maximum(deepest, found.unintended_m.max(1))
     return deepest
 
 
@@ -91,7 +99,7 @@ def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list
         return []
     findings = []
     for found in penetrations(recording):
-        depth = _outside_contact(recording, found)
+        depth = found.unintended_m
         for part, deep, things in zip(found.parts, depth.T, found.thing.T, strict=True):
             over = deep > limit_m
             if not over.any():
@@ -113,14 +121,19 @@ def penetration_findings(recording: Recording, *, limit_m: float = 0.02) -> list
     return findings
 
 
-def _outside_contact(recording: Recording, found: Penetration) -> NDArray[np.float64]:
-    """Depths [T, P] of an agent, 0 for hands and what they hold while it picks or places."""
-    agent, codes = recording.agents[found.agent], recording.columns.get(f"agent_{found.agent}.skill")
-    depth = found.depth_m.copy()
-    if codes is not None:
-        reaching = [code for code, name in enumerate(agent.skill_names) if name in REACHING]
-        depth[np.ix_(np.isin(codes[found.steps], reaching), found.hand)] = 0.0
-    return depth
+def _supports(recording: Recording, agent: int, steps: NDArray[np.intp], scenery: _Scenery) -> list[frozenset[str]]:
+    """Names of the things on which the object lies, or is to lie, that an agent picks or places in each step."""
+    moving = {body.name: body.moving for body in recording.bodies}
+    found = [frozenset[str]()] * len(steps)
+    for span in recording.skills:
+        if span.agent != agent or span.name not in REACHING or moving.get(span.target, -1) < 0:
+            continue
+        lies_at = span.start_step if span.name == "pick" else min(span.end_step, len(recording) - 1)
+        point = recording.columns["object_pose"][lies_at, moving[span.target], :3].astype(np.float64)
+        things = frozenset(scenery.supports(point))
+        for row in np.flatnonzero((steps >= span.start_step) & (steps <= span.end_step)):
+            found[row] = things
+    return found
 
 
 def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Scenery) -> Penetration:
@@ -130,22 +143,27 @@ def _of_agent(replay: Replay, number: int, steps: NDArray[np.intp], scenery: _Sc
         parts = tuple(link.name for link in body.links)
         of_part = np.array([k for k, link in enumerate(body.links) for _ in link.shapes])
         arm = np.isin(np.arange(len(parts)), arm_links(body)) if body.hand_link >= 0 else np.zeros(len(parts), np.bool_)
-        hand = np.array(
+        reaching = np.array(
             [link == body.hand_link or body.links[link].parent == body.hand_link for link in range(len(parts))]
         )
-        hand &= body.hand_link >= 0
+        reaching &= body.hand_link >= 0
     else:
         frames = replay.joint_matrices(number, steps)
         parts = tuple(capsule.name for capsule in body.capsules)
         of_part = np.arange(len(parts))
         arm = np.array([name.endswith(("upper_arm", "forearm", "hand")) for name in parts])
-        hand = np.array([name.endswith("hand") for name in parts])
+        reaching = np.array([name.endswith(("forearm", "hand")) for name in parts])
     depth, thing = scenery.depths(body_shapes(body), _lifted(shape_frames(body, frames), body))
     depth, thing = _deepest(depth, thing, of_part, len(parts))
     held_depth, held_thing = _held(replay, number, steps, scenery)
+    depth, thing = np.column_stack([depth, held_depth]), np.column_stack([thing, held_thing])
+    reaching, intended = np.append(reaching, True), np.zeros(depth.shape, np.bool_)
+    for row, things in enumerate(_supports(replay.recording, number, steps, scenery)):
+        if things:
+            intended[row] = reaching & np.isin(thing[row], list(things))
     return Penetration(
-        agent=number, parts=(*parts, HELD), arm=np.append(arm, True), hand=np.append(hand, True), steps=steps,
-        depth_m=np.column_stack([depth, held_depth]), thing=np.column_stack([thing, held_thing]),
+        agent=number, parts=(*parts, HELD), arm=np.append(arm, True), reaching=reaching, steps=steps, depth_m=depth,
+        thing=thing, intended=intended,
     )  # fmt: skip
 
 
@@ -224,6 +242,10 @@ class _Scenery:
                 if deep > depth[t, b]:
                     depth[t, b], thing[t, b] = deep, self._scene.names[a]
         return depth, thing
+
+    def supports(self, point: Array) -> set[str]:
+        """Names of the things on which something at a world point [3] lies."""
+        return supports(self._scene, point)
 
     def _gap(self, a: int, cores: MovingShapes, b: int) -> float:
         """Distance [m] from thing ``a`` to the core of capsule ``b``, not above 0 where it is inside."""

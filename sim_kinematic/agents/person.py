@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from h3data.bodies import JOINT_INDEX, Humanoid
-from h3data.bodies.people.arms import draw_in
-from h3data.bodies.people.planted_gait import PlantedWalk
+from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
+from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
 from h3data.bodies.people.reach import (
     BaseMotion,
     Hand,
@@ -49,7 +49,7 @@ from h3data.geometry import (
     wrap_angle,
 )
 from h3data.scene import FreeSpace
-from sim_kinematic.agents.arm_tuck import HANDS, draw_arms
+from sim_kinematic.agents.arm_tuck import HANDS, draw_arms, held_close
 from sim_kinematic.motion.gait import walk_humans
 from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
@@ -71,6 +71,8 @@ SETTLE_STEPS = 45
 FADE_STEPS = 12
 """Steps over which walking goes over into reaching and back. A line of the hand takes no fewer, so its end is exact. Without
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
+CLOSE_ENOUGH = 0.1
+"""What lacks of holding something close to the body while a person begins to walk."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -134,10 +136,13 @@ class Person:
         map, by which she draws in her arms where ``spec.arms`` says how."""
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
+        self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
+        """How close to the body each hand carries what it holds, 0 (held out) to 1."""
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
         self.held: dict[Hand, _Held] = {}
         self.base = np.array(base_pose, np.float64)
-        self.walk = PlantedWalk(body.gait_tables, self.base)
+        tables = body.gait_tables if free is None else on_floor(body.gait_tables, free)
+        self.walk = PlantedWalk(tables, self.base)
         """Where the feet are, and what they do."""
         self.transition = Transition()
         self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
@@ -267,6 +272,7 @@ class Person:
             name, pose_multiply(pose_inverse(palm), self.objects[name]), quat_multiply(heading, self.objects[name][3:])
         )
         yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
+        yield from self._take_close(hand)
         return SkillResult(success=True, hand_error_m=error)
 
     def place(self, position: ArrayLike, hand: Hand = "right") -> Skill:
@@ -386,21 +392,44 @@ class Person:
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
         """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something
-        and do not move keep carrying it."""
+        and do not move keep carrying it, close to the body where there is little room."""
         quats = quats.copy()
         if self.free is not None and self.spec.arms is not None:
             self._drawn.xz[0], self._drawn.heading[0] = self.base[[0, 2]], heading_from_quat(self.base[3:])
             draw_arms(self._drawn, self.free, self.body, self.spec.arms, busy=moving)
-            draw_in(quats[None], self._drawn.arms)
+            draw_in(quats[None], self._drawn.arms, shoulders_forward=True)
+            for hand, close in self._close.items():
+                step = self._wanted_close(hand, moving) - close
+                self._close[hand] = close + min(max(step, -self.spec.arms.rate), self.spec.arms.rate)
         for hand in self.held:
             if hand != moving:
                 joints, arm = self._carry_arm(hand)
-                quats[joints] = arm
+                near = CARRY_CLOSE[HANDS.index(hand)]
+                quats[joints] = quat_nlerp(arm, near, np.full(len(joints), self._close[hand]))
         return quats
+
+    def _wanted_close(self, hand: Hand, moving: Hand | None = None) -> float:
+        """How close to the body a hand should carry what it holds, 0 where it holds nothing or moves."""
+        rules = self.spec.arms
+        if self.free is None or rules is None or hand == moving or hand not in self.held:
+            return 0.0
+        k = HANDS.index(hand)
+        ahead, _, aside = self._carry_point(hand).tolist()
+        heading = float(heading_from_quat(self.base[3:]))
+        wanted = held_close(self.free, self.base[[0, 2]], heading, (ahead, aside), self.spec, rules)
+        return max(wanted, float(self._drawn.arms[0, k]))
+
+    def _take_close(self, hand: Hand) -> Generator[None, None, None]:
+        """Stands until what a hand has taken is as close to the body as the room for turning and walking asks for."""
+        for _ in range(FADE_STEPS):
+            if self._wanted_close(hand) <= self._close[hand] + CLOSE_ENOUGH:
+                return
+            self.stride()
+            yield
 
     def _carry_arm(self, hand: Hand) -> tuple[list[int], Array]:
         if hand not in self._carry_arms:
-            joints = [JOINT_INDEX[f"{hand}_{part}"] for part in ("collar", "shoulder", "elbow", "wrist")]
+            joints = CARRY_JOINTS[HANDS.index(hand)].tolist()
             poses = reach_poses(self.body, self._carry_point(hand)[None], hand, trunk=0.0, arm=1.0)
             self._carry_arms[hand] = joints, poses.quats[0, joints]
         return self._carry_arms[hand]

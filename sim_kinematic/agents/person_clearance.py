@@ -17,8 +17,8 @@ from h3data.bodies.people.reach import Hand
 from h3data.geometry import IDENTITY_POSE, Array, ground_pose, pose_inverse, pose_multiply, pose_to_matrix
 from h3data.scene import Scene
 from sim_kinematic.agents.person import Person
-from sim_kinematic.contact import MovingShapes, capsule_transforms, contacts, shapes_from_capsules
-from sim_kinematic.contact.clearance import scenery_of
+from sim_kinematic.contact import MovingShapes, capsule_transforms, shapes_from_capsules
+from sim_kinematic.contact.clearance import scenery_of, supports
 
 TOLERANCE_M = 0.02
 """So deep a capsule may be in something: bodies are softer than capsules, and capsules a little thicker than bodies."""
@@ -34,8 +34,6 @@ WAYS_KEPT = 1000
 each distance of a stand. With 200, half of the time of `is_clear` went into computing them again."""
 ANSWERS_KEPT = 10_000
 """Answers that are remembered, 300 bytes each."""
-SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
-"""A thing in which the capsule from the point so far down is, of this radius, is what the point lies on."""
 
 
 class _Part(NamedTuple):
@@ -59,9 +57,6 @@ class ReachRoom:
                 _Part(rows, MovingShapes([thinner[k] for k in rows])) for rows in map(np.flatnonzero, (~reaches, reaches))
             )  # fmt: skip
             self._parts[hand] = trunk, arm
-        self._below = MovingShapes(
-            shapes_from_capsules(np.zeros((1, 3)), np.array([[0.0, SUPPORT_M, 0.0]]), SUPPORT_RADIUS_M)
-        )
         self._person = Person(body, IDENTITY_POSE)
         self._ways = _hand_ways(body)
         self._answers: dict[tuple[bytes, bytes, Hand], bool] = {}
@@ -82,13 +77,9 @@ class ReachRoom:
         trunk, arm = self._parts[hand]
         if trunk.shapes.touches_along(self._scenery, frames[:, trunk.rows]):
             return False
-        return not arm.shapes.touches_along(self._scenery, frames[:, arm.rows], except_for=self._supports(point))
-
-    def _supports(self, point: Array) -> set[str]:
-        upright = np.eye(4)
-        upright[:3, 3] = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M / 2, 0.0])
-        self._below.set_transforms(upright[None])
-        return {self._scenery.names[c.index_a] for c in contacts(self._scenery, self._below)}
+        return not arm.shapes.touches_along(
+            self._scenery, frames[:, arm.rows], except_for=supports(self._scenery, point)
+        )
 
     def _capsules(self, base: Array, point: Array, hand: Hand) -> NDArray[np.floating]:
         """Frames of the capsules on a hand's ways there, empty and full, in her root frame, [T, C, 4, 4]; last at the point.

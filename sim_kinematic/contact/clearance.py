@@ -12,9 +12,19 @@ from h3data.bodies import Humanoid, Robot
 from h3data.geometry import IDENTITY_POSE, Array, pose_to_matrix
 from h3data.scene import Scene
 from h3data.scene.shape_bounds import bounding_sphere
-from sim_kinematic.contact import AgentContacts, FclScene, MovingShapes, capsule_transforms, collide
+from sim_kinematic.contact import (
+    AgentContacts,
+    FclScene,
+    MovingShapes,
+    capsule_transforms,
+    collide,
+    contacts,
+    shapes_from_capsules,
+)
 from sim_kinematic.contact.frames import body_shapes, shape_frames
 
+SUPPORT_M, SUPPORT_RADIUS_M = 0.12, 0.02
+"""A thing in which the capsule from a point so far down is, of this radius, is what lies at that point rests on."""
 FLOOR_M = 0.02
 """What lies on the floor lower than this, such as a rug, is stood on."""
 REACH_MARGIN_M = 0.05
@@ -137,3 +147,18 @@ def _clip_capsules(
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Starts [T, C, 3], ends and radii of the capsules at frames [T] of clips, her root at ``base`` [T or 1, 7]."""
     return human.capsules_world(human.joint_matrices(base, *human.clip_pose(clip, phase, blend, arms=arms)))
+
+
+def supports(scenery: FclScene, point: Array) -> set[str]:
+    """Returns the names of the things on or in which something at a world point [3] lies."""
+    upright = np.eye(4)
+    upright[:3, 3] = np.asarray(point, np.float64) - np.array([0.0, SUPPORT_M / 2, 0.0])
+    below = _below()
+    below.set_transforms(upright[None])
+    return {scenery.names[contact.index_a] for contact in contacts(scenery, below)}
+
+
+@lru_cache(maxsize=1)
+def _below() -> MovingShapes:
+    end = np.array([[0.0, SUPPORT_M, 0.0]])
+    return MovingShapes(shapes_from_capsules(np.zeros((1, 3)), end, SUPPORT_RADIUS_M))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from h3data.bodies.people.legs import SIDES, X, Z, rotation
+from h3data.bodies.people.legs import SIDES, X, Y, Z, rotation
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.errors import InputError
 from h3data.geometry import Array, quat_from_matrix
@@ -14,22 +14,57 @@ HANG_DEG, FORWARD_DEG, TWIST_DEG = 83.0, 10.0, 28.0
 """A drawn-in upper arm: so far down from the T-pose, swung forward, and turned inwards about itself, which brings a bent
 forearm in front of the body."""
 
-_SHOULDERS = np.array([JOINT_INDEX[f"{side}_shoulder"] for side, _, _ in SIDES])
-_IN = np.stack(
-    [
-        quat_from_matrix(rotation(X, -FORWARD_DEG) @ rotation(Z, -sign * HANG_DEG) @ rotation(X, TWIST_DEG))
-        for _, sign, _ in SIDES
-    ]
+CLOSE_HANG_DEG, COLLAR_DEG = 88.0, 20.0
+"""Upper arm and collar of people with planted feet, whose shoulders go forward too: broad bodies are then 2.5 cm narrower a
+side, so that they fit between walls 50 cm apart. People of recordings before schema 1.5 keep `HANG_DEG`."""
+CARRY_FORWARD_DEG, CARRY_TWIST_DEG, CARRY_COLLAR_DEG, CARRY_ELBOW_DEG = -22.0, 18.0, 10.0, 118.0
+"""An arm that holds something close to the body: the elbow at the side and slightly back, the forearm across the belly."""
+
+
+def _shoulders(forward: float, hang: float, twist: float) -> Array:
+    """Rotations of the two shoulders, [2, 4]."""
+    return np.stack(
+        [
+            quat_from_matrix(rotation(X, -forward) @ rotation(Z, -sign * hang) @ rotation(X, twist))
+            for _, sign, _ in SIDES
+        ]
+    )
+
+
+def _about_y(degrees: float) -> Array:
+    """Rotations of two joints about the body's vertical in the T-pose, forward on both sides, [2, 4]."""
+    return np.stack([quat_from_matrix(rotation(Y, -sign * degrees)) for _, sign, _ in SIDES])
+
+
+_COLLARS, _SHOULDERS, _ELBOWS, _WRISTS = (
+    np.array([JOINT_INDEX[f"{side}_{joint}"] for side, _, _ in SIDES])
+    for joint in ("collar", "shoulder", "elbow", "wrist")
 )
-"""Rotations of the two shoulders then, [2, 4]."""
+_IN = _shoulders(FORWARD_DEG, HANG_DEG, TWIST_DEG)
+_CLOSE = _shoulders(FORWARD_DEG, CLOSE_HANG_DEG, TWIST_DEG)
+_COLLARS_IN = _about_y(COLLAR_DEG)
+_STRAIGHT = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+CARRY_JOINTS = np.stack([_COLLARS, _SHOULDERS, _ELBOWS, _WRISTS], axis=1)
+"""Joints of an arm, left and right, [2, 4]."""
+CARRY_CLOSE = np.stack(
+    [
+        _about_y(CARRY_COLLAR_DEG),
+        _shoulders(CARRY_FORWARD_DEG, CLOSE_HANG_DEG, CARRY_TWIST_DEG),
+        _about_y(CARRY_ELBOW_DEG),
+        _STRAIGHT,
+    ],
+    axis=1,
+)
+"""Their rotations where an arm holds something close to the body, [2, 4, 4]."""
 
 
-def draw_in(quats: Array, arms: ArrayLike) -> None:
-    """Draw the arms of poses in, in place.
+def draw_in(quats: Array, arms: ArrayLike, *, shoulders_forward: bool = False) -> None:
+    """Draws the arms of poses in, in place.
 
     Args:
-        quats: Local rotations [T, 55, 4] of arms that hang or swing. Only the shoulders change: elbows keep what they do.
+        quats: Local rotations [T, 55, 4] of arms that hang or swing. Shoulders and collars change; elbows keep what they do.
         arms: How far the left and the right arm are drawn in, 0 (as they are) to 1 (close to the body), [T, 2] or [2].
+        shoulders_forward: Closer, as people with planted feet do; else as in recordings before schema 1.5.
 
     Raises:
         InputError: there are not two finite numbers for each pose; then nothing has changed.
@@ -39,7 +74,10 @@ def draw_in(quats: Array, arms: ArrayLike) -> None:
     shares = every = np.asarray(arms, np.float64)
     if shares.shape == (2,):
         every = np.tile(shares, (len(quats), 1))
-    if every.shape != (len(quats), 2) or not tuck_all(quats, every, _SHOULDERS, _IN):
+    close = _CLOSE if shoulders_forward else _IN
+    if every.shape != (len(quats), 2) or not tuck_all(quats, every, _SHOULDERS, close):
         raise InputError(
             f"Expected how far two arms are drawn in, [{len(quats)}, 2] finite numbers, got shape {list(shares.shape)}."
         )
+    if shoulders_forward:
+        tuck_all(quats, every, _COLLARS, _COLLARS_IN)

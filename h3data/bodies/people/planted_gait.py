@@ -19,6 +19,7 @@ from h3data.geometry import Array, heading_from_quat
 
 if TYPE_CHECKING:
     from h3data.bodies.people.kernels.planted import GaitTables
+    from h3data.scene import FreeSpace
 
 SPEEDS_MPS = (0.0, 0.35, 0.6, 1.0, 1.3, 1.6, 2.5, 3.0, 4.0)
 """Rows of the tables; between them gaits are blended, also from walking (1.6) to jogging (2.5)."""
@@ -74,6 +75,18 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         swing_foot=swing_foot,
         swing_path=swing_path,
         to_root=TO_ROOT,
+        sdf=np.zeros((0, 0)),
+        origin=np.zeros(2),
+        cell_m=1.0,
+    )
+
+
+def on_floor(tables: GaitTables, free: FreeSpace) -> GaitTables:
+    """The gaits of a body whose feet keep out of the walls and furniture of a home."""
+    return tables._replace(
+        sdf=np.ascontiguousarray(free.sdf, np.float64),
+        origin=np.ascontiguousarray(free.origin, np.float64),
+        cell_m=float(free.cell_m),
     )
 
 
@@ -120,7 +133,7 @@ class PlantedWalk:
         """Puts both feet where they belong under a root [7]."""
         from h3data.bodies.people.kernels.planted import stand_one
 
-        stand_one(self.tables, self.state, *_on_floor(base))
+        stand_one(self.tables, self.state, *_place(base))
 
     @property
     def stands(self) -> bool:
@@ -133,7 +146,7 @@ class PlantedWalk:
         """Whether the root [7] is where the last step left it."""
         from h3data.bodies.people.kernels.planted import HEADING, X, Z
 
-        x, z, heading = _on_floor(base)
+        x, z, heading = _place(base)
         turned = np.abs((self.state[HEADING] - heading + np.pi) % (2 * np.pi) - np.pi)
         return bool(abs(self.state[X] - x) < 1e-6 and abs(self.state[Z] - z) < 1e-6 and turned < 1e-6)
 
@@ -141,7 +154,7 @@ class PlantedWalk:
         """Advances by 1/30 s, in which the root gets to ``base`` [7]."""
         from h3data.bodies.people.kernels.planted import step_one
 
-        step_one(self.tables, self.state, *_on_floor(base), STEP_S)
+        step_one(self.tables, self.state, *_place(base), STEP_S)
 
     def pose(self) -> tuple[Array, Array]:
         """Local rotations [55, 4] and the pelvis' place [3] in the agent root frame."""
@@ -156,6 +169,6 @@ class PlantedWalk:
         plant_legs(self.tables, self.state, quats, pelvis)
 
 
-def _on_floor(base: ArrayLike) -> tuple[float, float, float]:
+def _place(base: ArrayLike) -> tuple[float, float, float]:
     pose = np.asarray(base, np.float64)
     return float(pose[0]), float(pose[2]), float(heading_from_quat(pose[3:]))

@@ -34,6 +34,8 @@ TIGHT = 1.25
 """Discs of a row are wide enough at this many times half the width of the base; more discs would be hardly narrower."""
 DISCS = 5
 LEAST_RADIUS_M = 0.1
+WIDEST_M = 0.36
+"""Discs are widened up to this radius to cover a folded arm beside the base: wider ones do not get through doors of 0.8 m."""
 HAND_CAMERA_UP_M, HAND_CAMERA_BACK_M, HAND_CAMERA_AIM_M = 0.06, 0.08, 0.25
 """The camera of a hand is this far above its shapes and behind what it holds; it looks at a point this far ahead."""
 SHELLS = 4
@@ -72,6 +74,7 @@ def guess_settings(robot: Robot, sure: Collection[str]) -> RobotSettings:
     )
     frames = robot.link_matrices(IDENTITY_POSE[None], zeros[None])[0]
     resting = robot.link_matrices(IDENTITY_POSE[None], np.asarray(rest, np.float64)[None])[0]
+    radius = _wide_enough(robot, discs, radius, resting)
     tops = [_points(robot, k, frames)[:, 1].max() for k in body if robot.links[k].shapes]
     return RobotSettings(
         base_height_m=round(float(height), 4),
@@ -117,6 +120,16 @@ def guess_base(robot: Robot, joints: Array, body: Sequence[int], height: float) 
             break
     places, radius = min(rows, key=lambda row: row[1])
     return places, max(float(np.ceil(1000 * radius - 1e-6) / 1000), LEAST_RADIUS_M)
+
+
+def _wide_enough(robot: Robot, places: Sequence[float], radius: float, resting: Array) -> float:
+    """The radius [m] with which discs at places [D] cover the whole resting robot, arm and all, up to `WIDEST_M`."""
+    shown = [k for k, link in enumerate(robot.links) if link.shapes]
+    if not shown or radius >= WIDEST_M:
+        return radius
+    points = np.concatenate([_points(robot, k, resting)[:, [0, 2]] for k in shown])
+    covers = float(np.ceil(1000 * row_radius(np.asarray(places), points) - 1e-6) / 1000)
+    return min(max(radius, covers), WIDEST_M)
 
 
 # --- hand -------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,11 @@ SMOOTH_STEPS = 9
 """Steps over which the distance covered in a step is averaged for that."""
 DUTY = 0.55
 """Fraction of the cycle in which a foot stands."""
-LIFT_M = 0.08
+LIFT_M, EVEN_LIFT_M = 0.05, 0.08
+"""How high a swinging foot is lifted, and was before schema 1.5: thighs then stuck out 4 cm behind the discs of the base."""
+TUCK = 0.7
+"""A swinging foot is drawn towards its place at rest by up to this share of its distance from it, half-way. In 24 episodes,
+hind legs were more than 2 cm in walls in 21 steps without it, in 11 with 0.4 and in 1 to 3 with this."""
 SETTLE_STEPS = 4
 """Feet come down within so many steps of a stop."""
 SETTLE_M = 0.05
@@ -73,7 +77,8 @@ def trot(
             for start in range(0, len(track), _BLOCK_STEPS):
                 rows = np.arange(start, min(start + _BLOCK_STEPS, len(track)))
                 to_base = np.linalg.inv(pose_to_matrix(track[rows]) @ robot.to_base)
-                places = _feet(track, heading, way, cycles, feet, rows)
+                most, tuck = (EVEN_LIFT_M, 0.0) if even_strides else (LIFT_M, TUCK)
+                places = _feet(track, heading, way, cycles, feet, rows, most, tuck)
                 spots = np.einsum("tij,tlj->tli", to_base[:, :3, :3], places) + to_base[:, None, :3, 3]
                 for k, leg in enumerate(robot.legs):
                     out[first + rows[:, None], leg.columns] = leg_angles(robot, leg, spots[:, k])
@@ -105,11 +110,21 @@ def _cycles(way: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(covered / stride)])
 
 
-def _feet(bases: Array, heading: Array, way: Array, cycles: Array, feet: Array, rows: NDArray[np.integer]) -> Array:
+def _feet(
+    bases: Array,
+    heading: Array,
+    way: Array,
+    cycles: Array,
+    feet: Array,
+    rows: NDArray[np.integer],
+    most: float,
+    tuck: float,
+) -> Array:
     """Places of the feet in the world at some rows of a base track, [len(rows), L, 3], from their places at rest [L, 3]."""
     edges = np.clip(rows[:, None] + [-SETTLE_STEPS, SETTLE_STEPS], 0, len(way) - 1)
-    lift = LIFT_M * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
+    lift = most * np.clip(np.diff(way[edges], axis=1)[:, 0] / SETTLE_M, 0, 1)
     out = np.empty((len(rows), len(feet), 3))
+    roots = pose_to_matrix(ground_pose(bases[rows][:, [0, 2]], heading[rows], bases[rows, 1]))
     for k, foot in enumerate(feet):
         begin = DUTY / 2 + (0.0 if foot[0] * foot[2] > 0 else 0.5)  # one diagonal stands, the other swings
         place = begin + cycles[rows]
@@ -125,6 +140,8 @@ def _feet(bases: Array, heading: Array, way: Array, cycles: Array, feet: Array, 
         swing = np.clip((place - lifts_off) / (cycle + 1 - lifts_off), 0, 1)
         weight = (swing * swing * (3 - 2 * swing))[:, None]
         out[:, k] = planted(cycle) * (1 - weight) + planted(cycle + 1) * weight
+        rest = transform_points(roots, foot[None])[:, 0]
+        out[:, k] += (tuck * np.sin(np.pi * swing) ** 2)[:, None] * (rest - out[:, k])
         out[:, k, 1] += lift * np.sin(np.pi * swing)
     return out
 

@@ -124,6 +124,8 @@ class AgentRun:
         return interrupts(view(self.number)) if interrupts is not None else ""
 
     def _end(self, step: int, ending: Ending) -> None:
+        if self.skill is not None:
+            self.skill.close()  # one that is interrupted folds the arm
         self.skill, self.ending = None, ending
         self.actor.path, self.actor.yields = NO_PATH, True
         if self.action.skill == CONTROL and isinstance(self.actor, DrivenPerson):

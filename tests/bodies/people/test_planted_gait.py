@@ -1,15 +1,17 @@
 """Walking with planted feet along any track of the root."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.motion import figures_of, motion_of
-from h3data.bodies import load_humanoid
+from h3data.bodies import Humanoid, load_humanoid
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE
-from h3data.bodies.people.planted_gait import planted_states, pose_planted
+from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
 from h3data.geometry import Array, ground_pose
 
 STEPS = 45
@@ -137,3 +139,33 @@ def test_people_who_stand_breathe_and_those_who_are_put_elsewhere_stand_there() 
     states, joints = walked("male_1", base)
     assert not in_air(states)[[30, 50]].any()
     assert np.isfinite(joints[50:]).all()
+
+
+def test_feet_keep_out_of_what_stands_in_front() -> None:
+    """A person runs at a wall and stops 25 cm in front of it, then walks along it: no toe and no heel gets into it."""
+    body, wall = load_humanoid("male_1"), 3.0
+    xs = np.arange(200) * 0.05
+    room = np.repeat((wall - xs)[:, None], 200, axis=1)
+    free = SimpleNamespace(sdf=room, origin=np.array([-0.025, -5.0]), cell_m=0.05)
+    run = np.minimum(np.arange(60) * 2.5 / 30, wall - 0.25)
+    turn = np.minimum(np.arange(20) * 2.5 / 30, np.pi / 2)
+    along = np.arange(40) * 2.5 / 30
+    base = np.concatenate(
+        [
+            ground_pose(np.stack([run, 0 * run], -1), 0 * run),
+            ground_pose(np.tile([wall - 0.25, 0.0], (20, 1)), turn),
+            ground_pose(np.stack([0 * along + wall - 0.25, -along], -1), np.full(40, np.pi / 2)),
+        ]
+    )
+    deepest = []
+    for tables in (body.gait_tables, on_floor(body.gait_tables, free)):  # type: ignore[arg-type]
+        states = planted_states(tables, base)
+        quats, pelvis = pose_planted(tables, states)
+        deepest.append(sole_points(body, _in_world(body, base, quats, pelvis))[..., 0].max() - wall)
+    assert deepest[1] < 0.0 < deepest[0]
+
+
+def _in_world(body: Humanoid, base: Array, quats: Array, pelvis: Array) -> Array:
+    """As `leg_frames`, in the world."""
+    joints = body.joint_matrices(base, quats, pelvis)
+    return joints[:, LEG_JOINTS]

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from h3data.bodies import Robot, load_robot
+from h3data.bodies.robots.extents import row_radius
+from h3data.geometry import IDENTITY_POSE
+from h3data.scene.shape_bounds import shape_points
 from h3data_pipelines.cli import main
 from tests.bodies.robots.cart_robot import write_cart
 
@@ -48,3 +51,16 @@ def test_published_robots_are_drafted(name: str, tmp_path: Path) -> None:
     robot = load_robot(out)
     _same(robot, load_robot(urdf))
     assert len(robot.arm_columns) >= 7
+    covered = float(row_radius(robot.base_discs, _outline(robot)))
+    assert covered <= robot.base_radius_m + 1e-3, "discs cover the folded arm beside the base"
+
+
+def _outline(robot: Robot) -> np.ndarray:
+    """Floor points ``(x, z)`` [N, 2] under the resting robot."""
+    frames = robot.link_matrices(IDENTITY_POSE[None], robot.rest[None])[0]
+    points = [
+        shape_points(shape) @ frames[k, :3, :3].T + frames[k, :3, 3]
+        for k, link in enumerate(robot.links)
+        for shape in link.shapes
+    ]
+    return np.concatenate(points)[:, [0, 2]]

@@ -53,6 +53,19 @@ def test_standing_feet_keep_their_place_and_none_goes_through_the_floor(parts: l
     )
 
 
+def test_feet_swing_close_to_a_base_that_backs_along_a_wall() -> None:
+    """It slides sideways: hind legs that swung 15 cm out and 8 cm up stood in the wall with their thighs."""
+    robot, steps = load_robot("quad_arm"), 120
+    xz = np.cumsum(np.tile([[-0.04, 0.05]], (steps, 1)), axis=0)
+    base = ground_pose(xz, np.full(steps, 0.3), 0.0)
+    feet = _feet(robot, base, trot(robot, base, np.tile(robot.rest, (steps, 1))))
+    rest = _feet(robot, base, np.tile(robot.rest, (steps, 1)))
+    lifted = feet[..., 1] - rest[..., 1]
+    off = np.hypot(*np.moveaxis(feet - rest, -1, 0)[[0, 2]])
+    assert 0.04 < lifted.max() < 0.055
+    assert off[lifted > 0.04].max() < 0.08
+
+
 @pytest.mark.parametrize("speed", [0.3, 1.0, -0.8, 2.5])
 def test_feet_never_slide_straight_ahead(speed: float) -> None:
     robot = load_robot("quad_arm")

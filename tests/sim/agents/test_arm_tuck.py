@@ -10,13 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from h3data.bodies import JOINT_INDEX, load_humanoid
+from h3data.bodies.people.arms import draw_in
+from h3data.bodies.people.reach import Hand
 from h3data.errors import InputError
 from h3data.geometry import IDENTITY_POSE, ground_pose
 from h3data.replay import Replay
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.agents.arm_tuck import draw_arms, width_m
 from sim_kinematic.agents.penetration import penetrations
-from sim_kinematic.agents.person import Person, joint_steps, run
+from sim_kinematic.agents.person import Person, _Held, joint_steps, run
 from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
@@ -26,6 +28,7 @@ from tests.simulated import simulate_social_nav, simulate_wander, social_nav_epi
 
 RULES = ArmRoomSpec()
 SHOULDERS = [JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]]
+COLLARS = [JOINT_INDEX["left_collar"], JOINT_INDEX["right_collar"]]
 
 
 @pytest.fixture(scope="module")
@@ -199,6 +202,38 @@ def test_a_person_who_carries_draws_the_other_arm_in(free: FreeSpace) -> None:
     drawn = np.array([f.joints for f in frames]) - np.array([f.joints for f in others])
     turned = np.abs(drawn).max((0, 2))
     assert turned[np.array(SHOULDERS) - 1].max() > 0.02
-    assert np.delete(turned, np.array(SHOULDERS) - 1).max() == 0
+    assert np.delete(turned, np.array(SHOULDERS + COLLARS) - 1).max() == 0
     quick = joint_steps(np.array([f.joints for f in frames]))[:, np.array(SHOULDERS) - 1]
     assert quick.max() < 0.18 + STEP_S
+
+
+def test_the_broadest_body_fits_between_walls_half_a_metre_apart() -> None:
+    body = load_humanoid("male_1")
+    person = Person(body, IDENTITY_POSE)
+    quats = np.stack([person.quats, person.quats])
+    draw_in(quats, np.array([[0.0, 0.0], [1.0, 1.0]]), shoulders_forward=True)
+    wide, narrow = _half_width(body, quats, np.stack([person.pelvis, person.pelvis]))
+    assert wide > 0.3
+    assert narrow < 0.25
+
+
+@pytest.mark.parametrize("hand", ["left", "right"])
+def test_what_is_carried_is_held_close_where_there_is_little_room_ahead(free: FreeSpace, hand: Hand) -> None:
+    """The person turns in front of a wall, object in hand: neither arm nor object gets into it."""
+    room = free.signed_distance(free.sample(np.random.default_rng(0), 2000))
+    place = free.sample(np.random.default_rng(0), 2000)[int(np.argmin(np.abs(room - 0.27)))]
+    away = free.gradient(place)
+    heading = float(np.arctan2(-away[1], away[0]))  # their back to the wall
+    deepest = []
+    for spec in (HOME_WALKER, WalkerSpec()):
+        body = load_humanoid("female_0")
+        person = Person(body, ground_pose(place, heading, free.floor_y), {"mug": np.eye(7)[6]}, spec=spec, free=free)
+        person.held[hand] = _Held("mug", IDENTITY_POSE.copy(), IDENTITY_POSE[3:].copy())
+        frames, _ = run(person, person.turn(heading + 3.1))
+        joints = body.joint_matrices_free(np.stack([f.root for f in frames]), np.stack([f.joints for f in frames]))
+        start, end, radius = body.capsules_world(joints)
+        arm = [k for k, c in enumerate(body.capsules) if c.name.startswith(hand) and c.name.endswith(("arm", "hand"))]
+        room = np.minimum(*(free.signed_distance(points[:, arm][..., [0, 2]]) for points in (start, end))) - radius[arm]
+        deepest.append(float(-room.min()))
+        assert np.abs(joint_steps(np.stack([f.joints for f in frames]))).max() < 0.35
+    assert deepest[0] < 0.02 < deepest[1]

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.penetration import run
+from h3data.bodies.robots.robot_files import robot_names
 from h3data.geometry import ground_pose
 from h3data.recording import Recording, state_hash, write_mcap
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.commands.validating import Validate
-from sim_kinematic.agents.penetration import penetration_findings, penetrations, unintended_depth
+from sim_kinematic.agents.penetration import HELD, REACHING, penetration_findings, penetrations, unintended_depth
 from sim_kinematic.motion.spec import SocialNavSpec
-from tests.simulated import simulate_social_nav, social_nav_episode
+from tests.simulated import rearrange_episode, simulate_rearrange, simulate_social_nav, social_nav_episode
 
 STEPS = 40
 
@@ -47,21 +49,40 @@ def test_parts_inside_a_wall_are_found(recording: Recording, in_a_wall: Recordin
     assert any("deep in walls" in f.text for f in findings)
 
 
-def test_hands_that_reach_do_not_count(in_a_wall: Recording) -> None:
-    measured = penetrations(in_a_wall)
-    assert (unintended_depth(in_a_wall, measured)[10:] > 0.02).all()
-    robot = measured[0]
-    hand = replace_depth(robot, np.where(robot.hand, 0.1, 0.0))
-    agent = replace(in_a_wall.agents[0], skill_names=("wait", "pick"))
-    skill = np.where(np.arange(STEPS) < 20, 1, 0).astype(np.int32)
-    reaching = replace(
-        in_a_wall, agents=(agent, *in_a_wall.agents[1:]), columns=in_a_wall.columns | {"agent_0.skill": skill}
+def test_everything_counts_that_reaches_for_nothing(in_a_wall: Recording) -> None:
+    assert (unintended_depth(penetrations(in_a_wall))[10:] > 0.02).all()
+
+
+def test_a_hand_may_be_in_what_the_object_lies_on_while_it_picks() -> None:
+    """It may not be anywhere else then, nor there at any other time; nor may any other part."""
+    home = build_home(HomeSpec(preset="small", seed=1))
+    recording = simulate_rearrange(rearrange_episode(home, seed=1), solo_steps=1)
+    pick = next(
+        span for span in recording.skills if span.name == "pick" and recording.agents[span.agent].kind == "human"
     )
-    np.testing.assert_array_equal(unintended_depth(reaching, [hand]), np.where(np.arange(STEPS) < 20, 0.0, 0.1))
+    measured = next(found for found in penetrations(recording) if found.agent == pick.agent)
+    allowed = {measured.parts[p] for p in np.flatnonzero(measured.reaching)}
+    assert allowed == {"left_forearm", "left_hand", "right_forearm", "right_hand", HELD}
+    assert not measured.intended[:, ~measured.reaching].any()
+    reaches = np.zeros(len(recording), np.bool_)
+    for span in recording.skills:
+        if span.agent == pick.agent and span.name in REACHING:
+            reaches[span.start_step : span.end_step + 1] = True
+    assert not measured.intended[~reaches].any()
+    inside = measured.intended & (measured.depth_m > 0)
+    assert inside.any(), "the hand that takes something from a table is in the table"
+    assert set(measured.thing[inside]).isdisjoint({"walls", ""})
 
 
-def replace_depth(found, depth):
-    return found._replace(depth_m=np.tile(depth, (len(found.steps), 1)))
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", robot_names())
+def test_nothing_of_any_shipped_robot_or_person_is_inside_anything(robot: str) -> None:
+    """Six episodes of each task; ``python -m benchmarks penetration --robot all`` measures fifty."""
+    figures: dict[str, float] = {}
+    run(lambda name, value, unit: figures.setdefault(name, value), episodes=6, robots=(robot,))
+    shares = {name: share for name, share in figures.items() if name.endswith(".above_2cm")}
+    assert len(shares) == 3
+    assert max(shares.values()) <= 0.002, shares
 
 
 def test_validate_reports_parts_when_asked(in_a_wall: Recording, tmp_path: Path) -> None:

@@ -69,3 +69,16 @@ def test_who_holds_something_has_not_settled(free: FreeSpace) -> None:
     assert robot._seen()[0].settled
     robot.objects.held_by[0] = 1
     assert not robot._seen()[0].settled
+
+
+def test_an_interrupted_pick_folds_the_arm(free: FreeSpace) -> None:
+    robot = robot_at(free, roomiest(free), 0.0)
+    robot.objects.poses[0, :3] = [robot.xz[0] + 0.6, free.floor_y + 0.6, robot.xz[1]]
+    pick = robot.start(Action("pick", 0))
+    for _ in range(5):
+        next(pick)
+    assert np.abs(robot.joints - robot.robot.rest).max() > 0.1
+    pick.close()
+    for _ in range(60):
+        robot.idle()
+    np.testing.assert_allclose(robot.joints, robot.robot.rest, atol=1e-6)

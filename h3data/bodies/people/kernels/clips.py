@@ -75,8 +75,8 @@ def sample_all(table, motion, phase, blend, ground, quats, pelvis):
 
 
 @kernel(error_model="numpy")
-def tuck_all(quats, shares, shoulders, tucked):
-    """Blends the two ``shoulders`` of poses [T, 55, 4] with their ``tucked`` rotations [2, 4] by ``shares`` [T, 2] of 0..1, in
+def tuck_all(quats, shares, joints, tucked):
+    """Blends a joint of either arm of poses [T, 55, 4] with its ``tucked`` rotations [2, 4] by ``shares`` [T, 2] of 0..1, in
     place. False: some are not finite, and nothing has changed."""
     for t in range(len(quats)):
         if not (math.isfinite(shares[t, 0]) and math.isfinite(shares[t, 1])):
@@ -85,7 +85,7 @@ def tuck_all(quats, shares, shoulders, tucked):
         if shares[t, 0] != 0.0 or shares[t, 1] != 0.0:
             for k in range(2):
                 share = min(max(shares[t, k], 0.0), 1.0)
-                put(quats[t], shoulders[k], nlerp(row4(quats[t], shoulders[k]), row4(tucked, k), share))
+                put(quats[t], joints[k], nlerp(row4(quats[t], joints[k]), row4(tucked, k), share))
     return True
 
 

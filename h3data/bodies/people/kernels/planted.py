@@ -2,8 +2,9 @@
 
 `step_gait` is a phase machine. A foot is either planted, at one place of the floor in the world, or it swings from there to
 where it will be needed: as far ahead as the gait at this speed has it, plus half of what the root moves and turns beyond that
-during the stance. Nothing else moves a foot, so a planted one cannot slide, whatever the root does. The phase runs as fast as
-speed, turning or feet that stand wrong demand, and rests when both feet stand where a standing person's do.
+during the stance, and not into what stands there, if a map of the floor is given. Nothing else moves a foot, so a planted one
+cannot slide, whatever the root does. The phase runs as fast as speed, turning or feet that stand wrong demand, and rests when
+both feet stand where a standing person's do.
 
 `pose_gait` is a function of one state alone. Joints come from tables by speed and phase, legs from the feet in closed form.
 
@@ -23,6 +24,7 @@ from h3data.bodies.people.kernels.tuple_math import from_vector, inverse, multip
 from h3data.bodies.people.skeleton import JOINT_INDEX
 from h3data.geometry import Array
 from h3data.kernels import kernel, kernel_part
+from h3data.scene.freespace._sdf import sample_sdf, sdf_gradient
 
 # columns of a state
 PHASE, SHOWN, SPEED, TURN, SINK, IDLE, TIME, X, Z, HEADING, AHEAD, STYLE = range(12)
@@ -85,6 +87,12 @@ AHEAD_ACCELERATION = 25.0
 """The place where feet land follows the root's speed no faster than this [m/s^2]."""
 CLEARANCE_M = 0.012
 """A swinging foot keeps so far off the floor."""
+FOOT_ROOM_M = 0.03
+"""A swinging foot keeps heel and toe tip so far from walls and furniture. Those that belong below a person whose root is 25 cm
+from a wall have more room (5 cm on the largest body): with 6 cm such people never stopped setting their feet right."""
+SLIDES, LOOKS, TOUCHES_M = 3, 12, 2e-3
+"""Heel and toes get there from below the root as something that slides along what is in between, over at most so many straight
+lines with so many looks at the map each. Pushed out along the gradient instead, some came out on the far side of walls."""
 IDLE_IN, IDLE_OUT = 0.6, 3.0
 """Rates [1/s] at which standing sway begins and ends."""
 LOOK_S, LOOK_RAD = 0.30, 0.6
@@ -124,6 +132,12 @@ class GaitTables(NamedTuple):
     """Ankle of a swinging foot from an eased line between its places on the floor: forward and up, [R, S, 2] [m]."""
     to_root: Array
     """Rotation from the body frame to the agent root frame, [4]."""
+    sdf: Array
+    """Distances to walls and furniture [X, Z] [m] (`h3data.scene.FreeSpace.sdf`); [0, 0]: nothing stands anywhere."""
+    origin: Array
+    """Lower corner of its grid, [2] [m]."""
+    cell_m: float
+    """Side of its cells."""
 
 
 @kernel_part()
@@ -188,6 +202,54 @@ def _own_phase(phase, foot):
 
 
 @kernel_part()
+def _slides_to(table, x, z, to_x, to_z):
+    """Where a point gets that moves from free floor towards a place and slides along what is in between."""
+    for _ in range(SLIDES):
+        way_x, way_z = to_x - x, to_z - z
+        length, done = math.hypot(way_x, way_z), 0.0
+        if length < 1e-9:
+            break
+        way_x, way_z = way_x / length, way_z / length
+        room = sample_sdf(table.sdf, table.origin, table.cell_m, x, z) - FOOT_ROOM_M
+        for _ in range(LOOKS):
+            if room <= TOUCHES_M or done >= length:
+                break
+            done = min(done + room, length)
+            room = sample_sdf(table.sdf, table.origin, table.cell_m, x + way_x * done, z + way_z * done) - FOOT_ROOM_M
+        x, z = x + way_x * done, z + way_z * done
+        if done >= length and room >= 0.0:
+            break
+        away_x, away_z = sdf_gradient(table.sdf, table.origin, table.cell_m, x, z)
+        square = max(away_x * away_x + away_z * away_z, 1e-9)
+        into = min((way_x * away_x + way_z * away_z) / square, 0.0) * (length - done)
+        back = max(2 * TOUCHES_M - room, 0.0) / math.sqrt(square)
+        to_x, to_z = x + way_x * (length - done) - into * away_x, z + way_z * (length - done) - into * away_z
+        x, z = x + back * away_x, z + back * away_z
+    return x, z
+
+
+@kernel_part()
+def _beside_things(table, state, foot, left, ahead, yaw):
+    """A place of a foot in the body frame, moved out of walls and furniture: (left, ahead)."""
+    if table.sdf.shape[0] == 0:
+        return left, ahead
+    x, z, heading = _to_world(state[X], state[Z], state[HEADING], left, ahead, yaw)
+    c, s, feet = math.cos(heading), math.sin(heading), table.legs.feet[foot]
+    near = sample_sdf(table.sdf, table.origin, table.cell_m, state[X], state[Z]) - FOOT_ROOM_M
+    moved = False
+    for point in (0, 2):
+        at_x, at_z = x + c * feet[point, 2], z - s * feet[point, 2]
+        if math.hypot(at_x - state[X], at_z - state[Z]) > near:
+            slid_x, slid_z = _slides_to(table, state[X], state[Z], at_x, at_z)
+            if abs(slid_x - at_x) + abs(slid_z - at_z) > 1e-6:
+                x, z, moved = x + slid_x - at_x, z + slid_z - at_z, True
+    if not moved:  # to the last bit
+        return left, ahead
+    left, ahead, _ = _to_body(state[X], state[Z], state[HEADING], x, z, heading)
+    return left, ahead
+
+
+@kernel_part()
 def _swing_place(table, k, f, state, foot):
     """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
     at = FOOT + foot * FOOT_COLUMNS
@@ -198,6 +260,7 @@ def _swing_place(table, k, f, state, foot):
     ahead = _swing_ahead(table, k, f, state[SPEED], share)
     ahead += (1 - done) * state[at + LEFT_AT + 1] + done * state[at + LANDS_AT + 1]
     yaw = (1 - done) * state[at + LEFT_AT + 2] + done * state[at + LANDS_AT + 2]
+    left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
     return left, ahead, yaw, done
 
 
