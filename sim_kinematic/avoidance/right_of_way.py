@@ -8,6 +8,7 @@ inherits the rank of the asker, so a row of people in a corridor backs out toget
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -62,9 +63,10 @@ class RightOfWay:
     def update(self, carrying: Sequence[int] = ()) -> None:
         """Sets ``aside`` of every agent; ``carrying`` are the numbers of those that hold something."""
         for number, walker in self._walkers.items():
-            place, last = _place(walker), self._place[number]
-            turned = abs(wrap_angle(place[2] - last[2]))
-            if np.hypot(*(place - last)[:2]) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
+            place = x, z, heading = _place(walker)
+            was_x, was_z, was_heading = self._place[number]
+            turned = abs(float(wrap_angle(heading - was_heading)))
+            if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number], self._place[number] = 0, place
             wants = len(self.path(walker)) or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
@@ -72,6 +74,10 @@ class RightOfWay:
                 _drop_reached(walker, self._requests[number])
         for number in [n for n, request in self._requests.items() if self._is_over(self._walkers[n], request)]:
             del self._requests[number]
+        if not self._requests and self._all_are_clear():
+            for walker in self._walkers.values():
+                walker.aside = None
+            return
         first: list[Walker] = []
         waiting = sorted(self._walkers.values(), key=lambda walker: self._rank(walker, carrying))
         while waiting:
@@ -82,6 +88,11 @@ class RightOfWay:
             waiting = asked + [other for other in waiting if other not in asked]
         for number, walker in self._walkers.items():
             walker.aside = self._requests[number].route if number in self._requests else None
+
+    def _all_are_clear(self) -> bool:
+        """Whether nobody can be asked to step aside in this step. In homes for two that is so in nine steps of ten."""
+        walkers = self._walkers.values()
+        return not any(self._may_block(other, me) for me in walkers for other in walkers if other is not me)
 
     # --- rank ----------------------------------------------------------------------------------------------------------
     def _rank(self, walker: Walker, carrying: Sequence[int]) -> tuple[float, ...]:
@@ -104,17 +115,29 @@ class RightOfWay:
             return np.vstack([walker.xz[None], route]) if len(route) else NO_PATH
         return walker.path
 
-    def _blocks(self, other: Walker, me: Walker) -> bool:
-        """Whether an agent should step aside for me."""
-        path, held_up = self.path(me), self._stalled[me.number] >= AVOIDANCE.held_up_steps
+    def _may_block(self, other: Walker, me: Walker) -> bool:
+        """Whether an agent could have to step aside for me, as far as costs little to say: `_blocks` says it exactly."""
+        held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
         if not other.yields:
             return False
         if other.number in me.hindered_by and held_up:
             return True
-        moves = len(self.path(other)) > 0
+        path, moves = self.path(me), len(self.path(other)) > 0
         if not len(path) or (moves and not held_up):
             return False
-        ahead = first_of_path(path, AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m)
+        (x, z), (other_x, other_z) = path[0].tolist(), other.xz.tolist()
+        reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
+        reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
+        return math.hypot(other_x - x, other_z - z) <= reach
+
+    def _blocks(self, other: Walker, me: Walker) -> bool:
+        """Whether an agent should step aside for me."""
+        if not self._may_block(other, me):
+            return False
+        if other.number in me.hindered_by and self._stalled[me.number] >= AVOIDANCE.held_up_steps:
+            return True
+        moves = len(self.path(other)) > 0
+        ahead = first_of_path(self.path(me), AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m)
         body = discs_of(other)[:, :2]
         nearest = distance_to_path(body, _without_start(ahead))
         gaps = np.hypot(*(body - me.xz).T)
@@ -219,8 +242,9 @@ def _drop_reached(walker: Walker, request: _Request) -> None:
         request.route = request.route[1:]
 
 
-def _place(walker: Walker) -> NDArray[np.float64]:
-    return np.append(walker.xz, walker.heading)
+def _place(walker: Walker) -> tuple[float, float, float]:
+    x, z = walker.xz.tolist()
+    return x, z, float(walker.heading)
 
 
 def _without_start(path: NDArray) -> NDArray[np.float64]:

@@ -311,3 +311,18 @@ def test_mixes_of_three_to_five_neither_touch_nor_block_each_other() -> None:
     assert sum(run.ended == "collision" for run in runs) <= 0.03 * len(runs)
     assert sum(run.ended == "success" for run in runs) >= 0.85 * len(runs)
     assert sum(run.blocked for run in runs) <= 0.03 * len(runs)
+
+
+# --- agents far from each other -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("agents", [None, "robot,robot,human,human"])
+def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
+    home: Scene, free: FreeSpace, agents: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashes, clear = [], []
+    really = RightOfWay._all_are_clear
+    for looks in (lambda right_of_way: clear.append(really(right_of_way)) or clear[-1], lambda right_of_way: False):
+        monkeypatch.setattr(RightOfWay, "_all_are_clear", looks)
+        episode = rearrange_episode(home, seed=3, free=free, agents=agents)
+        hashes.append(simulate_rearrange(episode, solo_steps=1).columns["state_hash"])
+    np.testing.assert_array_equal(*hashes)
+    assert 0 < sum(clear) < len(clear)
