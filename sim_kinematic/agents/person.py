@@ -14,6 +14,7 @@ judged by where the hand is, unlike in Habitat, which judges by where it was sen
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from h3data.bodies import JOINT_INDEX, Humanoid
 from h3data.bodies.people.arms import CARRY_CLOSE, CARRY_JOINTS, draw_in
+from h3data.bodies.people.kernels.attention import curl_fingers, turn_gaze
 from h3data.bodies.people.planted_gait import PlantedWalk, on_floor
 from h3data.bodies.people.reach import (
     BaseMotion,
@@ -73,6 +75,17 @@ FADE_STEPS = 12
 it, interrupting a reach turned a shoulder by up to 76 degrees in one step."""
 CLOSE_ENOUGH = 0.1
 """What lacks of holding something close to the body while a person begins to walk."""
+GRIP_M, GRIP_WITHIN = 0.03, (0.01, 0.09)
+"""Radius that a hand closes around where no size is known, and the range of radii that it can [m]."""
+FINGER_M, FINGER_HALF = 0.026, 0.008
+"""Length and half thickness of a bone of a finger [m]."""
+REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
+"""Bend of each joint of a finger [rad]: in the rest pose; beyond it just before the hand takes something, at most, and by
+which it changes in a step."""
+CLOSES_FROM = 0.8
+"""Share of the path to a thing from which on a hand closes."""
+LOOK_STEPS, LOOKED_RAD = 10, 0.15
+"""The hand sets off after this many steps at most, or when the head has less than this left to turn."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
 
 
@@ -130,10 +143,11 @@ class Person:
 
     def __init__(
         self, body: Humanoid, base_pose: ArrayLike, objects: Mapping[str, ArrayLike] | None = None, *,
-        spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None,
+        spec: WalkerSpec = PERSON_SPEC, free: FreeSpace | None = None, sizes: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         """``base_pose`` [7] is the agent root; ``objects`` are world poses [7] of what can be picked, by name. ``free`` is the
-        map, by which she draws in her arms where ``spec.arms`` says how."""
+        map, by which they draw in their arms where ``spec.arms`` says how. ``sizes`` are radii [m] that hands close around, by
+        name of the object; the default is `GRIP_M`."""
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
@@ -141,10 +155,20 @@ class Person:
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
         self.held: dict[Hand, _Held] = {}
         self.base = np.array(base_pose, np.float64)
+        self._offsets = np.ascontiguousarray(body.joint_offsets, np.float64)
         tables = body.gait_tables if free is None else on_floor(body.gait_tables, free)
         self.walk = PlantedWalk(tables, self.base)
         """Where the feet are, and what they do."""
         self.transition = Transition()
+        self.sizes: dict[str, float] = dict(sizes or {})
+        self.look_at: Array | None = None
+        """World point [3] to which head and eyes turn; None: they stay as the motion has them."""
+        self.curl: Array = np.zeros(2)
+        self.gaze: Array = np.zeros(6)
+        """Bend of the fingers of the left and the right hand, and turn of head and eyes beyond the motion's
+        (`h3data.bodies.people.kernels.attention`) [rad]."""
+        self._to_turn = 0.0
+        self._closing: dict[Hand, float] = {}
         self._carry_arms: dict[Hand, tuple[list[int], Array]] = {}
         self._stand()
 
@@ -158,7 +182,11 @@ class Person:
         if base_pose is not None:
             self.base = np.array(base_pose, np.float64)
         self.transition = Transition()
-        self.quats, self.pelvis = quats, pelvis
+        self.curl, self.gaze = np.zeros(2), np.zeros(6)
+        self._assign(quats, pelvis, quats)
+
+    def _assign(self, quats: Array, pelvis: Array, bare: Array) -> None:
+        self.quats, self.pelvis, self.bare = quats, pelvis, bare
         for hand, held in self.held.items():
             self.objects[held.name] = pose_multiply(self.palm(hand), held.grip)
 
@@ -260,10 +288,15 @@ class Person:
         answer = reach(self.body, target, hand)
         if not answer.reached:
             return _unreached(answer)
-        yield from self._move(hand, self._way_out(hand, target), ends=(0.0, 1.0))
+        yield from self._look(self.objects[name][:3])
+        for share in self._move(hand, self._way_out(hand, target), ends=(0.0, 1.0)):
+            self._closing[hand] = OPEN_CURL if share < CLOSES_FROM else self.curl_around(name)
+            yield
+        self._closing.pop(hand, None)
         palm = self.palm(hand)
         error = float(np.linalg.norm(palm[:3] - self.objects[name][:3]))
         if error > SNAP_M:
+            self.look_at = None
             yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
             return SkillResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
@@ -271,6 +304,7 @@ class Person:
         self.held[hand] = _Held(
             name, pose_multiply(pose_inverse(palm), self.objects[name]), quat_multiply(heading, self.objects[name][3:])
         )
+        self.look_at = None
         yield from self._move(hand, np.stack([target, self._carry_point(hand)]), ends=(1.0, 0.0), arms=(1.0, 1.0))
         yield from self._take_close(hand)
         return SkillResult(success=True, hand_error_m=error)
@@ -283,6 +317,7 @@ class Person:
         answer = reach(self.body, target, hand)
         if not answer.reached:
             return _unreached(answer)
+        yield from self._look(np.asarray(position, np.float64))
         line = np.stack([self._carry_point(hand), target])
         for share in self._move(hand, line, ends=(0.0, 1.0), arms=(1.0, 1.0)):
             upright = quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
@@ -291,6 +326,7 @@ class Person:
             pose[3:] = quat_nlerp(pose[3:], upright, weight)
             yield
         del self.held[hand]
+        self.look_at = None
         error = float(np.linalg.norm(self.objects[held.name][:3] - np.asarray(position, np.float64)))
         yield from self._move(hand, self._way_out(hand, target)[::-1], ends=(1.0, 0.0))
         return SkillResult(success=error < SNAP_M, reason="" if error < SNAP_M else "missed", hand_error_m=error)
@@ -377,7 +413,7 @@ class Person:
         where the walk has them."""
         fade = self.transition
         if fade.kind != kind:
-            fade = Transition(kind, self.quats, self.pelvis, 1.0)
+            fade = Transition(kind, self.bare, self.pelvis, 1.0)
         was_quats, was_pelvis = fade.quats, fade.pelvis
         if was_quats is not None and was_pelvis is not None:
             fade = fade._replace(left=fade.left - 1 / FADE_STEPS)
@@ -387,8 +423,40 @@ class Person:
             fade = fade if fade.left > 0.5 / FADE_STEPS else Transition(kind)
         if kind != "walk" or fade.quats is not None:
             self.walk.plant(quats, pelvis)
-        self.set_pose(quats, pelvis)
+        bare = quats.copy()
+        self._attend(quats, pelvis)
+        self._assign(quats, pelvis, bare)
         self.transition = fade
+
+    def _attend(self, quats: Array, pelvis: Array) -> None:
+        """Moves fingers, head and eyes of a pose by one step, in place."""
+        for k, hand in enumerate(HANDS):
+            held = self.held.get(hand)
+            goal = self._closing.get(hand, 0.0) if held is None else self.curl_around(held.name)
+            self.curl[k] += min(max(goal - self.curl[k], -CURL_STEP), CURL_STEP)
+        if self.curl.any():
+            curl_fingers(quats, self.curl)
+        if self.look_at is not None or self.gaze.any():
+            target = np.zeros(3) if self.look_at is None else self.seen(self.look_at)
+            self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, self.look_at is not None, self.gaze)
+
+    def curl_around(self, name: str) -> float:
+        """Bend of each joint of a finger [rad] whose bones touch a round thing of an object's radius."""
+        radius = min(max(self.sizes.get(name, GRIP_M), GRIP_WITHIN[0]), GRIP_WITHIN[1])
+        return min(2 * math.atan(FINGER_M / 2 / (radius + FINGER_HALF)) - REST_CURL, CURL_MOST)
+
+    def _look(self, point: Array) -> Generator[None, None, None]:
+        """Turns head and eyes to a world point [3], and waits until they are nearly there."""
+        self.look_at = np.array(point, np.float64)
+        for _ in range(LOOK_STEPS):
+            if self.transition.kind == "reach":  # breathing would move a hand that carries off the start of its line
+                self.walk.step(self.base)
+                self.show("reach", self.bare.copy(), self.pelvis)
+            else:
+                self.stride()
+            yield
+            if self._to_turn < LOOKED_RAD:
+                return
 
     def with_arms(self, quats: Array, moving: Hand | None = None) -> Array:
         """Returns a pose [55, 4] with its arms drawn in by one step where there is little room; arms that hold something

@@ -42,6 +42,10 @@ class _Posture(NamedTuple):
     feet: Array
     """`h3data.bodies.people.planted_gait.PlantedWalk.state`."""
     transition: Transition
+    bare: Array
+    """``quats`` without what fingers, head and eyes add."""
+    curl: Array
+    gaze: Array
     objects: dict[str, Array]
 
 
@@ -106,6 +110,8 @@ class PersonActor:
 
     def start(self, action: Action) -> Skill:
         k = action.target
+        if action.skill not in ("pick", "place"):
+            self.person.look_at = None
         if action.skill == "wait":
             return self._wait(action.steps)
         if action.skill.startswith("nav"):
@@ -149,6 +155,7 @@ class PersonActor:
         yield from self._walk(stands[k, :2])
         if np.hypot(*(self.xz - stands[k, :2])) > 2 * self.spec.arrive_m:
             return Ending("failed", "stuck")
+        self.person.look_at = point.copy()
         yield from self._careful(self.person.turn(float(stands[k, 2]), settles=False))
         return Ending("done")
 
@@ -322,6 +329,9 @@ class PersonActor:
             person.pelvis.copy(),
             person.walk.state.copy(),
             person.transition,
+            person.bare.copy(),
+            person.curl.copy(),
+            person.gaze.copy(),
             objects,
         )
 
@@ -329,6 +339,8 @@ class PersonActor:
         self.person.set_pose(posture.quats, posture.pelvis, posture.base)
         self.person.walk.state[:] = posture.feet
         self.person.transition = posture.transition
+        self.person.bare = posture.bare
+        self.person.curl[:], self.person.gaze[:] = posture.curl, posture.gaze
         self.person.objects |= {name: pose.copy() for name, pose in posture.objects.items()}
 
     def _handle(self, k: int, goal: NDArray | None) -> Skill:

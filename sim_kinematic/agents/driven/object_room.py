@@ -93,3 +93,10 @@ def object_extent(scene: Scene, instance: Instance) -> tuple[float, float, float
     """Radius on the floor plane, lowest and highest point of a thing, from its origin [m]."""
     low, high = scene.assets[instance.asset].mesh.bounds.astype(np.float64) * instance.scale
     return float(np.hypot(*np.maximum(-low, high)[[0, 2]])), float(low[1]), float(high[1])
+
+
+def grip_radii(scene: Scene, names: Sequence[str]) -> dict[str, float]:
+    """Radii that hands close around, by name of the instance [m]: half of the thinnest side of each, where hands grip books and
+    plates, and the radius of cups and balls."""
+    found = (i for i in scene.instances if i.name in names)
+    return {i.name: float(np.ptp(scene.assets[i.asset].mesh.bounds * i.scale, axis=0).min()) / 2 for i in found}

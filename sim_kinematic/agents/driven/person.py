@@ -220,7 +220,7 @@ class DrivenPerson(PersonActor):
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
         """Moves the person by one step; nothing moves that would touch an agent that the person avoids."""
-        self._drives = True
+        self._drives, self.person.look_at = True, None
         gait, before = self._gait_here(), self._posture()
         self._lead(command)
         stopped = gait.take([0])

@@ -18,7 +18,7 @@ from h3data.geometry import ground_pose
 from h3data.kernels import kernel
 from h3data.recording import STEP_NS, Event, SkillSpan
 from sim_kinematic.agents.contact_tracker import AgentContactTracker, AnyActor
-from sim_kinematic.agents.driven.object_room import ObjectRoom
+from sim_kinematic.agents.driven.object_room import ObjectRoom, grip_radii
 from sim_kinematic.agents.driven.person import DrivenPerson
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_clearance import reach_room
@@ -232,7 +232,8 @@ class RearrangePlay:
         base = ground_pose(np.array([x, z]), float(heading), world.free.floor_y)
         objects = dict(zip(self.objects.names, self.objects.poses, strict=True))
         room = reach_room(world.scene, body, world.free.floor_y)
-        person = Person(body, base, objects, spec=spec.human, free=world.free)
+        sizes = grip_radii(world.scene, self.objects.names)
+        person = Person(body, base, objects, spec=spec.human, free=world.free, sizes=sizes)
         if not self.policies[number].takes_commands:
             return PersonActor(person, world.free, spec.human, self.objects, number, room)
         return DrivenPerson(

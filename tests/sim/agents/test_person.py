@@ -238,3 +238,61 @@ def test_bad_commands_are_refused() -> None:
     with pytest.raises(InputError, match="already holds 'mug'"):
         next(person.pick("far"))
     assert skills.SNAP_M < 0.02
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_head_and_eyes_turn_to_a_thing_before_the_hand_sets_off(hand: Hand) -> None:
+    person = _someone("female_1", hand, (0.33, 0.5, 0.25))
+    body, place = person.body, person.objects["mug"][:3].copy()
+    frames, picked = run(person, person.pick("mug", hand))
+    assert picked.success
+    joints = _joints(body, frames)
+    head, eye = JOINT_INDEX["head"], JOINT_INDEX[f"{hand}_eye_smplhf"]
+    to_mug = place - joints[:, eye, :3, 3]
+    to_mug /= np.linalg.norm(to_mug, axis=1)[:, None]
+    angles = [np.degrees(np.arccos(np.sum(joints[:, k, :3, 2] * to_mug, axis=1))) for k in (head, eye)]
+    palms = _palms(body, frames, hand)
+    sets_off = int(np.argmax(np.linalg.norm(palms[:, :3] - palms[0, :3], axis=1) > 0.03))
+    taken = int(np.argmin(np.linalg.norm(palms[:, :3] - place, axis=1)))
+    assert sets_off > 3
+    assert angles[1][sets_off] < 8  # eyes rest on it before the hand moves
+    assert angles[0][taken] < 15
+    assert angles[0][taken] < angles[0][0] - 25
+
+
+def test_head_and_eyes_keep_the_speed_of_heads_and_eyes() -> None:
+    person = _someone("male_0", "right", (0.33, 0.5, 0.25))
+    gazes = [person.gaze.copy()]
+    for spot in ((0.4, 0.3, 0.25), (0.4, 1.1, -0.3), (0.0, 0.2, 0.9), None):
+        person.look_at = None if spot is None else _at(person, "right", spot)
+        for _ in range(60):
+            person.stride()
+            gazes.append(person.gaze.copy())
+    steps = np.degrees(np.diff(gazes, axis=0))
+    assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 4.0 + 1e-9  # 120 degrees a second
+    assert np.hypot(steps[:, 2], steps[:, 3]).max() <= 13.0 + 1e-9  # 390
+    assert np.abs(np.diff(steps[:, :2], axis=0)).max() < 1.2  # no jerk
+    assert np.hypot(steps[:, 0], steps[:, 1]).max() > 3.5
+    np.testing.assert_array_equal(gazes[-1], 0)
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_fingers_close_around_what_they_hold_by_its_size(hand: Hand) -> None:
+    bends, side = [], ("left", "right").index(hand)
+    fingers = [JOINT_INDEX[f"{hand}_{finger}2"] for finger in ("index", "middle", "pinky", "ring")]
+    for radius in (0.012, 0.04, 0.08, None):
+        person = _someone("neutral_0", hand, (0.38, 0.6, 0.1))
+        person.sizes = {} if radius is None else {"mug": radius}
+        start, open_wide = person.quats[fingers].copy(), 0.0
+        for _ in person.pick("mug", hand):
+            open_wide = min(open_wide, float(person.curl[side]))
+        bends.append(float(person.curl[side]))
+        turned = skills.joint_steps(np.stack([start, person.quats[fingers]]))[0]
+        np.testing.assert_allclose(turned, abs(bends[-1]), atol=1e-3)
+        assert open_wide == pytest.approx(skills.OPEN_CURL)
+        run(person, person.place(_at(person, hand, (0.38, 0.6, 0.1)), hand))
+        run(person, person.settle())
+        for _ in range(20):
+            person.stride()
+        assert person.curl[side] == 0  # it hangs open again
+    assert bends[0] > bends[3] > bends[1] > bends[2]
