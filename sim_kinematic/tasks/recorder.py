@@ -64,6 +64,8 @@ class Recorder:
     events: list[Event] = field(default_factory=list)
     skills: list[SkillSpan] = field(default_factory=list)
     inputs: list[InputEvent] = field(default_factory=list)
+    latest: Any = None
+    """Snapshot of the step that has just been played; None before the first."""
     _rows: list[Any] = field(default_factory=list)
     _count: int = 0
 
@@ -72,7 +74,8 @@ class Recorder:
 
     def add(self) -> None:
         """Takes down the step that has just been played."""
-        self._rows.append(self.play.snapshot())
+        self.latest = self.play.snapshot()
+        self._rows.append(self.latest)
         if len(self._rows) == BLOCK:
             self._close_block()
         self._take()
@@ -89,6 +92,14 @@ class Recorder:
         if not self.blocks:
             return {"time_ns": np.zeros(0, np.int64)}
         return {name: np.concatenate([b[name] for b in self.blocks]) for name in self.blocks[0]}
+
+    def latest_columns(self) -> Columns:
+        """Columns of the step that has just been played, one row each, without the hash of the state."""
+        return self.play.columns([self.latest], len(self) - 1)
+
+    def flush(self) -> None:
+        """Hands all rows to the sink now, so that a crash from here on loses none of them."""
+        self._close_block()
 
     def finish(self, info: Mapping[str, Any]) -> Recording:
         """The whole recording, with what is known only at the end; closes the sink."""

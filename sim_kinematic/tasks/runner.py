@@ -4,7 +4,7 @@ bring their own clock, such as a person at a keyboard or a learner; `simulate` r
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -176,8 +176,9 @@ class Session:
         *,
         sink: Callable[[RecordingHeader], Sink] | None = None,
         episode_id: str = "0",
+        info: Mapping[str, Any] | None = None,
     ) -> None:
-        """As `simulate`."""
+        """As `simulate`; ``info`` is recorded from the start."""
         self.task, self.episode = task, episode
         self._inboxes: dict[int, _Inbox] = {}
         self.policies: list[AssignedPolicy] = []
@@ -188,6 +189,8 @@ class Session:
             self.policies.append(assigned)
         self.play = task.play(episode, self.policies)
         header = describe(task, episode, self.policies, episode_id=episode_id, reference=reference_of(task))
+        if info:
+            header = replace(header, episode=replace(header.episode, info={**header.episode.info, **info}))
         self.recorder = Recorder(header, self.play, sink(header) if sink is not None else None)
         self._numbers = {member.name: k for k, member in enumerate(episode.roster)}
         self._turns: Turns | None = None
@@ -290,14 +293,23 @@ class Session:
             ended=self.ended,
         )
 
-    def close(self) -> Recording:
-        """Ends the session and returns its recording; one that has not ended says so in ``info["ended"]``."""
+    def close(self, info: Mapping[str, Any] | None = None) -> Recording:
+        """Ends the session and returns its recording; one that has not ended says so in ``info["ended"]``.
+
+        ``info`` is recorded too: entries that the caller knows only now.
+        """
         if self._closed is None:
             if not self.play.over:
                 self.play.ended = "closed"
-            info = self.task.hindsight(self.episode, self.play, self.policies)
-            self._closed = self.recorder.finish(info)
+            found = self.task.hindsight(self.episode, self.play, self.policies)
+            self._closed = self.recorder.finish({**found, **(info or {})})
         return self._closed
+
+    def abort(self) -> None:
+        """Leaves the session without an end: what has been played so far stays as an unfinished log (``.part``)."""
+        if self._closed is None:
+            self.recorder.flush()
+            self.recorder.abort()
 
     def __enter__(self) -> Session:
         return self

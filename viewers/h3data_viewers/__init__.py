@@ -1,6 +1,30 @@
-"""Viewers of recordings: Rerun files (`rerun`) and the HTML report (`html_report`)."""
+"""Viewers of recordings: Rerun files (`rerun`) and the HTML report (`html_report`); and worlds that people play in live in a
+browser (`hitl`).
 
-from h3data_viewers.rerun.cameras import CameraFeed, rendered_feed
-from h3data_viewers.rerun.rrd_file import ShownRecording, write_comparison_rrd, write_rrd
+Everything is imported at first use: the server of `hitl` must stay small.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from h3data_viewers.rerun.cameras import CameraFeed, rendered_feed
+    from h3data_viewers.rerun.rrd_file import ShownRecording, write_comparison_rrd, write_rrd
+
+_HOMES = {
+    "CameraFeed": "rerun.cameras",
+    "ShownRecording": "rerun.rrd_file",
+    "rendered_feed": "rerun.cameras",
+    "write_comparison_rrd": "rerun.rrd_file",
+    "write_rrd": "rerun.rrd_file",
+}
 
 __all__ = ["CameraFeed", "ShownRecording", "rendered_feed", "write_comparison_rrd", "write_rrd"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -15,6 +15,7 @@ from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
 from h3data_pipelines.commands.informing import Info
 from h3data_pipelines.commands.measuring import Metrics
+from h3data_pipelines.commands.playing import Play
 from h3data_pipelines.commands.recovering import Recover
 from h3data_pipelines.commands.replaying import ReplayCommand
 from h3data_pipelines.commands.sql import Sql
@@ -35,6 +36,7 @@ COMMANDS: dict[str, type[Command] | Group] = {
     "demo": Demo,
     "generate": Generate,
     "evaluate": Evaluate,
+    "play": Play,
     "import": Import,
     "export": Export,
     "rerender": Rerender,

@@ -1,0 +1,116 @@
+"""What people play: a task with its rules, words and markers. An app of your own is a subclass, found as ``module:Class``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from h3data.plugins import Registry
+from h3data_viewers.hitl.drivers import Driver
+from h3data_viewers.hitl.messages import Act
+from sim_kinematic.tasks.runner import Session, StepResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hud:
+    """What a player reads."""
+
+    task: str
+    """What to do, in a sentence."""
+    left_s: float | None = None
+    """Time that is left [s]; None: no limit is shown."""
+    lines: tuple[str, ...] = ()
+    """How it stands, a line each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """Where an object has to go; goal number k is that of object number k."""
+
+    position: tuple[float, float, float]
+    """Of the object's origin there [m]."""
+    label: str
+    """Name of the place."""
+
+
+class App:
+    """An episode of a task as people play it. The defaults suit any task; a subclass says what is different.
+
+    An object of it lives for one episode. `reset`, then for each step `on_input` for what players have sent, `step` for what
+    happened, `hud` for what each player reads.
+    """
+
+    task: ClassVar[str] = ""
+    """Name of the task, or ``module:Class``."""
+    rules: ClassVar[Mapping[str, Any]] = {}
+    """Rules of the task that differ where people play it."""
+
+    session: Session
+
+    def reset(self, session: Session) -> None:
+        """Begins an episode."""
+        self.session = session
+
+    def driver(self, number: int) -> Driver:
+        """How a player moves agent ``number``."""
+        return Driver(self.session, number)
+
+    def on_input(self, number: int, message: Act) -> None:
+        """Takes note of a message of the player of agent ``number``, which has been accepted."""
+
+    def step(self, result: StepResult) -> str:
+        """Takes note of a step; a text ends the episode for the reason that it names."""
+        del result
+        return ""
+
+    def hud(self, number: int) -> Hud:
+        """What the player of agent ``number`` reads; -1: a spectator."""
+        del number
+        info = self.session.recorder.header.episode.info
+        return Hud(task=sentence_of(str(info["instruction"])), left_s=self.left_s)
+
+    def goals(self) -> list[Goal]:
+        """Markers in the home."""
+        return []
+
+    def label(self, name: str) -> str:
+        """The word for an object of the recording."""
+        return name.rpartition("/")[2].replace("_", " ")
+
+    def over(self, number: int) -> str:
+        """What the player reads at the end."""
+        ended = self.session.ended
+        return {"success": "Done. Thank you!", "max_steps": "The time is up.", "": "The episode has been ended."}.get(
+            ended, f"The episode has ended: {ended.replace('_', ' ')}."
+        )
+
+    @property
+    def left_s(self) -> float:
+        """Time until the task's limit of steps [s], whole seconds."""
+        spec, steps = self.session.episode.spec, len(self.session.recorder)
+        return float((spec.max_steps - steps + 29) // 30)
+
+
+def sentence_of(words: str) -> str:
+    """An instruction as a sentence."""
+    return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
+
+
+_APPS: Registry[Any] = Registry(
+    "h3data.apps",
+    {
+        "rearrange": "h3data_viewers.hitl.apps.rearrange:RearrangeApp",
+        "social_nav": "h3data_viewers.hitl.apps.social_nav:FollowMeApp",
+    },
+    what="app",
+)
+
+
+def find_app(name: str) -> type[App]:
+    """The app with a name, or ``module:Class``.
+
+    Raises:
+        InputError: there is none.
+    """
+    return _APPS.get(name)

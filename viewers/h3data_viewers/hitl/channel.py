@@ -1,0 +1,87 @@
+"""What the front and a worker send each other over a socket: ``(kind, key, body)`` as msgpack, after their length.
+
+No pickle: a worker that is taken over must not be able to run anything in the front.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import select
+import socket
+from typing import Any
+
+import msgspec
+
+Letter = tuple[str, str, Any]
+"""What it is, of which game or seat, and its content of plain types."""
+_LENGTH = 4
+_encoder = msgspec.msgpack.Encoder()
+_decoder: msgspec.msgpack.Decoder[Letter] = msgspec.msgpack.Decoder(Letter)
+
+
+def encode(kind: str, key: str, body: Any) -> bytes:
+    """A letter with its length in front."""
+    data = _encoder.encode((kind, key, body))
+    return len(data).to_bytes(_LENGTH, "little") + data
+
+
+async def receive(reader: asyncio.StreamReader) -> Letter:
+    """The next letter.
+
+    Raises:
+        asyncio.IncompleteReadError: the other side is gone.
+    """
+    size = int.from_bytes(await reader.readexactly(_LENGTH), "little")
+    return _decoder.decode(await reader.readexactly(size))
+
+
+class Closed(Exception):
+    """The other side is gone."""
+
+
+class Channel:
+    """The worker's end: waits for letters at most as long as it has time."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket, self._buffer = sock, bytearray()
+        sock.setblocking(True)
+
+    def send(self, kind: str, key: str, body: Any) -> None:
+        """Sends a letter; waits where the front is slow.
+
+        Raises:
+            Closed: the front is gone.
+        """
+        try:
+            self._socket.sendall(encode(kind, key, body))
+        except OSError:
+            raise Closed from None
+
+    def receive(self, wait_s: float) -> list[Letter]:
+        """The letters that have come, after at most ``wait_s`` [s].
+
+        Raises:
+            Closed: the front is gone.
+        """
+        ready = select.select([self._socket], [], [], max(wait_s, 0.0))[0]
+        while ready:
+            try:
+                data = self._socket.recv(1 << 16)
+            except OSError:
+                raise Closed from None
+            if not data:
+                raise Closed
+            self._buffer += data
+            ready = select.select([self._socket], [], [], 0.0)[0]
+        return self._taken()
+
+    def _taken(self) -> list[Letter]:
+        letters, at = [], 0
+        while len(self._buffer) - at >= _LENGTH:
+            end = at + _LENGTH + int.from_bytes(self._buffer[at : at + _LENGTH], "little")
+            if end > len(self._buffer):
+                break
+            letters.append(_decoder.decode(memoryview(self._buffer)[at + _LENGTH : end]))
+            at = end
+        del self._buffer[:at]
+        return letters

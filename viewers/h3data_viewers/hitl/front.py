@@ -1,0 +1,438 @@
+"""The server that browsers talk to: page, seats, sockets. It simulates nothing and imports neither NumPy nor numba."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gzip
+import hashlib
+import json
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
+from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
+from h3data_viewers.hitl.workers import Workers, WorkerProcess
+
+PAGE = Path(__file__).parent / "web" / "dist"
+RATE_PER_S, BURST = 90.0, 180.0
+QUEUE = 90
+"""States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
+MOST_BUSY = 0.7
+"""Share of a core above which a worker takes no further game: all others would slow down."""
+MOST_SPECTATORS = 20
+BEGIN_S, SEND_S, POST_BYTES = 90.0, 20.0, 64 * 1024
+ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: ws: wss:; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+@dataclass(eq=False)
+class Live:
+    """A game on a worker."""
+
+    game: Game
+    worker: WorkerProcess
+    begun: asyncio.Future[dict[str, Any]]
+    sockets: dict[str, Connection] = field(default_factory=dict)
+    """Of those who are connected, by seat."""
+    told_over: dict[str, Any] | None = None
+
+
+class Connection:
+    """The socket of one seat and what waits to be sent through it."""
+
+    def __init__(self, socket: web.WebSocketResponse, agent: int) -> None:
+        self.socket, self.agent = socket, agent
+        self._texts: deque[str] = deque()
+        self._states: deque[bytes] = deque(maxlen=QUEUE)
+        self._news = asyncio.Event()
+        self._ends = False
+
+    def state(self, data: bytes) -> None:
+        """Queues a state; the oldest one goes where the client is slow."""
+        self._states.append(data)
+        self._news.set()
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Queues a text frame."""
+        self._texts.append(json.dumps(message))
+        self._news.set()
+
+    def end(self) -> None:
+        """Closes after everything has been sent."""
+        self._ends = True
+        self._news.set()
+
+    async def send(self) -> None:
+        """Sends until the socket closes."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            async with asyncio.timeout(SEND_S):
+                while self._states or self._texts:
+                    if self._states:
+                        await self.socket.send_bytes(self._states.popleft())
+                    if self._texts and not self._states:
+                        await self.socket.send_str(self._texts.popleft())
+            if self._ends:
+                await self.socket.close()
+                return
+
+
+class Front:
+    """All seats and games of one plan."""
+
+    def __init__(
+        self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
+        report: Callable[[dict[str, Any]], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            plan: What is played.
+            workers: Processes beside the spare one.
+            tables: Games at once, of plans with one player.
+            open_door: Whether ``/`` leads to the seat of the only player, else every seat has a link with a secret.
+            secure: Whether browsers come through TLS: cookies are then for TLS only.
+            report: Called with what the command line tells its user.
+        """
+        self.plan, self.secure, self.report = plan, secure, report
+        self.tables = tables if len(plan.players) == 1 else 1
+        self.open_door = open_door and len(plan.players) == 1
+        self.journal = Journal(Path(plan.out))
+        self.journal.make_links(len(plan.seats))
+        self.workers = Workers(plan, workers, self.heard, self.lost)
+        self.lives: dict[str, Live] = {}
+        self.files: dict[str, tuple[bytes, str]] = {}
+        """By name: content, gzip-compressed, and its type."""
+        self.done = asyncio.Event()
+        """All episodes are over."""
+
+    # --- the application ----------------------------------------------------------------------------------------------
+    def application(self) -> web.Application:
+        """What aiohttp serves."""
+        app = web.Application(client_max_size=POST_BYTES, middlewares=[_strict])
+        for prefix in ("", "/s/{key}"):
+            app.router.add_get(prefix + "/", self.page)
+            app.router.add_post(prefix + "/api/session", self.sit)
+            app.router.add_get(prefix + "/world/{name}", self.world)
+            app.router.add_get(prefix + "/play/{sid}", self.play)
+            app.router.add_get(prefix + "/{path:(?:assets/)?[A-Za-z0-9_.-]+}", self.asset)
+        app.on_shutdown.append(self._close_sockets)
+        return app
+
+    def link(self, number: int) -> str:
+        """Path of a seat's page."""
+        is_open = self.open_door and self.plan.seats[number] != "spectator"
+        return "/" if is_open else f"/s/{self.journal.links[number]}/"
+
+    async def _close_sockets(self, app: web.Application) -> None:
+        """Without this aiohttp waits a minute for open sockets."""
+        del app
+        connections = [c for live in self.lives.values() for c in live.sockets.values()]
+        for connection in connections:
+            with contextlib.suppress(Exception):
+                async with asyncio.timeout(0.5):
+                    await connection.socket.close(code=WSCloseCode.GOING_AWAY)
+
+    # --- pages --------------------------------------------------------------------------------------------------------
+    async def page(self, request: web.Request) -> web.StreamResponse:
+        """The page of a seat."""
+        self._seat_number(request)
+        if not (PAGE / "index.html").is_file():
+            raise web.HTTPNotFound(text="The page has not been built. Hint: make web")
+        return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def asset(self, request: web.Request) -> web.StreamResponse:
+        """A file of the page; their names have digests of their content."""
+        path = PAGE / request.match_info["path"]
+        if not path.is_file() or ".." in path.parts:
+            raise web.HTTPNotFound
+        return web.FileResponse(path, headers={"Cache-Control": "public, max-age=31536000, immutable"})
+
+    async def world(self, request: web.Request) -> web.StreamResponse:
+        """A GLB or distance grid, by its digest."""
+        found = self.files.get(request.match_info["name"])
+        if found is None:
+            raise web.HTTPNotFound(text="There is no such file any more. Reload the page.")
+        data, kind = found
+        headers = {"Content-Encoding": "gzip", "Cache-Control": "public, max-age=31536000, immutable"}
+        return web.Response(body=data, content_type=kind, headers=headers)
+
+    # --- sitting down -------------------------------------------------------------------------------------------------
+    async def sit(self, request: web.Request) -> web.Response:
+        """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
+        _require_own_origin(request)
+        number = self._seat_number(request)
+        if request.content_type != "application/json":
+            raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
+        token = request.cookies.get(self._cookie(number), "")
+        seat = self.journal.owner(token, number) if token else None
+        if seat is None:
+            token = new_token()
+            seat = self._new_seat(token, number)
+        live = self._game_for(seat)
+        try:
+            begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
+        except TimeoutError:
+            raise web.HTTPServiceUnavailable(text="The home could not be set up in time. Try again.") from None
+        except Failed as fault:
+            raise web.HTTPInternalServerError(text=f"The session could not begin: {fault}") from None
+        manifest = {**begun["manifest"], "me": self._agent(seat, begun)}
+        body = {"manifest": manifest, "glb": begun["glb"], "socket": f"play/{seat.sid}"}
+        answer = web.json_response(body, headers={"Cache-Control": "no-store"})
+        answer.set_cookie(
+            self._cookie(number), token, httponly=True, samesite="Strict", secure=self.secure, max_age=86400, path="/"
+        )
+        return answer
+
+    def _seat_number(self, request: web.Request) -> int:
+        key = request.match_info.get("key")
+        if key is None and self.open_door:
+            return 0
+        if key in self.journal.links:
+            return self.journal.links.index(key)
+        raise web.HTTPNotFound(
+            text="There is no seat here. Use the link that was printed when the session was started."
+        )
+
+    def _cookie(self, number: int) -> str:
+        # cookies do not heed ports: two sessions on one machine need names of their own
+        name = hashlib.sha256(self.journal.links[number].encode()).hexdigest()[:8]
+        return f"h3data_seat_{name}"
+
+    def _new_seat(self, token: str, number: int) -> Seat:
+        if self.plan.seats[number] == "spectator":
+            if sum(seat.number == number for seat in self.journal.seats.values()) >= MOST_SPECTATORS:
+                raise web.HTTPServiceUnavailable(text="There are too many spectators already.")
+            return self.journal.sit(token, 0, number)
+        if self.tables == 1:
+            if self.journal.taken(0, number) is not None:
+                raise web.HTTPConflict(text="Somebody plays here already, in another browser.")
+            return self.journal.sit(token, 0, number)
+        places = {seat.place for seat in self.journal.seats.values()}
+        going = sum(not game.over for game in self.journal.games.values())
+        if going >= self.tables:
+            raise web.HTTPServiceUnavailable(text="All places are taken. Try again in a minute.")
+        self._require_capacity()
+        return self.journal.sit(token, max(places, default=-1) + 1, number)
+
+    def _require_capacity(self) -> None:
+        if not self.workers.active or self.workers.least_busy().busy > MOST_BUSY:
+            raise web.HTTPServiceUnavailable(text="The machine is busy with other sessions. Try again in a minute.")
+
+    def _game_for(self, seat: Seat) -> Live:
+        """The game of a seat's table: the one that goes on, or the next episode."""
+        game = self.journal.open_game(seat.place)
+        if game is None:
+            if len(self.journal.games) >= self.plan.episodes:
+                raise web.HTTPGone(text="All episodes have been played. You can close this page.")
+            if self.plan.seats[seat.number] == "spectator":
+                raise web.HTTPConflict(text="Nobody plays at the moment. Reload the page when they do.")
+            game = self.journal.begin(seat.place)
+        if seat.game != game.key:
+            self.journal.assign(seat, game)
+        return self._live(game)
+
+    def _live(self, game: Game) -> Live:
+        live = self.lives.get(game.key)
+        if live is None:
+            if not self.workers.active:
+                raise web.HTTPServiceUnavailable(text="The server is just starting again. Try again in a moment.")
+            worker = self.workers.least_busy()
+            live = self.lives[game.key] = Live(game, worker, asyncio.get_running_loop().create_future())
+            self._begin(live, worker)
+        return live
+
+    def _begin(self, live: Live, worker: WorkerProcess) -> None:
+        live.worker = worker
+        worker.games.add(live.game.key)
+        worker.send("begin", live.game.key, {"index": live.game.episode})
+
+    def _agent(self, seat: Seat, begun: dict[str, Any]) -> int:
+        """The agent that a seat plays; -1: none."""
+        return int(begun["agents"][seat.number]) if seat.number < len(self.plan.players) else -1
+
+    # --- from workers -------------------------------------------------------------------------------------------------
+    def heard(self, worker: WorkerProcess, kind: str, key: str, body: Any) -> None:
+        """A letter of a worker about a game."""
+        live = self.lives.get(key)
+        if live is None or live.worker is not worker:
+            return
+        if kind == "state":
+            states = {agent: data for agent, data in body}
+            for connection in live.sockets.values():
+                if connection.agent in states:
+                    connection.state(states[connection.agent])
+        elif kind == "told":
+            for connection in live.sockets.values():
+                if connection.agent == body[0]:
+                    connection.tell(body[1])
+        elif kind == "begun":
+            live.begun.set_result(self._stored(body))
+        elif kind == "failed":
+            self._over(live, {"ended": "failed", "why": body, "path": "", "steps": 0, "texts": {}})
+        elif kind == "over":
+            self._over(live, body)
+
+    def _stored(self, body: dict[str, Any]) -> dict[str, Any]:
+        """Keeps the files of a world; returns the rest."""
+        glb, grid = body.pop("glb"), body.pop("grid")
+        name = f"{hashlib.sha256(glb).hexdigest()[:20]}.glb"
+        grid_name = body["manifest"]["sdf"]["url"].rpartition("/")[2]
+        for file, data, kind in ((name, glb, "model/gltf-binary"), (grid_name, grid, "application/octet-stream")):
+            if file not in self.files:
+                self.files[file] = gzip.compress(data, 6, mtime=0), kind
+        while len(self.files) > 64:
+            del self.files[next(iter(self.files))]
+        return {**body, "glb": f"world/{name}"}
+
+    def _over(self, live: Live, over: dict[str, Any]) -> None:
+        if live.game.over:
+            return
+        self.journal.end(live.game, over["ended"])
+        live.worker.games.discard(live.game.key)
+        is_last = len(self.journal.games) >= self.plan.episodes
+        text = "Something went wrong in the simulator. What was played is kept." if over["ended"] == "failed" else ""
+        for connection in live.sockets.values():
+            said = over["texts"].get(str(connection.agent), text)
+            connection.tell({"over": {"ended": over["ended"], "text": said, "next": not is_last}})
+            connection.end()
+        if not live.begun.done():
+            live.begun.set_exception(Failed(over.get("why", over["ended"])))
+            live.begun.exception()  # nobody may be waiting for it
+        del self.lives[live.game.key]
+        self.report({"over": {**over, "episode": live.game.episode}})
+        if is_last and all(game.over for game in self.journal.games.values()):
+            self.done.set()
+
+    def lost(self, worker: WorkerProcess) -> None:
+        """A worker died: its games go on elsewhere, from what is on the disk."""
+        self.report({"lost": {"games": len(worker.games)}})
+        lives = [live for live in self.lives.values() if live.worker is worker]
+        loop = asyncio.get_running_loop()
+        for live in lives:
+            if live.begun.done():
+                live.begun = loop.create_future()
+        self._moving = asyncio.create_task(self._move(lives))
+
+    async def _move(self, lives: list[Live]) -> None:
+        worker = await self.workers.replacement()
+        for live in lives:
+            self._begin(live, worker)
+            for connection in list(live.sockets.values()):
+                with contextlib.suppress(Exception):
+                    await connection.socket.close(code=RESTARTING)
+
+    # --- sockets ------------------------------------------------------------------------------------------------------
+    async def play(self, request: web.Request) -> web.StreamResponse:
+        """The socket of a seat."""
+        _require_own_origin(request)
+        number = self._seat_number(request)
+        seat = self.journal.seats.get(request.match_info["sid"])
+        token = request.cookies.get(self._cookie(number), "")
+        if seat is None or seat.number != number or self.journal.owner(token, number) is not seat:
+            raise web.HTTPForbidden(text="This is not your seat.")
+        game = self.journal.games.get(seat.game)
+        socket = web.WebSocketResponse(compress=False, max_msg_size=MOST_BYTES, heartbeat=10.0, timeout=2.0)
+        await socket.prepare(request)
+        if game is None or game.over:
+            await socket.close(code=GONE, message=b"the session has ended")
+            return socket
+        try:
+            live = self._live(game)
+            begun = await asyncio.wait_for(asyncio.shield(live.begun), BEGIN_S)
+        except (Failed, TimeoutError, web.HTTPException):
+            await socket.close(code=RESTARTING)
+            return socket
+        connection = Connection(socket, self._agent(seat, begun))
+        before = live.sockets.get(seat.sid)
+        live.sockets[seat.sid] = connection
+        if before is not None:
+            before_closes = asyncio.create_task(before.socket.close(code=ELSEWHERE, message=b"opened elsewhere"))
+            with contextlib.suppress(Exception):
+                await asyncio.wait_for(before_closes, 1.0)
+        live.worker.send("here", game.key, {"agent": connection.agent, "here": True})
+        sending = asyncio.create_task(connection.send())
+        sending.add_done_callback(_finished)
+        try:
+            await self._listen(live, connection, socket)
+        finally:
+            sending.cancel()
+            if live.sockets.get(seat.sid) is connection:
+                del live.sockets[seat.sid]
+                if not any(c.agent == connection.agent for c in live.sockets.values()) and not game.over:
+                    live.worker.send("here", game.key, {"agent": connection.agent, "here": False})
+        return socket
+
+    async def _listen(self, live: Live, connection: Connection, socket: web.WebSocketResponse) -> None:
+        allowance, last = BURST, time.monotonic()
+        async for frame in socket:
+            now = time.monotonic()
+            allowance, last = min(BURST, allowance + (now - last) * RATE_PER_S) - 1, now
+            if allowance < 0:
+                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too many messages")
+                return
+            if frame.type is not WSMsgType.TEXT:
+                await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"no message")
+                return
+            try:
+                message = decode(frame.data)
+            except (msgspec.MsgspecError, UnicodeError):
+                await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"no message")
+                return
+            if isinstance(message, Ping):
+                connection.state(_pong(message.ct))
+            elif connection.agent < 0 or live.worker.is_stuck:
+                continue
+            elif isinstance(message, Can):
+                live.worker.send("can", live.game.key, [connection.agent, list(message.p)])
+            else:
+                live.worker.send("input", live.game.key, [connection.agent, frame.data, time.monotonic() * 1e3])
+
+
+class Failed(Exception):
+    """A game could not begin."""
+
+
+def _pong(client_ms: float) -> bytes:
+    return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
+
+
+def _finished(task: asyncio.Task[None]) -> None:
+    """A socket that breaks while something is sent ends its reader too; nothing to report."""
+    if not task.cancelled():
+        task.exception()
+
+
+def _require_own_origin(request: web.Request) -> None:
+    """Pages of other sites may not use a player's cookies. Programs that send no Origin have none to misuse."""
+    origin = request.headers.get("Origin")
+    if origin is not None and origin.partition("://")[2] != request.host:
+        raise web.HTTPForbidden(text="This request comes from another site.")
+
+
+@web.middleware
+async def _strict(request: web.Request, handler: Any) -> web.StreamResponse:
+    try:
+        response = await handler(request)
+    except web.HTTPException as error:
+        error.headers.update(HEADERS)
+        raise
+    if not response.prepared:
+        response.headers.update(HEADERS)
+    return response

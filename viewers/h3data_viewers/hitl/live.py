@@ -1,0 +1,223 @@
+"""An episode that people play: one `Session`, a driver for each player, and everything that they send, recorded to the
+letter."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from h3data.errors import H3DataError, InputError
+from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, read_mcap, recover_mcap
+from h3data_viewers.hitl.app import App, find_app
+from h3data_viewers.hitl.drivers import Driver
+from h3data_viewers.hitl.messages import Act, decode
+from h3data_viewers.hitl.plan import VERSION, PlayPlan, recording_name
+from h3data_viewers.hitl.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
+from sim_kinematic.policies.policy import External
+from sim_kinematic.tasks.episode import Episode, with_options
+from sim_kinematic.tasks.registry import find_task
+from sim_kinematic.tasks.runner import Session, StepResult
+from sim_kinematic.tasks.sources import EpisodeSource
+
+CLIENT, CONNECTED, DISCONNECTED, SLIP = "client", "connected", "disconnected", "slip"
+"""Kinds of raw input: a message as it came, somebody who came or went, steps that were not played in time. What the players'
+messages made the agents do is recorded beside them (kind ``command``), so that ``h3data replay --verify`` needs no app."""
+
+
+class Table:
+    """Where episodes of a plan come from, in one process."""
+
+    def __init__(self, plan: PlayPlan) -> None:
+        """
+        Raises:
+            InputError: there is no such app, task, scene, agent or policy.
+        """
+        self.plan, self.app = plan, find_app(plan.app)
+        self.task = find_task(self.app.task)
+        self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
+        self.roster = plan.roster(tuple(self.task.agents))
+        self.source = EpisodeSource(self.task, plan.scenes, spec=self.spec, agents=self.roster)
+        self.numbers = self._numbers()
+        """Agent of each player, in the order of `PlayPlan.players`."""
+        if plan.partner not in (None, "solo"):
+            for kind in {kind for k, kind in enumerate(self.roster) if k not in self.numbers}:
+                self.task.check_policy(kind, plan.partner, self.spec)
+
+    def _numbers(self) -> tuple[int, ...]:
+        numbers = []
+        for k, seat in enumerate(self.plan.players):
+            kind = "human" if seat == "person" else "robot"
+            nth = self.plan.players[:k].count(seat)
+            agents = [number for number, member in enumerate(self.roster) if member == kind]
+            if nth >= len(agents):
+                raise InputError(f"Nobody can play as the {seat}: {self.plan.app} has {', '.join(self.roster)}.")
+            numbers.append(agents[nth])
+        return tuple(numbers)
+
+    def episode(self, index: int) -> Episode:
+        """Samples episode ``index``."""
+        return self.source.sample(self.plan.seed, index)
+
+    def path(self, index: int) -> Path:
+        """File of an episode's recording."""
+        return Path(self.plan.out, recording_name(index) + ".mcap")
+
+    def begin(self, index: int) -> LiveGame:
+        """Begins an episode, or goes on with one of which an unfinished log is there."""
+        path = self.path(index)
+        part = path.with_name(path.name + ".part")
+        if not part.exists():
+            return LiveGame(self, index, path)
+        saved = path.with_name(f".{path.name}.saved.mcap")
+        try:
+            recover_mcap(part, saved, overwrite=True)
+            recording = read_mcap(saved)
+        except H3DataError:  # killed before anything was written
+            os.replace(part, part.with_name(part.name + ".broken"))
+            return LiveGame(self, index, path)
+        game = LiveGame(self, index, path)
+        game.play_again(recording)
+        saved.unlink()
+        return game
+
+
+class LiveGame:
+    """One episode under way."""
+
+    def __init__(self, table: Table, index: int, path: Path | None = None) -> None:
+        plan, episode = table.plan, table.episode(index)
+        names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
+        others = [m.name for k, m in enumerate(episode.roster) if k not in table.numbers]
+        partner = None if plan.partner == "solo" else plan.partner
+        policies = {**names, **({name: partner for name in others} if partner else {})}
+        sink = None
+        if path is not None:
+            # one home is stored once for all episodes that are played in it
+            sink = lambda header: RecordingWriter(path, header, overwrite=True, share_in=path.parent)  # noqa: E731
+        info = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
+        self.index, self.path, self.slipped = index, path, 0
+        self.session = Session(table.task, episode, policies, sink=sink, episode_id=str(index), info=info)
+        self.app: App = table.app()
+        self.app.reset(self.session)
+        self.drivers: dict[int, Driver] = {k: self.app.driver(k) for k in table.numbers}
+        self.packer = StatePacker(self.session.recorder.header, tuple(m.body for m in episode.roster))
+        self.packed: PackedStep | None = None
+        """The last step."""
+        self.columns: Columns = {}
+        self.ended = ""
+        """What ended the episode."""
+
+    # --- from players -------------------------------------------------------------------------------------------------
+    def take(self, number: int, message: Act, text: str, server_ms: float) -> str:
+        """A message acts on the next step, and is recorded to the letter; returns a sentence for the player where it cannot
+        be done.
+
+        Raises:
+            InputError: it is no command; nothing is recorded.
+        """
+        why = self.drivers[number].take(message)
+        self.app.on_input(number, message)
+        self._record(CLIENT, number, f'{{"server_ms":{server_ms:.1f},"message":{text}}}')
+        return why
+
+    def connected(self, number: int, here: bool) -> None:
+        """A player came, or went: then their keys go up."""
+        if not here:
+            self.drivers[number].release()
+        self._record(CONNECTED if here else DISCONNECTED, number)
+
+    def slip(self, steps: int) -> None:
+        """The clock of the game has fallen behind by so many steps, which nobody will play."""
+        self.slipped += steps
+        self._record(SLIP, 0, msgspec.json.encode({"steps": steps}).decode())
+
+    def _record(self, kind: str, number: int, payload: str = "") -> None:
+        recorder = self.session.recorder
+        recorder.input(InputEvent(time_ns=len(recorder) * STEP_NS, kind=kind, user=number, payload=payload))
+
+    # --- steps --------------------------------------------------------------------------------------------------------
+    def step(self) -> dict[int, str]:
+        """Plays a step; returns sentences for players by agent."""
+        session = self.session
+        for driver in self.drivers.values():
+            command = driver.command()
+            if command is not None:
+                session.act(driver.name, command)
+        result: StepResult = session.step()
+        sentences = {number: driver.after(result) for number, driver in self.drivers.items()}
+        self.ended = self.app.step(result) or result.ended
+        self.columns = session.recorder.latest_columns()
+        self.packed = self.packer.pack(self.columns)
+        return {number: text for number, text in sentences.items() if text}
+
+    def state(self, number: int, clock_ms: float, *, whole: bool) -> bytes:
+        """The last step as the player of agent ``number`` gets it; -1: a spectator."""
+        assert self.packed is not None, "a step has been played"
+        driver, columns = self.drivers.get(number), self.columns
+        flags = ENDED if self.ended else 0
+        flags |= TOUCH if bool(columns.get("metrics.collision", _NO)[-1]) else 0
+        flags |= WALL if bool(columns.get("metrics.robot_contact", _NO)[-1]) else 0
+        flags |= BUSY if driver is not None and driver.busy else 0
+        ack = -1 if driver is None else driver.ack
+        return self.packed.state(flags, len(self.session.recorder), ack, clock_ms, whole=whole)
+
+    # --- the end ------------------------------------------------------------------------------------------------------
+    def close(self, info: Mapping[str, Any] | None = None) -> Recording | None:
+        """Finishes the recording; None, and no file, where no step was played."""
+        session = self.session
+        if len(session.recorder) == 0:
+            session.recorder.abort()
+            if self.path is not None:
+                self.path.with_name(self.path.name + ".part").unlink(missing_ok=True)
+            return None
+        hitl = session.recorder.header.episode.info["hitl"]
+        ended = {"ended": self.ended} if self.ended and not session.ended else {}
+        return session.close({**ended, "hitl": {**hitl, "slipped": self.slipped}, **(info or {})})
+
+    # --- after a crash ------------------------------------------------------------------------------------------------
+    def play_again(self, recording: Recording) -> None:
+        """Brings a fresh game to the end of an unfinished recording, from its raw input alone.
+
+        Raises:
+            H3DataError: the states came out otherwise: another version of the simulator.
+        """
+        events = [event for event in recording.inputs if event.kind in (CLIENT, CONNECTED, DISCONNECTED, SLIP)]
+        at = 0
+        for step in range(len(recording) + 1):
+            while at < len(events) and (events[at].time_ns <= step * STEP_NS or step == len(recording)):
+                self._take_again(events[at])
+                at += 1
+            if step < len(recording):
+                self.step()
+        rows = self.session.recorder.columns()["state_hash"] if len(recording) else np.zeros(0)
+        if len(recording) and not np.array_equal(rows, recording.columns["state_hash"]):
+            raise H3DataError(
+                "What was played does not come out again from its raw input: was h3data updated meanwhile?"
+            )
+
+    def _take_again(self, event: InputEvent) -> None:
+        if event.kind == CLIENT:
+            payload = msgspec.json.decode(event.payload, type=_Payload)
+            text = bytes(payload.message).decode()
+            message = decode(text)
+            assert isinstance(message, Act)
+            self.take(event.user, message, text, payload.server_ms)
+        elif event.kind == SLIP:
+            self.slip(int(msgspec.json.decode(event.payload)["steps"]))
+        else:
+            self.connected(event.user, event.kind == CONNECTED)
+
+
+class _Payload(msgspec.Struct):
+    """Payload of the raw input ``client``."""
+
+    server_ms: float
+    message: msgspec.Raw
+
+
+_NO = np.zeros(1, np.bool_)

@@ -1,0 +1,121 @@
+"""Messages of players: JSON text, one for each change of what they want."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+PERIOD_S = 1 / 30
+"""Time between two steps of a live world [s]."""
+MOST_BYTES = 4096
+"""Longest message that a socket takes."""
+
+Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+Share = Annotated[float, Meta(ge=-1, le=1)]
+Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
+Angle = Annotated[float, Meta(ge=-10, le=10)]
+Component = Annotated[float, Meta(ge=-10, le=10)]
+Index = Annotated[int, Meta(ge=0, le=65535)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+"""In the world [m]."""
+Rotation = tuple[Component, Component, Component, Component]
+"""Quaternion xyzw."""
+
+
+class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
+    """Something that a player wants. ``ct`` and ``rtt`` are the client's time and its measured round trip [ms]."""
+
+    seq: Count | None = None
+    """Number of the message within its page; states tell which one has acted."""
+    step: Count | None = None
+    """The step that the message is meant for; it acts then, or in the next step if that is over."""
+    ct: float = 0.0
+    rtt: float = 0.0
+
+
+class Move(Message, tag="move"):
+    """Walks or drives, until told otherwise: shares of the speed and of the turn rate."""
+
+    f: Share = 0.0
+    t: Share = 0.0
+
+
+class GoTo(Message, tag="goto"):
+    """Walks to a point of the floor; the server finds the path."""
+
+    p: Point
+
+
+class Stop(Message, tag="stop"):
+    """Ends a walk that the server leads."""
+
+
+class Pick(Message, tag="pick"):
+    """Takes object ``o``; with ``lead``, walks there first."""
+
+    o: Index
+    lead: bool = False
+
+
+class Place(Message, tag="place"):
+    """Puts what is held down with its origin at a point; with ``lead``, walks there first."""
+
+    p: Point
+    lead: bool = False
+
+
+class Drop(Message, tag="drop"):
+    """Lets go of what is held."""
+
+
+class Give(Message, tag="give"):
+    """Hands what is held to agent ``a``."""
+
+    a: Index
+
+
+class Hand(Message, tag="hand"):
+    """Where the palm of a hand is, in the person's root frame; without a point the arm is free again."""
+
+    side: Literal["left", "right"]
+    p: Point | None = None
+    q: Rotation | None = None
+
+
+class Head(Message, tag="head"):
+    """Where the head looks, from the direction of the chest: to the left and downwards [rad]."""
+
+    yaw: Angle
+    pitch: Angle
+
+
+class Leave(Message, tag="leave"):
+    """Ends the session."""
+
+
+class Ping(msgspec.Struct, frozen=True, tag_field="k", tag="ping"):
+    """Asks for the server's time."""
+
+    ct: float
+
+
+class Can(msgspec.Struct, frozen=True, tag_field="k", tag="can"):
+    """Asks whether what is held could be placed at a point. It changes nothing and is not recorded."""
+
+    p: Point
+
+
+Act = Move | GoTo | Stop | Pick | Place | Drop | Give | Hand | Head | Leave
+"""Messages that are recorded."""
+_DECODER: msgspec.json.Decoder[Act | Ping | Can] = msgspec.json.Decoder(Act | Ping | Can)
+
+
+def decode(text: str) -> Act | Ping | Can:
+    """The message in a text frame.
+
+    Raises:
+        msgspec.MsgspecError: it is none: no JSON, an unknown kind, a number out of its range.
+    """
+    return _DECODER.decode(text)

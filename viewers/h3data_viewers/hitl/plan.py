@@ -1,0 +1,49 @@
+"""What is to be played: made by the command line, read by the front and by workers. It never comes from a client."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+SEATS = ("person", "robot", "spectator")
+"""What somebody can sit down as."""
+VERSION = 1
+"""Of the protocol between page and server; the page refuses others."""
+
+
+class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
+    """Episodes for one table of players."""
+
+    app: str
+    """Name of an app, or ``module:Class``."""
+    out: str
+    """Folder of the recordings."""
+    seats: tuple[str, ...] = ("person",)
+    """Who plays what, from `SEATS`; players first."""
+    partner: str | None = None
+    """Policy of everybody whom nobody plays; None: the task's default."""
+    scenes: str = "small"
+    seed: int = 0
+    episodes: int = 1
+    rules: dict[str, Any] = {}
+    """Rules of the task that differ from the app's."""
+
+    @property
+    def players(self) -> tuple[str, ...]:
+        """The seats of those who play."""
+        return tuple(seat for seat in self.seats if seat != "spectator")
+
+    def roster(self, usual: tuple[str, ...]) -> tuple[str, ...]:
+        """Kinds of the agents, robots first: ``usual``, and more where more are played. Nobody is added to people who play
+        alone or among themselves (partner ``solo``, or two people and no partner)."""
+        people, robots = (self.players.count(kind) for kind in ("person", "robot"))
+        among_themselves = self.partner == "solo" or (people > 1 and self.partner is None)
+        robots = max(robots, 0 if among_themselves else usual.count("robot"))
+        people = max(people, 0 if self.partner == "solo" and robots else usual.count("human"))
+        return ("robot",) * robots + ("human",) * people
+
+
+def recording_name(index: int) -> str:
+    """File name of an episode's recording, without its ending."""
+    return f"{index:06d}"

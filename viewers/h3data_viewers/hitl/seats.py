@@ -1,0 +1,126 @@
+"""Who sits where: places at tables, the tokens by which browsers own them, and a journal of both on the disk, so that nobody
+loses a place when the front is killed."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import sqlite3
+from dataclasses import dataclass, field
+from pathlib import Path
+
+JOURNAL = "seats.sqlite"
+_TABLES = """
+create table if not exists links (number integer primary key, key text not null);
+create table if not exists seats (
+    sid text primary key, token text not null, place integer not null, number integer not null, game text not null
+);
+create table if not exists games (key text primary key, place integer not null, episode integer not null, over text not null);
+"""
+
+
+@dataclass(eq=False)
+class Seat:
+    """One browser's place."""
+
+    sid: str
+    token: str
+    """Digest of what the browser's cookie holds."""
+    place: int
+    """Number of the table."""
+    number: int
+    """Which of `PlayPlan.seats` it is."""
+    game: str
+    """Key of the game that it was last given."""
+
+
+@dataclass(eq=False)
+class Game:
+    """An episode that has begun."""
+
+    key: str
+    place: int
+    episode: int
+    over: str = ""
+    """What ended it; empty while it goes on."""
+
+
+def new_token() -> str:
+    """192 random bits."""
+    return secrets.token_urlsafe(24)
+
+
+def token_digest(token: str) -> str:
+    """What is kept of a token: whoever reads the journal cannot sit down with it."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+@dataclass
+class Journal:
+    """Seats and games of a folder, in memory and in its SQLite file."""
+
+    folder: Path
+    seats: dict[str, Seat] = field(default_factory=dict)
+    games: dict[str, Game] = field(default_factory=dict)
+    links: list[str] = field(default_factory=list)
+    """Key of the link of each of `PlayPlan.seats`."""
+
+    def __post_init__(self) -> None:
+        # one process writes; a commit is on the disk before a browser hears of it
+        self._db = sqlite3.connect(self.folder / JOURNAL, isolation_level=None)
+        self._db.executescript(_TABLES)
+        for sid, token, place, number, game in self._db.execute("select sid, token, place, number, game from seats"):
+            self.seats[sid] = Seat(sid, token, place, number, game)
+        for key, place, episode, over in self._db.execute("select key, place, episode, over from games"):
+            self.games[key] = Game(key, place, episode, over)
+        self.links = [key for _, key in self._db.execute("select number, key from links order by number")]
+
+    def make_links(self, count: int) -> None:
+        """A secret for each of so many seats, unless the folder has them."""
+        for number in range(len(self.links), count):
+            self.links.append(secrets.token_urlsafe(9))
+            self._db.execute("insert into links values (?, ?)", (number, self.links[number]))
+
+    def sit(self, token: str, place: int, number: int) -> Seat:
+        """A new seat for the browser that will hold ``token``."""
+        seat = Seat(secrets.token_hex(8), token_digest(token), place, number, "")
+        self.seats[seat.sid] = seat
+        self._db.execute("insert into seats values (?, ?, ?, ?, ?)", (seat.sid, seat.token, place, number, ""))
+        return seat
+
+    def assign(self, seat: Seat, game: Game) -> None:
+        """Notes which game a seat belongs to now."""
+        seat.game = game.key
+        self._db.execute("update seats set game = ? where sid = ?", (game.key, seat.sid))
+
+    def begin(self, place: int) -> Game:
+        """The next episode, at a table."""
+        episode = len(self.games)
+        game = Game(f"{episode:06d}", place, episode)
+        self.games[game.key] = game
+        self._db.execute("insert into games values (?, ?, ?, ?)", (game.key, place, episode, ""))
+        return game
+
+    def end(self, game: Game, why: str) -> None:
+        """Notes that a game is over."""
+        game.over = why
+        self._db.execute("update games set over = ? where key = ?", (why, game.key))
+
+    def open_game(self, place: int) -> Game | None:
+        """The game that goes on at a table."""
+        return next((game for game in self.games.values() if game.place == place and not game.over), None)
+
+    def owner(self, token: str, number: int) -> Seat | None:
+        """The seat with this number that a token owns."""
+        digest = token_digest(token)
+        return next((s for s in self.seats.values() if s.token == digest and s.number == number), None)
+
+    def taken(self, place: int, number: int) -> Seat | None:
+        """Who has seat ``number`` at a table."""
+        return next((s for s in self.seats.values() if (s.place, s.number) == (place, number)), None)
+
+    def close(self, *, done: bool) -> None:
+        """Closes the file; deletes it where everything is ``done``."""
+        self._db.close()
+        if done:
+            (self.folder / JOURNAL).unlink(missing_ok=True)

@@ -1,0 +1,127 @@
+"""The front as a process: ``python -m h3data_viewers.hitl.serve`` reads one JSON object from stdin and reports JSON lines on
+stdout. ``h3data play`` starts it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import ssl
+import sys
+from typing import Any
+
+import msgspec
+from aiohttp import web
+
+from h3data_viewers.hitl.front import Front
+from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.workers import Refused
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+CLOSE_S = 4.5
+"""Recordings are finished within this time after SIGTERM."""
+LAST_WORDS_S = 1.0
+"""Players hear that it is over before the server closes."""
+
+
+class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """What the front is started with."""
+
+    plan: PlayPlan
+    host: str = "127.0.0.1"
+    port: int = 0
+    """0: any free one."""
+    workers: int = 1
+    tables: int = 1
+    cert: str = ""
+    key: str = ""
+    """Files of a TLS certificate and its key."""
+    behind_proxy: bool = False
+    """Whether a proxy in front of it does TLS."""
+    stays: bool = False
+    """Whether it goes on after the last episode."""
+
+
+def require_safe(options: ServeOptions) -> None:
+    """
+    Raises:
+        Refused: others could listen on the network.
+    """
+    if options.host in LOOPBACK or (options.cert and options.key) or options.behind_proxy:
+        return
+    raise Refused(
+        f"On the address {options.host} others on the network could listen in. Give --cert and --key (TLS), or "
+        "--behind-proxy if a proxy in front of this server does TLS; without --host only this machine is served."
+    )
+
+
+async def serve(options: ServeOptions, report: Any) -> int:
+    """Serves until all episodes are over or a signal comes; returns the exit code."""
+    require_safe(options)
+    stops = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stops.set)
+    is_local = options.host in LOOPBACK
+    front = Front(
+        options.plan, workers=options.workers, tables=options.tables, open_door=is_local,
+        secure=bool(options.cert) or options.behind_proxy, report=report,
+    )  # fmt: skip
+    starting, stopped = asyncio.ensure_future(front.workers.start()), asyncio.ensure_future(stops.wait())
+    await asyncio.wait((starting, stopped), return_when=asyncio.FIRST_COMPLETED)
+    runner = web.AppRunner(front.application(), access_log=None, shutdown_timeout=0.5)
+    try:
+        if starting.done():
+            starting.result()
+            await _listen(front, runner, options, report)
+            waiting = [stopped] if options.stays else [stopped, asyncio.ensure_future(front.done.wait())]
+            await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            if not stops.is_set():
+                await asyncio.sleep(LAST_WORDS_S)
+    finally:
+        starting.cancel()
+        await front.workers.stop(CLOSE_S)
+        with contextlib.suppress(Exception):
+            await runner.cleanup()
+        front.journal.close(done=front.done.is_set())
+    return 0
+
+
+async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, report: Any) -> None:
+    await runner.setup()
+    tls = None
+    if options.cert:
+        tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        tls.load_cert_chain(options.cert, options.key)
+    site = web.TCPSite(runner, options.host, options.port, ssl_context=tls)
+    try:
+        await site.start()
+    except OSError as fault:
+        raise Refused(f"Port {options.port} cannot be used ({fault.strerror}). Choose another with --port.") from None
+    port = runner.addresses[0][1]
+    host = f"[{options.host}]" if ":" in options.host else options.host
+    base = f"{'https' if tls else 'http'}://{host}:{port}"
+    links = [[seat, base + front.link(number)] for number, seat in enumerate(options.plan.seats)]
+    report({"ready": {"links": links, "port": port}})
+
+
+def main() -> int:
+    """Entry point."""
+
+    def report(message: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):
+            sys.stdout.write(msgspec.json.encode(message).decode() + "\n")
+            sys.stdout.flush()
+
+    options = msgspec.json.decode(sys.stdin.readline(), type=ServeOptions)
+    try:
+        return asyncio.run(serve(options, report))
+    except Refused as fault:
+        report({"refused": str(fault)})
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

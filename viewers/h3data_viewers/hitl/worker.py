@@ -1,0 +1,319 @@
+"""A process that plays many games, each at its own phase of the 30 steps a second. Run by the front:
+``python -m h3data_viewers.hitl.worker FD``."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import signal
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from h3data.errors import H3DataError, InputError
+from h3data_viewers.hitl import assets
+from h3data_viewers.hitl.channel import Channel, Closed
+from h3data_viewers.hitl.live import LiveGame, Table
+from h3data_viewers.hitl.messages import PERIOD_S, Act, Leave, decode
+from h3data_viewers.hitl.plan import PlayPlan
+
+MOST_BEHIND = 3
+"""Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
+MOST_WAITING = 200
+"""Messages of one game that wait for their step."""
+FARTHEST_STEPS = 15
+"""A message that is meant for a later step than this acts as soon as that many steps are over."""
+WHOLE_EVERY = 30
+"""Every so many steps a state has all objects, not just those that have moved."""
+REPORT_S = 1.0
+HUD_S = 10.0
+"""The time that is left is told this often."""
+
+log = logging.getLogger("h3data.hitl.worker")
+
+
+@dataclass
+class Running:
+    """A game and its clock."""
+
+    key: str
+    game: LiveGame
+    began: float = field(default_factory=time.monotonic)
+    due: float = 0.0
+    here: set[int] = field(default_factory=set)
+    """Agents whose players are connected; -1: spectators."""
+    waiting: deque[tuple[int, int, Act, str, float]] = field(default_factory=deque)
+    """Messages that wait for their step: agent, step, message, text, time of arrival."""
+    whole: bool = True
+    over: bool = False
+    seconds: float = 0.0
+    """CPU time of its steps."""
+    huds: dict[int, Any] = field(default_factory=dict)
+
+    @property
+    def clock_ms(self) -> float:
+        return (time.monotonic() - self.began) * 1e3
+
+    @property
+    def runs(self) -> bool:
+        """Whether all who play are there."""
+        return not self.over and all(number in self.here for number in self.game.drivers)
+
+
+class Worker:
+    """All games of this process. A fault in one ends that one."""
+
+    def __init__(self, channel: Channel, plan: PlayPlan) -> None:
+        self.channel = channel
+        self.table = Table(plan)
+        self.games: dict[str, Running] = {}
+        self.stops = False
+        self._busy, self._reported = 0.0, time.monotonic()
+        self._prepared: dict[int, tuple[dict[str, Any], bytes, bytes]] = {}
+
+    def prepare(self, index: int) -> tuple[dict[str, Any], bytes, bytes]:
+        """Manifest, GLB and distance grid of an episode; made once. Also does whatever the end of the episode will need."""
+        if index not in self._prepared:
+            game = LiveGame(self.table, index)
+            data, entry = assets.distance_grid(game.session)
+            glb = assets.world_glb(game.session)
+            told = assets.manifest(game.session, game.app, entry)
+            game.step()
+            game.close()  # some facts about an episode take a second, once
+            self._prepared = {index: (told, glb, data)} | dict(list(self._prepared.items())[:7])
+        return self._prepared[index]
+
+    def warm_up(self) -> None:
+        """Compiles or loads all kernels, and prepares the first episode."""
+        self.prepare(0)
+        # all that is alive now stays: the collector need not look at it 30 times a second
+        gc.collect()
+        gc.freeze()
+
+    # --- the loop -----------------------------------------------------------------------------------------------------
+    def run(self) -> None:
+        """Serves until it is told to stop or the front is gone."""
+        while not self.stops:
+            now = time.monotonic()
+            due = min((r.due for r in self.games.values() if r.runs), default=now + 0.5)
+            for kind, key, body in self.channel.receive(min(due - now, REPORT_S)):
+                self.guarded(key, _HANDLERS[kind], body)
+            for running in list(self.games.values()):
+                if running.runs and running.due <= time.monotonic():
+                    self.guarded(running.key, Worker.step, None)
+            self.report()
+
+    def guarded(self, key: str, act: Callable[..., None], body: Any) -> None:
+        """Does something for one game; what goes wrong there ends that game, and its log can be recovered."""
+        try:
+            act(self, key, body)
+        except Closed:
+            raise
+        except Exception as fault:
+            log.exception("game %s failed", key)
+            running = self.games.pop(key, None)
+            if running is not None:
+                running.game.session.abort()
+            text = str(fault) if isinstance(fault, H3DataError) else f"{type(fault).__name__}: {fault}"
+            self.channel.send("failed", key, text)
+
+    def report(self) -> None:
+        """Tells the front once a second how busy this process is."""
+        now = time.monotonic()
+        if now - self._reported < REPORT_S:
+            return
+        self.channel.send("load", "", {"busy": self._busy / (now - self._reported), "games": len(self.games)})
+        self._busy, self._reported = 0.0, now
+
+    def close_all(self, *, finish: bool) -> None:
+        """Finishes all recordings, or leaves them as logs that a later process goes on with."""
+        for running in self.games.values():
+            try:
+                if finish:
+                    running.game.close()
+                else:
+                    running.game.session.abort()
+            except Exception:
+                log.exception("game %s could not be closed", running.key)
+        self.games.clear()
+
+    # --- letters of the front -----------------------------------------------------------------------------------------
+    def begin(self, key: str, body: dict[str, Any]) -> None:
+        told, glb, grid = self.prepare(int(body["index"]))
+        game = self.table.begin(int(body["index"]))
+        self.games[key] = Running(key, game)
+        answer = {"manifest": told, "glb": glb, "grid": grid, "agents": list(self.table.numbers)}
+        self.channel.send("begun", key, {**answer, "steps": len(game.session.recorder)})
+
+    def here(self, key: str, body: dict[str, Any]) -> None:
+        """Somebody came or went. The world stands still until all who play are there."""
+        running = self.games.get(key)
+        if running is None or running.over:
+            return
+        number, here, ran = int(body["agent"]), bool(body["here"]), running.runs
+        if number in running.game.drivers and here != (number in running.here):
+            running.game.connected(number, here)
+        (running.here.add if here else running.here.discard)(number)
+        running.whole = True
+        running.huds.pop(number, None)
+        if running.runs and not ran:
+            # sessions begin at different phases, so that a long step of one delays few others
+            running.due = time.monotonic() + PERIOD_S * (1 + (len(self.games) * 0.38) % 1)
+        if not running.runs and running.game.packed is not None:
+            self._send_states(running)
+        self._tell_pause(running)
+
+    def input(self, key: str, body: list[Any]) -> None:
+        """A message of a player, which waits for its step."""
+        running = self.games.get(key)
+        number, text, arrived = body
+        if running is None or running.over or len(running.waiting) >= MOST_WAITING:
+            return
+        message = decode(text)
+        assert isinstance(message, Act)
+        if isinstance(message, Leave):
+            self._take(running, number, message, text, arrived)
+            self.finish(running)
+            return
+        now = len(running.game.session.recorder)
+        step = now if message.step is None else min(message.step - 1, now + FARTHEST_STEPS)
+        running.waiting.append((number, step, message, text, arrived))
+
+    def can(self, key: str, body: list[Any]) -> None:
+        """A preview: nothing happens, nothing is recorded."""
+        running = self.games.get(key)
+        number, point = body
+        if running is None or running.over or number not in running.game.drivers:
+            return
+        try:
+            why = running.game.drivers[number].can_place(point)
+        except InputError as fault:
+            why = str(fault)
+        self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
+
+    def stop(self, key: str, body: Any) -> None:
+        """All recordings are finished, and the process ends."""
+        del key, body
+        self.stops = True
+
+    # --- steps --------------------------------------------------------------------------------------------------------
+    def step(self, key: str, body: Any) -> None:
+        del body
+        running, start = self.games[key], time.perf_counter()
+        game, cpu = running.game, time.process_time()
+        now = len(game.session.recorder)
+        later: deque[tuple[int, int, Act, str, float]] = deque()
+        for number, step, message, text, arrived in running.waiting:
+            # a player's later messages never overtake earlier ones
+            if step > now or any(other[0] == number for other in later):
+                later.append((number, step, message, text, arrived))
+            else:
+                self._take(running, number, message, text, arrived)
+        running.waiting = later
+        for number, why in game.step().items():
+            self.channel.send("told", key, [number, {"why": why}])
+        running.seconds += time.process_time() - cpu
+        self._send_states(running)
+        running.due += PERIOD_S
+        behind = time.monotonic() - running.due
+        if behind > MOST_BEHIND * PERIOD_S:
+            steps = int(behind / PERIOD_S)
+            game.slip(steps)
+            running.due += steps * PERIOD_S
+        if game.ended:
+            self.finish(running)
+        self._busy += time.perf_counter() - start
+
+    def _take(self, running: Running, number: int, message: Act, text: str, arrived: float) -> None:
+        try:
+            why = running.game.take(number, message, text, arrived)
+        except InputError as fault:  # no command: it has not been recorded
+            why = str(fault)
+        if why:
+            self.channel.send("told", running.key, [number, {"why": why}])
+
+    def _send_states(self, running: Running) -> None:
+        game, clock = running.game, running.clock_ms
+        whole = running.whole or len(game.session.recorder) % WHOLE_EVERY == 0
+        states = [[number, game.state(number, clock, whole=whole)] for number in sorted(running.here)]
+        running.whole = False
+        if states:
+            self.channel.send("state", running.key, states)
+        for number in running.here:
+            hud = game.app.hud(number)
+            # pages count the seconds down themselves
+            words = (hud.task, hud.lines, None if hud.left_s is None else hud.left_s // HUD_S)
+            if running.huds.get(number) != words:
+                running.huds[number] = words
+                self.channel.send("told", running.key, [number, {"hud": msgspec.to_builtins(hud)}])
+
+    def _tell_pause(self, running: Running) -> None:
+        """Tells those who are there what they wait for."""
+        if len(running.game.drivers) < 2 and -1 not in running.here:
+            return
+        text = "" if running.runs else "The world stands still until all players are here."
+        for number in sorted(running.here):
+            self.channel.send("told", running.key, [number, {"pause": text}])
+
+    def finish(self, running: Running) -> None:
+        """Closes the recording and tells the players."""
+        running.over = True
+        game, steps = running.game, len(running.game.session.recorder)
+        recording = game.close()
+        del self.games[running.key]
+        over = {
+            "ended": recording.episode.info["ended"] if recording is not None else "closed",
+            "steps": steps,
+            "slipped": game.slipped,
+            "step_ms": round(running.seconds / max(steps, 1) * 1e3, 3),
+            "path": "" if recording is None else str(game.path),
+            "texts": {str(number): game.app.over(number) for number in (*game.drivers, -1)},
+        }
+        self.channel.send("over", running.key, over)
+
+
+_HANDLERS = {
+    "begin": Worker.begin,
+    "here": Worker.here,
+    "input": Worker.input,
+    "can": Worker.can,
+    "stop": Worker.stop,
+}
+
+
+def main(descriptor: int) -> None:
+    """Talks to the front over an inherited socket until either ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes; the front decides
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    channel = Channel(socket.socket(fileno=descriptor))
+    try:
+        letters = []
+        while not letters:
+            letters = channel.receive(10.0)
+        plan = msgspec.convert(letters[0][2], PlayPlan)
+        try:
+            worker = Worker(channel, plan)
+            worker.warm_up()
+        except H3DataError as fault:
+            channel.send("refused", "", str(fault))
+            return
+        channel.send("ready", "", {})
+    except Closed:
+        return
+    try:
+        worker.run()
+    except Closed:  # the front was killed: a later one goes on with what is on the disk
+        worker.close_all(finish=False)
+        return
+    worker.close_all(finish=True)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="worker: %(levelname)s: %(message)s")
+    main(int(sys.argv[1]))

@@ -1,0 +1,152 @@
+"""Worker processes as the front sees them: started, fed, replaced when they die."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from h3data_viewers.hitl.channel import encode, receive
+from h3data_viewers.hitl.plan import PlayPlan
+
+MOST_UNSENT = 1 << 20
+"""Messages of players are dropped while a worker has this many bytes still to read: it is stuck, and the front must not be."""
+READY_S = 600.0
+"""A worker may compile kernels for minutes, once per machine."""
+
+Heard = Callable[["WorkerProcess", str, str, Any], None]
+
+
+class Refused(Exception):
+    """The plan cannot be played; the text says why."""
+
+
+class WorkerProcess:
+    """One process, and the games that it plays."""
+
+    def __init__(self, plan: PlayPlan, heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
+        self._plan, self._heard, self._lost = plan, heard, lost
+        self.games: set[str] = set()
+        self.busy = 0.0
+        """Share of a core that steps took in the last second."""
+        self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._reading: asyncio.Task[None] | None = None
+        ours, theirs = socket.socketpair()
+        paths = os.pathsep.join(path for path in sys.path if path)  # the same packages, also where none is installed
+        command = [sys.executable, "-m", "h3data_viewers.hitl.worker", str(theirs.fileno())]
+        self.process = subprocess.Popen(
+            command, pass_fds=[theirs.fileno()], env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL
+        )
+        theirs.close()
+        self._socket = ours
+        self._writer: asyncio.StreamWriter | None = None
+
+    async def start(self) -> None:
+        """Waits until it has compiled and loaded everything.
+
+        Raises:
+            Refused: it cannot play the plan, or ended.
+        """
+        reader, self._writer = await asyncio.open_connection(sock=self._socket)
+        self._reading = asyncio.create_task(self._read(reader))
+        self.send("plan", "", msgspec.to_builtins(self._plan))
+        await asyncio.wait_for(self.ready, READY_S)
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        with contextlib.suppress(asyncio.IncompleteReadError, OSError):
+            while True:
+                kind, key, body = await receive(reader)
+                if kind == "ready":
+                    self.ready.set_result(None)
+                elif kind == "refused":
+                    self.ready.set_exception(Refused(body))
+                elif kind == "load":
+                    self.busy = float(body["busy"])
+                else:
+                    self._heard(self, kind, key, body)
+        if not self.ready.done():
+            self.ready.set_exception(Refused("A worker process ended while it started; its message is above."))
+        self._lost(self)
+
+    def send(self, kind: str, key: str, body: Any) -> None:
+        """Sends a letter; nothing where it is gone."""
+        if self._writer is not None and not self._writer.is_closing():
+            self._writer.write(encode(kind, key, body))
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether it has not read for a while."""
+        return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
+
+    async def stop(self, seconds: float) -> None:
+        """Lets it finish its recordings, and waits until it has ended."""
+        self.send("stop", "", None)
+        try:
+            await asyncio.wait_for(asyncio.to_thread(self.process.wait), seconds)
+        except TimeoutError:
+            self.process.kill()
+        if self._writer is not None:
+            self._writer.close()
+        if self._reading is not None:
+            # what it said last may still have to be read
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._reading, 1.0)
+
+
+class Workers:
+    """So many processes, and one more that is warm and takes over when one dies."""
+
+    def __init__(self, plan: PlayPlan, count: int, heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
+        self._plan, self._count, self._heard, self._on_lost = plan, count, heard, lost
+        self.active: list[WorkerProcess] = []
+        self.spare: asyncio.Task[WorkerProcess] | None = None
+        self._stops = False
+
+    async def start(self) -> None:
+        """Starts all; the spare one gets ready later.
+
+        Raises:
+            Refused: the plan cannot be played.
+        """
+        # the first one compiles; the others find everything compiled
+        self.active = [await self._started()]
+        self.active += await asyncio.gather(*(self._started() for _ in range(self._count - 1)))
+        self.spare = asyncio.create_task(self._started())
+
+    async def _started(self) -> WorkerProcess:
+        worker = WorkerProcess(self._plan, self._heard, self._lost)
+        await worker.start()
+        return worker
+
+    def least_busy(self) -> WorkerProcess:
+        """Where the next game should go."""
+        return min(self.active, key=lambda worker: (round(worker.busy, 1), len(worker.games)))
+
+    def _lost(self, worker: WorkerProcess) -> None:
+        if worker in self.active and not self._stops:
+            self.active.remove(worker)
+            self._on_lost(worker)
+
+    async def replacement(self) -> WorkerProcess:
+        """The warm spare, or the next process that gets ready; another spare is started."""
+        spare = self.spare or asyncio.create_task(self._started())
+        worker = await spare
+        self.spare = asyncio.create_task(self._started())
+        self.active.append(worker)
+        return worker
+
+    async def stop(self, seconds: float) -> None:
+        """Finishes all recordings."""
+        self._stops = True
+        if self.spare is not None:
+            if self.spare.done() and not self.spare.cancelled() and self.spare.exception() is None:
+                self.active.append(self.spare.result())
+            self.spare.cancel()
+        await asyncio.gather(*(worker.stop(seconds) for worker in self.active))
