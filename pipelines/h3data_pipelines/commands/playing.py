@@ -28,8 +28,8 @@ DEFAULT_OUT = Path("out/play")
 class Play:
     """Play an episode yourself, in the browser, beside a robot or as one; recorded like any other.
 
-    Opens the page and prints its address. Ctrl-C ends it and keeps what was played. The same command on the folder of a session that
-    was killed goes on with it. Needs the extra hitl.
+    Opens the page and prints its address. Ctrl-C ends it and keeps what was played. The same command on the folder of a
+    session that was killed goes on with it. Needs the extra hitl.
 
     Examples:
         h3data play rearrange
@@ -224,7 +224,7 @@ def _named(overs: list[dict[str, Any]]) -> list[tuple[str, dict[str, Any]]]:
 def _measured(files: list[Path]) -> Any:
     """Metrics of the recordings; None where there are none."""
     from h3data.metrics import measure_many
-    from h3data.recording import open_recording
+    from h3data.recording import read_mcap
 
-    recordings = [open_recording(file) for file in files]
+    recordings = [read_mcap(file) for file in files]
     return measure_many(recordings) if recordings else None

@@ -21,7 +21,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
-from h3data_viewers.hitl.workers import Workers, WorkerProcess
+from h3data_viewers.hitl.workers import WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
@@ -274,7 +274,7 @@ class Front:
         if live is None or live.worker is not worker:
             return
         if kind == "state":
-            states = {agent: data for agent, data in body}
+            states: dict[int, bytes] = dict(body)
             for connection in live.sockets.values():
                 if connection.agent in states:
                     connection.state(states[connection.agent])

@@ -94,7 +94,7 @@ class LiveGame:
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         others = [m.name for k, m in enumerate(episode.roster) if k not in table.numbers]
         partner = None if plan.partner == "solo" else plan.partner
-        policies = {**names, **({name: partner for name in others} if partner else {})}
+        policies = {**names, **(dict.fromkeys(others, partner) if partner else {})}
         sink = None
         if path is not None:
             # one home is stored once for all episodes that are played in it

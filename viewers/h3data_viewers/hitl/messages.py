@@ -35,48 +35,48 @@ class Message(msgspec.Struct, frozen=True, tag_field="k", kw_only=True):
     rtt: float = 0.0
 
 
-class Move(Message, tag="move"):
+class Move(Message, frozen=True, tag="move"):
     """Walks or drives, until told otherwise: shares of the speed and of the turn rate."""
 
     f: Share = 0.0
     t: Share = 0.0
 
 
-class GoTo(Message, tag="goto"):
+class GoTo(Message, frozen=True, tag="goto"):
     """Walks to a point of the floor; the server finds the path."""
 
     p: Point
 
 
-class Stop(Message, tag="stop"):
+class Stop(Message, frozen=True, tag="stop"):
     """Ends a walk that the server leads."""
 
 
-class Pick(Message, tag="pick"):
+class Pick(Message, frozen=True, tag="pick"):
     """Takes object ``o``; with ``lead``, walks there first."""
 
     o: Index
     lead: bool = False
 
 
-class Place(Message, tag="place"):
+class Place(Message, frozen=True, tag="place"):
     """Puts what is held down with its origin at a point; with ``lead``, walks there first."""
 
     p: Point
     lead: bool = False
 
 
-class Drop(Message, tag="drop"):
+class Drop(Message, frozen=True, tag="drop"):
     """Lets go of what is held."""
 
 
-class Give(Message, tag="give"):
+class Give(Message, frozen=True, tag="give"):
     """Hands what is held to agent ``a``."""
 
     a: Index
 
 
-class Hand(Message, tag="hand"):
+class Hand(Message, frozen=True, tag="hand"):
     """Where the palm of a hand is, in the person's root frame; without a point the arm is free again."""
 
     side: Literal["left", "right"]
@@ -84,14 +84,14 @@ class Hand(Message, tag="hand"):
     q: Rotation | None = None
 
 
-class Head(Message, tag="head"):
+class Head(Message, frozen=True, tag="head"):
     """Where the head looks, from the direction of the chest: to the left and downwards [rad]."""
 
     yaw: Angle
     pitch: Angle
 
 
-class Leave(Message, tag="leave"):
+class Leave(Message, frozen=True, tag="leave"):
     """Ends the session."""
 
 

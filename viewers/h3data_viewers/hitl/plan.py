@@ -26,6 +26,8 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
     scenes: str = "small"
     seed: int = 0
     episodes: int = 1
+    speed: float = 1.0
+    """Above 1 time runs faster: for scripted players."""
     rules: dict[str, Any] = {}
     """Rules of the task that differ from the app's."""
 

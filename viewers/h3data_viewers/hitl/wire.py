@@ -44,7 +44,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def pack_rotations(quats: NDArray[np.floating]) -> bytes:
-    """Rotations xyzw [N, 4] in 32 bits each: the index of the largest component, the others in 10 bits (0.16 degrees)."""
+    """Rotations xyzw [N, 4] in 32 bits each: index of the largest component, the others in 10 bits (0.21 degrees)."""
     largest = np.abs(quats).argmax(1)
     rows = np.arange(len(quats))
     sign = np.where(quats[rows, largest] < 0, -1.0, 1.0)

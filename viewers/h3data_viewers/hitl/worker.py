@@ -72,6 +72,7 @@ class Worker:
     def __init__(self, channel: Channel, plan: PlayPlan) -> None:
         self.channel = channel
         self.table = Table(plan)
+        self.period = PERIOD_S / plan.speed
         self.games: dict[str, Running] = {}
         self.stops = False
         self._busy, self._reported = 0.0, time.monotonic()
@@ -164,7 +165,7 @@ class Worker:
         running.huds.pop(number, None)
         if running.runs and not ran:
             # sessions begin at different phases, so that a long step of one delays few others
-            running.due = time.monotonic() + PERIOD_S * (1 + (len(self.games) * 0.38) % 1)
+            running.due = time.monotonic() + self.period * (1 + (len(self.games) * 0.38) % 1)
         if not running.runs and running.game.packed is not None:
             self._send_states(running)
         self._tell_pause(running)
@@ -220,12 +221,12 @@ class Worker:
             self.channel.send("told", key, [number, {"why": why}])
         running.seconds += time.process_time() - cpu
         self._send_states(running)
-        running.due += PERIOD_S
+        running.due += self.period
         behind = time.monotonic() - running.due
-        if behind > MOST_BEHIND * PERIOD_S:
-            steps = int(behind / PERIOD_S)
+        if behind > MOST_BEHIND * self.period:
+            steps = int(behind / self.period)
             game.slip(steps)
-            running.due += steps * PERIOD_S
+            running.due += steps * self.period
         if game.ended:
             self.finish(running)
         self._busy += time.perf_counter() - start

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from h3data_viewers.hitl.app import App, Goal, Hud, sentence_of
@@ -15,7 +16,7 @@ class RearrangeApp(App):
 
     task: ClassVar[str] = "rearrange"
     # as in the paper's study: contact is counted, it does not end the episode
-    rules: ClassVar[dict[str, Any]] = {"max_steps": 5400, "end_on_collision": False}
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 5400, "end_on_collision": False}
 
     def driver(self, number: int) -> Driver:
         is_person = isinstance(self.session.play.actors[number], DrivenPerson)  # type: ignore[attr-defined]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from h3data_viewers.hitl.app import App, Hud
@@ -11,7 +12,7 @@ class FollowMeApp(App):
     """The person walks where they like; the robot follows at 1 to 2 m."""
 
     task: ClassVar[str] = "social_nav"
-    rules: ClassVar[dict[str, Any]] = {"max_steps": 2700, "end_on_collision": False}
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 2700, "end_on_collision": False}
 
     def hud(self, number: int) -> Hud:
         session = self.session

@@ -1,0 +1,83 @@
+"""Writes ``golden_states.json``, packed states with what they say, which the tests of the Python packer and of the TypeScript
+decoder read: ``python -m tests.viewers.hitl.golden``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from h3data_viewers.hitl.wire import BODY_JOINTS, JOINT_UNIT, PackedStep, StatePacker, pack_pong
+
+FILE = Path(__file__).parent / "golden_states.json"
+JOINTS = 20
+
+
+def columns_of(seed: int) -> dict[str, np.ndarray]:
+    """Recorded columns of one step with a robot, a person and three objects, the second of which the person holds."""
+    rng = np.random.default_rng(seed)
+
+    def quats(count: int) -> np.ndarray:
+        values = rng.normal(size=(count, 4))
+        return (values / np.linalg.norm(values, axis=1, keepdims=True)).astype(np.float32)
+
+    def base(heading: float) -> np.ndarray:
+        x, z = rng.uniform(-5, 5, 2)
+        return np.array([[x, 0.1, z, 0, np.sin(heading / 2), 0, np.cos(heading / 2)]], np.float32)
+
+    return {
+        "agent_0.base_pose": base(0.5),
+        "agent_0.joint_pos": rng.uniform(-3, 3, (1, JOINTS)).astype(np.float32),
+        "agent_0.grasp_body": np.array([-1], np.int32),
+        "agent_1.base_pose": base(-2.0),
+        "agent_1.root_pose": np.concatenate([rng.uniform(-2, 2, (1, 3)).astype(np.float32), quats(1)], 1),
+        "agent_1.joint_quat": quats(54)[None],
+        "agent_1.grasp_body": np.array([5], np.int32),
+        "object_pose": np.concatenate([rng.uniform(-2, 2, (3, 3)).astype(np.float32), quats(3)], 1)[None],
+    }
+
+
+def packer() -> StatePacker:
+    """A packer for the world of `columns_of`."""
+    from types import SimpleNamespace
+
+    from h3data.bodies import load_humanoid, load_robot
+
+    bodies = [SimpleNamespace(moving=k) for k in (-1, -1, 2, -1, 0, 1)]
+    header: Any = SimpleNamespace(bodies=bodies)
+    return StatePacker(header, (load_robot("quad_arm"), load_humanoid("female_0")))
+
+
+def said(columns: dict[str, np.ndarray], head: tuple[Any, ...], objects: list[int]) -> dict[str, Any]:
+    """What a decoder should find."""
+    names = ("flags", "agents", "objects", "step", "ack", "clock_ms")
+    person = columns["agent_1.root_pose"][0]
+    return {
+        **dict(zip(names, head, strict=True)),
+        "robot": {"base": [*columns["agent_0.base_pose"][0, [0, 2]].tolist(), 0.5],
+                  "joints": (np.rint(columns["agent_0.joint_pos"][0] / JOINT_UNIT) * JOINT_UNIT).tolist()},
+        "person": {"base": [*columns["agent_1.base_pose"][0, [0, 2]].tolist(), -2.0], "root": person.tolist(),
+                   "quats": columns["agent_1.joint_quat"][0, :BODY_JOINTS].tolist()},
+        "things": [{"index": k, "held": 1 if k == 1 else -1, "pose": columns["object_pose"][0, k].tolist()} for k in objects],
+    }  # fmt: skip
+
+
+def golden() -> dict[str, Any]:
+    """Three states, one after the other, and a pong."""
+    pack, states = packer(), []
+    for step, whole in ((1, True), (2, False), (3, False)):
+        columns = columns_of(7)
+        if step == 3:
+            columns["object_pose"][0, 2, 1] += 1.0
+        packed: PackedStep = pack.pack(columns)
+        objects = [0, 1, 2] if whole else [2] if step == 3 else []
+        head = (1 | 8 * (step == 2), 2, len(objects), step, step - 2, 33.5 * step)
+        data = packed.state(head[0], head[3], head[4], head[5], whole=whole)
+        states.append({"bytes": data.hex(), "said": said(columns, head, objects)})
+    return {"joints": JOINTS, "states": states, "pong": {"bytes": pack_pong(12.5, 99.25).hex(), "said": [12.5, 99.25]}}
+
+
+if __name__ == "__main__":
+    FILE.write_text(json.dumps(golden(), indent=1) + "\n", encoding="utf-8")

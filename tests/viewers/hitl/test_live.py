@@ -1,0 +1,174 @@
+"""A live game without sockets: what players send becomes commands, is recorded to the letter, and comes out again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from h3data.errors import InputError
+from h3data.recording import read_mcap
+from h3data.replay.validation import validate_recording
+from h3data_viewers.hitl.live import CLIENT, LiveGame, Table
+from h3data_viewers.hitl.messages import decode
+from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.wire import BUSY
+from sim_kinematic.tasks.resume import verify
+
+
+def table(out: Path, **changes: Any) -> Table:
+    """Rearrangement in a small home beside a robot that keeps still."""
+    plan = {"app": "rearrange", "out": str(out), "scenes": "small:3", "partner": "still", **changes}
+    return Table(PlayPlan(**plan))
+
+
+class Player:
+    """Sends messages and plays steps."""
+
+    def __init__(self, game: LiveGame, number: int | None = None) -> None:
+        self.game, self.seq, self.said = game, 0, list[str]()
+        self.number = next(iter(game.drivers)) if number is None else number
+        game.connected(self.number, True)
+
+    def send(self, **message: Any) -> str:
+        """Acts in the next step."""
+        text = msgspec.json.encode({**message, "seq": self.seq, "ct": 1.0}).decode()
+        why = self.game.take(self.number, decode(text), text, 5.0)  # type: ignore[arg-type]
+        self.seq += 1
+        return why
+
+    def play(self, steps: int = 1) -> None:
+        """So many steps."""
+        for _ in range(steps):
+            if not self.game.ended:
+                self.said += [why for n, why in self.game.step().items() if n == self.number]
+
+    def until_free(self, steps: int = 900) -> None:
+        """Until nothing but keys moves the agent."""
+        self.play()
+        while self.busy and not self.game.ended and steps:
+            self.play()
+            steps -= 1
+        assert steps, "it went on and on"
+
+    @property
+    def busy(self) -> bool:
+        return bool(self.game.state(self.number, 0.0, whole=False)[1] & BUSY)
+
+    @property
+    def base(self) -> np.ndarray:
+        return self.game.columns[f"agent_{self.number}.base_pose"][-1]
+
+
+def bring(player: Player, k: int) -> None:
+    """Walks to object k, takes it, and brings it to its goal."""
+    goal = player.game.app.goals()[k].position
+    player.send(k="pick", o=k, lead=True)
+    player.until_free()
+    assert player.game.columns[f"agent_{player.number}.grasp_body"][-1] >= 0, player.said
+    player.send(k="place", p=list(goal), lead=True)
+    player.until_free()
+
+
+def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
+    game = table(tmp_path).begin(0)
+    player = Player(game)
+    for forward, turn in ((1.0, 0.0), (0.3, 0.7), (-0.4, 0.0), (0.0, 0.0)):
+        player.send(k="move", f=forward, t=turn)
+        player.play(10)
+    for k in range(len(game.app.goals())):
+        bring(player, k)
+    assert game.ended == "success", player.said
+    assert "2 of 2" in game.app.hud(player.number).lines[0]
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert verify(recording).difference is None
+    assert validate_recording(recording) == []
+    texts = [e.payload for e in recording.inputs if e.kind == CLIENT]
+    assert len(texts) == player.seq
+    assert '"message":{"k":"move","f":0.3,"t":0.7,"seq":1,"ct":1.0}' in texts[1]
+    assert recording.episode.info["hitl"]["seats"] == ["person"]
+    assert recording.episode.info["ended"] == "success"
+
+
+def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
+    player = Player(table(tmp_path).begin(0))
+    player.send(k="move", f=1.0, t=0.2)
+    player.play(35)
+    player.send(k="pick", o=0, lead=True)
+    player.play(20)
+    player.game.session.abort()  # as a process that is killed
+    again = table(tmp_path).begin(0)
+    assert len(again.session.recorder) == 55
+    np.testing.assert_array_equal(again.columns["object_pose"], player.game.columns["object_pose"])
+    other = Player(again)
+    other.seq = player.seq
+    assert other.busy, "the walk to the object goes on"
+    other.until_free()
+    assert again.columns["agent_1.grasp_body"][-1] >= 0
+    again.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert verify(recording).difference is None
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_clicking_on_the_floor_walks_there_and_keys_end_it(tmp_path: Path):
+    player = Player(LiveGame(table(tmp_path), 0))
+    player.play()
+    goal = player.game.session.episode.starts[0]  # where the robot began
+    player.send(k="goto", p=[float(goal[0]) + 1.0, 0.0, float(goal[1])])
+    player.play(5)
+    assert player.busy
+    player.until_free()
+    assert np.hypot(*(player.base[[0, 2]] - [goal[0] + 1.0, goal[1]])) < 0.7
+    player.send(k="goto", p=[float(player.base[0]) + 2.0, 0.0, float(player.base[2])])
+    player.play(2)
+    player.send(k="move", f=-1.0, t=0.0)
+    player.play()
+    assert not player.busy
+
+
+def test_reasons_are_sentences(tmp_path: Path):
+    player = Player(LiveGame(table(tmp_path), 0))
+    player.play()
+    assert player.send(k="place", p=[0.0, 0.5, 0.0]) == "The hand holds nothing."
+    player.send(k="pick", o=0)
+    player.until_free()
+    assert player.said == ["It is too far away to reach from here."]
+    assert player.game.drivers[player.number].can_place((1.0, 1.0, 1.0)) == "The hand holds no such thing."
+    assert player.send(k="goto", p=[500.0, 0.0, 500.0]) == "No path leads there."
+
+
+def test_what_is_no_command_is_not_recorded(tmp_path: Path):
+    player = Player(LiveGame(table(tmp_path), 0))
+    player.play()
+    before = len(player.game.session.recorder.inputs)
+    for message in (
+        {"k": "pick", "o": 7},
+        {"k": "give", "a": 9},
+        {"k": "hand", "side": "left", "p": [0, 0, 0], "q": [0] * 4},
+    ):
+        with pytest.raises(InputError):
+            player.send(**message)
+    assert len(player.game.session.recorder.inputs) == before
+    player.play(3)
+
+
+def test_a_session_that_nobody_played_leaves_no_file(tmp_path: Path):
+    game = table(tmp_path).begin(0)
+    assert game.close() is None
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+def test_plans_that_cannot_be_played(tmp_path: Path):
+    for changes, message in (
+        ({"app": "rearange"}, "Unknown app"),
+        ({"scenes": "nowhere"}, "nowhere"),
+        ({"partner": "nobody"}, "Unknown policy 'nobody'"),
+        ({"app": "social_nav", "partner": None, "seats": ("person", "person")}, "one robot follows one person"),
+    ):
+        with pytest.raises(InputError, match=message):
+            table(tmp_path, **changes).begin(0)

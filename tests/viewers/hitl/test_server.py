@@ -1,0 +1,139 @@
+"""The server through its sockets: a scripted player finishes the task, seats belong to browsers, nonsense is shown the door."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from h3data.recording import read_mcap
+from sim_kinematic.tasks.resume import verify
+from tests.viewers.hitl.bot import Bot
+from tests.viewers.hitl.server import Server
+
+
+async def free(bot: Bot) -> None:
+    """Waits until nothing but keys moves the bot's agent, or it is over."""
+    seq = bot.seq - 1
+    await bot.until(lambda: bot.states[-1][1] & 4 or (bot.states[-1][5] >= seq and not bot.states[-1][1] & 8), 60)
+
+
+async def play_to_success(link: str) -> Bot:
+    async with Bot(link) as bot:
+        assert await bot.sit() == 200
+        await bot.connect()
+        await bot.until(lambda: bot.states)
+        for k, goal in enumerate(bot.manifest["goals"]):
+            await bot.send(k="move", f=0.4, t=0.5)
+            await asyncio.sleep(0.3)
+            await bot.send(k="move", f=0, t=0)
+            await bot.send(k="pick", o=k, lead=True)
+            await free(bot)
+            await bot.send(k="place", p=goal["position"], lead=True)
+            await free(bot)
+        await bot.until(lambda: bot.heard("over"))
+    return bot
+
+
+def test_a_player_finishes_the_task_and_the_recording_verifies(tmp_path: Path):
+    with Server(tmp_path / "rec", speed=4.0) as server:
+        bot = asyncio.run(play_to_success(server.links[0]))
+        over = server.report()["over"]
+        assert server.process.wait(10) == 0, "it ends after the last episode"
+    assert bot.heard("over") == [{"ended": "success", "text": "Done. Thank you!", "next": False}]
+    assert bot.heard("hud")[0]["task"].startswith("Bring the ")
+    steps = [head[4] for head in bot.states]
+    assert steps == sorted(set(steps))
+    path = tmp_path / "rec" / "000000.mcap"
+    assert over["path"] == str(path)
+    recording = read_mcap(path)
+    assert len(recording) == over["steps"] == steps[-1]
+    assert verify(recording).difference is None
+    assert not list(tmp_path.glob("rec/*.part"))
+    delays = sorted(bot.acked[seq] - bot.sent[seq] for seq in bot.acked)
+    assert delays[len(delays) // 2] < 0.25, "half a second of lag would not be playable"
+
+
+async def seats(link: str) -> None:
+    async with Bot(link) as bot, Bot(link) as stranger:
+        assert await bot.sit() == 200
+        cookie = next(iter(bot.http.cookie_jar))
+        assert cookie["httponly"]
+        assert cookie["samesite"] == "Strict"
+        first = bot.address
+        assert await bot.sit() == 200, "a reload"
+        assert bot.address == first
+        assert await stranger.sit() == 409
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+            await stranger.http.ws_connect(first)
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+            await bot.http.ws_connect(first, origin="http://evil.example")
+        async with bot.http.post(link + "api/session", json={}, headers={"Origin": "http://evil.example"}) as answer:
+            assert answer.status == 403
+            assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+        async with bot.http.post(link + "api/session", data="x" * 100_000) as answer:
+            assert answer.status in (413, 415)
+        async with bot.http.get(link + "world/nothing.glb") as answer:
+            assert answer.status == 404
+        for path in ("../front.py", "assets/../../front.py", "%2e%2e/front.py"):
+            async with bot.http.get(link + path) as answer:
+                assert answer.status == 404
+        async with bot.http.get(link + bot.glb) as answer:
+            assert (await answer.read())[:4] == b"glTF"
+        await bot.connect()
+        await bot.until(lambda: bot.states)
+        other = Bot(link)
+        other.http, other.address = bot.http, first
+        await other.connect()
+        await bot.until(lambda: bot.close_code == 4001)
+        await other.until(lambda: other.states)
+        for text, code in (("{", 1003), ('{"k":"move","f":1e300}', 1003), ("x" * 5000, 1009)):
+            await other.socket.send_str(text)
+            await other.until(lambda other=other: other.close_code)
+            assert other.close_code == code
+            other.close_code = None
+            await other.connect()
+            await other.until(lambda other=other: not other.socket.closed)
+        await other.socket.send_bytes(b"x")
+        await other.until(lambda: other.close_code == 1003)
+        other.close_code = None
+        await other.connect()
+        for _ in range(400):
+            if not other.socket.closed:
+                await other.socket.send_str('{"k":"move","f":0.1}')
+        await other.until(lambda: other.close_code == 1008)
+
+
+def test_seats_belong_to_browsers_and_nonsense_is_shown_the_door(tmp_path: Path):
+    with Server(tmp_path / "rec") as server:
+        asyncio.run(seats(server.links[0]))
+        start = time.monotonic()
+        assert server.stop() == 0
+        assert time.monotonic() - start < 5
+    recording = read_mcap(tmp_path / "rec" / "000000.mcap")
+    assert recording.episode.info["ended"] == "closed"
+    assert verify(recording).difference is None
+
+
+def test_the_front_imports_nothing_heavy():
+    code = (
+        "import sys, h3data_viewers.hitl.serve; print([m for m in ('numpy', 'numba', 'torch', 'pyarrow', 'h3data', "
+        "'sim_kinematic') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_other_addresses_need_tls(tmp_path: Path):
+    with Server(tmp_path / "rec", {"host": "0.0.0.0"}) as server:
+        assert "--cert and --key" in server.reports[0]["refused"]
+        assert server.process.wait(10) == 2
+
+
+def test_a_plan_that_cannot_be_played_says_why(tmp_path: Path):
+    with Server(tmp_path / "rec", partner="nobody") as server:
+        assert server.reports[0]["refused"].startswith("Unknown policy 'nobody'")
