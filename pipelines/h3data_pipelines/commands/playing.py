@@ -26,7 +26,7 @@ DEFAULT_OUT = Path("out/play")
 
 @dataclass(frozen=True)
 class Play:
-    """Play an episode yourself, in the browser, beside a robot or as one; recorded like any other.
+    """Play an episode live in the browser, and record it.
 
     Opens the page and prints its address. Ctrl-C ends it and keeps what was played. The same command on the folder of a
     session that was killed goes on with it. Needs the extra hitl.
