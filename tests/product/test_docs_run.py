@@ -38,6 +38,7 @@ BLOCK = re.compile(r"^ *```(python|bash|sh)\n(.*?)^ *```", re.MULTILINE | re.DOT
 NOT_RUN = {
     "extending.md": "test_extending.py runs it",
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
+    "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
 }
 OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'
 BODY = 'from h3data.bodies import load_humanoid\nbody = load_humanoid("male_1")\nimport numpy as np\ndistance = 0.4\n'

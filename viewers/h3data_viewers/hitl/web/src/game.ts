@@ -1,7 +1,7 @@
 /** A session as it is played: what is pressed becomes messages, states become pictures, reasons become sentences. */
 
 import { Vector3, WebGLRenderer } from "three";
-import { hints, situation, type Situation } from "./player/actions.ts";
+import { hints, holderText, situation, type Situation } from "./player/actions.ts";
 import { CameraRig, type View } from "./scene/camera.ts";
 import { Cues } from "./screen/cues.ts";
 import { Headset } from "./headset/xr.ts";
@@ -25,6 +25,9 @@ const ASK_MS = 120;
 /** A place is another one from here on, m. */
 const ASK_M = 0.01;
 
+/** Who drives a robot looks over its back. */
+const EYE_M = 1.55;
+const ROBOT_EYE_M = 1.05;
 const SLOW_MS = 40;
 const SLOW_FRAMES = 20;
 const LEAST_RATIO = 0.5;
@@ -36,6 +39,8 @@ export class Game {
   readonly input: Input;
   readonly predictor: Predictor | null = null;
   readonly frameMs: number[] = [];
+  /** From a key to the picture in which the own body moves. */
+  readonly keyMs: number[] = [];
   /** Where the player's body is shown. */
   shown: Base = { x: 0, z: 0, heading: 0 };
   now: Situation | null = null;
@@ -60,7 +65,8 @@ export class Game {
   ) {
     const { origin, shape, cell } = manifest.sdf;
     const [x1, z1] = [origin[0] + shape[0] * cell, origin[1] + shape[1] * cell];
-    this.camera = new CameraRig(manifest.floor_y, [origin[0], origin[1], x1, z1]);
+    const eye = manifest.agents[manifest.me]?.kind === "robot" ? ROBOT_EYE_M : EYE_M;
+    this.camera = new CameraRig(manifest.floor_y, eye, [origin[0], origin[1], x1, z1]);
     this.renderer = new WebGLRenderer({ canvas: hud.canvas, antialias: options.antialias });
     this.renderer.setPixelRatio(options.pixelRatio);
     this.cues = new Cues(world, manifest, sdf, hud.marks, hud.map);
@@ -202,7 +208,9 @@ export class Game {
     this.input.poll(seconds);
     if (!this.ended && this.hud.playing) this.steer(state, seconds, frame);
     const [a, b, share] = this.span(this.net.clock - LATE_MS);
+    const was = this.shown;
     this.place(state, a, b, share, seconds);
+    const steps = this.input.pressedAt > 0 && Math.abs(was.x - this.shown.x) + Math.abs(was.heading - this.shown.heading) > 1e-4;
     this.world.pose(a, b, share, this.manifest.me, this.steering ? this.shown : null);
     if (!this.headset?.on) this.camera.follow(this.shown, this.world.solid, seconds);
     this.world.showBody(this.manifest.me, this.headset?.on || !this.camera.hidesBody);
@@ -212,6 +220,10 @@ export class Game {
     this.cues.draw(state, this.now, this.manifest.me, this.shown, this.camera.camera, this.camera.yaw);
     this.tell(state, this.now);
     this.renderer.render(this.world.scene, this.camera.camera);
+    if (steps) {
+      this.keyMs.push(performance.now() - this.input.pressedAt);
+      this.input.pressedAt = 0;
+    }
     this.coarsen();
     if (!this.frames++) performance.mark("first-frame");
   }
@@ -272,12 +284,11 @@ export class Game {
     this.hud.device(this.input.device);
     this.hud.link(this.net.rtt, this.net.statesPerSecond);
     this.hud.time(state.step * this.manifest.dt);
-    const parts = this.steering && !this.ended ? hints(now, this.manifest, this.input.device) : [];
-    const busy = (state.flags & FLAG.busy) !== 0;
-    this.hud.hint(busy ? [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]] : parts);
+    const plays = this.steering && !this.ended;
+    const busy: [string, string][] = [[this.input.device === "keys" ? "W" : "", "to steer yourself again"]];
+    this.hud.hint(!plays ? [] : state.flags & FLAG.busy ? busy : hints(now, this.manifest, this.input.device, this.aim?.fits ?? null));
     this.hud.todo(this.manifest.goals.map((goal, k): TodoItem => {
-      const holder = state.things[k]!.held;
-      const who = holder === this.manifest.me ? "in your hand" : holder >= 0 ? `${this.manifest.agents[holder]!.name} has it` : "";
+      const who = holderText(this.manifest, state.things[k]!.held);
       const item = { thing: k, name: this.manifest.objects[k]!.label, done: now.done[k]! };
       return { ...item, state: item.done ? "there" : who || `to the ${goal.label}` };
     }));

@@ -7,6 +7,7 @@ export function installProbe(game: Game): void {
   const stats = (): Record<string, unknown> => ({
     firstFrameMs: performance.getEntriesByName("first-frame")[0]?.startTime ?? null,
     frameMs: [share(game.frameMs, 0.5), share(game.frameMs, 0.95)],
+    keyMs: [share(game.keyMs, 0.5), share(game.keyMs, 0.95)],
     ackMs: [share(game.net.ackDelays, 0.5), share(game.net.ackDelays, 0.95)],
     errorM: [share(game.predictor?.errors ?? [], 0.5), share(game.predictor?.errors ?? [], 0.95)],
     errors: game.predictor?.errors.length ?? 0,

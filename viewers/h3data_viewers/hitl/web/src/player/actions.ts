@@ -27,7 +27,7 @@ export function situation(manifest: Manifest, state: State, me: number, base: Ba
     const [x, y, z] = goal.position;
     return thing.held < 0 && Math.hypot(thing.pose[0]! - x, thing.pose[1]! - y, thing.pose[2]! - z) < AT_GOAL_M;
   });
-  const held = state.things.findIndex((thing) => thing.held === me);
+  const held = me < 0 ? -1 : state.things.findIndex((thing) => thing.held === me);
   let next = -1;
   let far = Infinity;
   if (held >= 0) {
@@ -46,18 +46,27 @@ export function situation(manifest: Manifest, state: State, me: number, base: Ba
   return { held, next, far, robot, done };
 }
 
-/** Keys and what they do now. */
-export function hints(now: Situation, manifest: Manifest, device: string): [string, string][] {
+/** Keys and what they do now. `fits`: whether what is held may be put where the preview shows it; null if nobody knows. */
+export function hints(now: Situation, manifest: Manifest, device: string, fits: boolean | null): [string, string][] {
   const [act, go] = device === "pad" ? ["A", "X"] : device === "touch" ? ["", ""] : ["E", "F"];
   const name = (k: number): string => `the ${manifest.objects[k]!.label}`;
   if (now.held >= 0) {
     const goal = manifest.goals[now.held];
     const to = goal ? `the ${goal.label}` : "a free place";
     const parts: [string, string][] =
-      now.far < NEAR_M ? [[act, `put ${name(now.held)} on ${to}`]] : [[go, `walk to ${to} and put ${name(now.held)} there`]];
+      now.far < NEAR_M && fits !== false ? [[act, `put ${name(now.held)} on ${to}`]] : [[go, `walk to ${to} and put ${name(now.held)} there`]];
     if (now.robot >= 0 && device === "keys") parts.push(["G", "give it to the robot"]);
     return parts;
   }
   if (now.next < 0) return [];
   return now.far < NEAR_M ? [[act, `take ${name(now.next)}`]] : [[go, `walk to ${name(now.next)} and take it`]];
+}
+
+/** Who has a thing, for the list; empty: nobody. */
+export function holderText(manifest: Manifest, holder: number): string {
+  const { agents, me } = manifest;
+  if (holder < 0) return "";
+  if (holder === me) return "in your hand";
+  if (agents[holder]!.kind === "robot") return "the robot has it";
+  return agents[me]?.kind === "human" ? "the other person has it" : "the person has it";
 }

@@ -38,6 +38,8 @@ export class Input {
   pointer: { x: number; y: number } | null = null;
   /** How the player acts now, for the hints: they name keys, buttons or taps. */
   device: "keys" | "touch" | "pad" = "keys";
+  /** When the player began to steer by keys, ms; 0: it has been shown since. */
+  pressedAt = 0;
   private readonly held = new Set<string>();
   private turnedAt = 0;
   private stick = { forward: 0, turn: 0 };
@@ -121,7 +123,10 @@ export class Input {
     if (event.code === "Space" && target.closest("button")) return;
     this.device = "keys";
     const wish = WISHES[event.code];
-    if (WALK[event.code]) this.held.add(event.code);
+    if (WALK[event.code]) {
+      if (!this.held.size) this.pressedAt = performance.now();
+      this.held.add(event.code);
+    }
     else if (wish && !event.repeat) this.listener.wish(wish);
     else return;
     if (event.code.startsWith("Arrow") || event.code === "Space") event.preventDefault(); // the page would scroll

@@ -6,12 +6,13 @@ import type { Base } from "../motion/drive.ts";
 
 export type View = "third" | "first" | "above";
 
-const EYE_M = 1.55;
 const BOOM_M = 2.1;
 /** Nearer than this the person would fill the picture and is hidden. */
 const HIDE_M = 0.45;
 /** Kept between the camera and a wall: the corners of the near plane are this far out at a field of view of 65 degrees. */
 const MARGIN_M = 0.18;
+/** A second look goes this much lower: what reaches up to just below the camera would fill the lower half of the picture. */
+const LOW = 0.2;
 
 export class CameraRig {
   readonly camera = new PerspectiveCamera(62, 1, 0.05, 80);
@@ -26,11 +27,13 @@ export class CameraRig {
   private readonly ray = new Raycaster();
   private readonly eye = new Vector3();
   private readonly back = new Vector3();
+  private readonly low = new Vector3();
   private readonly turn = new Euler(0, 0, 0, "YXZ");
 
-  /** `floorY` is the height of the floor, `room` [x0, z0, x1, z1] the floor plan. */
+  /** `floorY` is the height of the floor, `eyeM` that of the eyes above it, `room` [x0, z0, x1, z1] the floor plan. */
   constructor(
     private readonly floorY: number,
+    private readonly eyeM: number,
     private readonly room: [number, number, number, number],
   ) {}
 
@@ -67,7 +70,7 @@ export class CameraRig {
       this.above(body, seconds);
       return;
     }
-    const eye = this.eye.set(body.x, this.floorY + EYE_M, body.z);
+    const eye = this.eye.set(body.x, this.floorY + this.eyeM, body.z);
     this.turn.set(this.pitch, body.heading - Math.PI / 2 + this.yaw, 0);
     this.camera.quaternion.setFromEuler(this.turn);
     if (this.view === "first") {
@@ -78,13 +81,18 @@ export class CameraRig {
       return;
     }
     this.back.set(0.22, 0.12, 1).normalize().applyEuler(this.turn);
-    this.ray.set(eye, this.back);
-    this.ray.far = this.wanted + MARGIN_M;
-    const wall = this.ray.intersectObjects(solid, true)[0];
-    const room = wall ? Math.max(wall.distance - MARGIN_M, 0.15) : this.wanted;
+    const room = Math.min(this.clearance(eye, this.back, solid), this.clearance(eye, this.low.copy(this.back).setY(this.back.y - LOW), solid));
     // in at once, or the wall would be seen from inside; out gently, or door posts would make the picture jump
     this.boom = room < this.boom ? room : this.boom + (room - this.boom) * Math.min(1, seconds * 3);
     this.camera.position.copy(eye).addScaledVector(this.back, this.boom);
+  }
+
+  /** How far the camera can go back from the eyes along a direction. */
+  private clearance(eye: Vector3, back: Vector3, solid: Object3D[]): number {
+    this.ray.set(eye, back);
+    this.ray.far = this.wanted + MARGIN_M;
+    const wall = this.ray.intersectObjects(solid, true)[0];
+    return wall ? Math.max(wall.distance - MARGIN_M, 0.15) : this.wanted;
   }
 
   /** A spectator sees the whole home at a slant, or whom they follow. */

@@ -37,6 +37,7 @@ export class MiniMap {
     canvas.style.setProperty("--wide", `${shape[0] * cell * PX_PER_M}px`);
     this.brush = canvas.getContext("2d")!;
     this.plan = this.drawPlan(canvas.width, canvas.height);
+    this.draw([], [], 0);
   }
 
   draw(agents: MapAgent[], things: MapThing[], yaw: number): void {

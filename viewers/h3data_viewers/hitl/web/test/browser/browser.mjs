@@ -31,7 +31,7 @@ export async function openPage(url, { width = 1280, height = 720, headset = fals
 
 export class Player {
   constructor(browser, page, faults) {
-    Object.assign(this, { browser, page, faults });
+    Object.assign(this, { browser, page, faults, seq: 0 });
   }
 
   /** Evaluates an expression in the page. Playwright's waitForFunction needs `eval` there, which the page's policy forbids. */
@@ -59,10 +59,15 @@ export class Player {
     await this.page.keyboard.up(key);
   }
 
-  /** Until no skill and no walk of the server's moves the player's body. */
+  /** Until everything that was asked for has acted, and no skill and no walk of the server's moves the player's body. */
   async idle(ms = 60_000) {
-    await this.nap(300);
-    await this.until(`!!probe.over || (probe.game.net.latest.flags & ${BUSY}) === 0`, "the body to stand", ms);
+    const latest = "probe.game.net.latest";
+    // a page that draws twice a second is late to send, too
+    for (const end = Date.now() + 3000; Date.now() < end && (await this.ask("probe.game.net.seq")) <= this.seq; ) await this.nap(50);
+    this.seq = await this.ask("probe.game.net.seq");
+    await this.until(`!!probe.over || ${latest}.ack >= probe.game.net.seq - 1`, "the server to hear", ms);
+    await this.nap(100);
+    await this.until(`!!probe.over || (${latest}.flags & ${BUSY}) === 0`, "the body to stand", ms);
   }
 
   get over() {

@@ -25,7 +25,7 @@ async function task() {
 
 /** Walks about by keys: how far prediction and server are apart, and how soon a key shows. */
 async function walk() {
-  const player = await openPage(`${url}?plain&dpr=0.25`, { width: 480, height: 300 });
+  const player = await openPage(`${url}${url.includes("?") ? "&" : "?"}plain&dpr=0.25`, { width: 480, height: 300 });
   await player.started();
   const from = await player.ask("({ ...probe.game.shown })");
   for (let k = 0; k < 12; k++) {
@@ -38,12 +38,30 @@ async function walk() {
   return { walked: Math.hypot(to.x - from.x, to.z - from.z), ...(await player.close()) };
 }
 
+/** A pixel of the picture where the floor is, some steps away. */
+const FLOOR_PIXEL = `(() => {
+  const { game } = probe;
+  for (let y = 0.1; y > -0.9; y -= 0.07)
+    for (let x = -0.6; x < 0.5; x += 0.1) {
+      const target = game.pointing.target(x, y, game.camera.camera, -1);
+      const far = target.kind === "floor" ? Math.hypot(target.point.x - game.shown.x, target.point.z - game.shown.z) : 0;
+      if (far > 0.8 && far < 4) return [((x + 1) / 2) * innerWidth, ((1 - y) / 2) * innerHeight];
+    }
+  game.camera.look(0.6, -0.05); // none in sight: look around
+  return null;
+})()`;
+
 /** Clicks on the floor and is walked there. */
 async function click() {
   const player = await openPage(url);
   await player.started();
   const from = await player.ask("({ ...probe.game.shown })");
-  await player.page.mouse.click(640, 600);
+  let floor = null;
+  for (let k = 0; k < 12 && !floor; k++) {
+    await player.nap(700);
+    floor = await player.ask(FLOOR_PIXEL);
+  }
+  await player.page.mouse.click(...floor);
   await player.idle();
   const to = await player.ask("({ ...probe.game.shown })");
   await player.shot(picture("clicked"));

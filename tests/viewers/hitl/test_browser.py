@@ -1,0 +1,108 @@
+"""The page played by a scripted Chromium without a window, against a server of this machine."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from h3data.recording import read_mcap
+from tests.paths import ROOT
+
+WEB = ROOT / "viewers" / "h3data_viewers" / "hitl" / "web"
+CHROMIUM = shutil.which(os.environ.get("CHROMIUM", "chromium"))
+PLAYER_S = 400
+"""A software renderer on a machine that does other things draws two pictures a second."""
+
+
+def _missing() -> str:
+    if importlib.util.find_spec("aiohttp") is None:
+        return "aiohttp is not installed (extra hitl)"
+    if CHROMIUM is None:
+        return "there is no chromium (set CHROMIUM to its path)"
+    if shutil.which("node") is None:
+        return "there is no node"
+    return (
+        ""
+        if (WEB / "node_modules" / "playwright-core").is_dir()
+        else "node packages are not installed (make check-web)"
+    )
+
+
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(_missing()), reason=_missing() or "nothing is missing")]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A table for every scenario: a person beside a robot that keeps still."""
+    from tests.viewers.hitl.server import Server
+
+    out = tmp_path_factory.mktemp("play")
+    with Server(out, {"tables": 8, "stays": True}, scenes="small:1", episodes=20) as server:
+        yield server
+
+
+def play(scenario: str, url: str, pictures: Path | None = None) -> dict[str, Any]:
+    """What `web/test/browser/play.mjs` says of a scenario."""
+    command = ["node", str(WEB / "test" / "browser" / "play.mjs"), scenario, url]
+    if pictures is not None:
+        command.append(str(pictures / scenario))
+    environment = {**os.environ, "CHROMIUM": str(CHROMIUM)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PLAYER_S, env=environment)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert said["faults"] == []
+    return said
+
+
+def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(server: Any, tmp_path: Path) -> None:
+    said = play("task", server.links[0], tmp_path)
+    assert said["over"]["ended"] == "success"
+    assert said["bones"] == 22
+    assert {path.name for path in tmp_path.iterdir()} >= {"task_start.png", "task_taken.png", "task_end.png"}
+    recordings = [read_mcap(path) for path in server.out.glob("*.mcap")]
+    (played,) = [r for r in recordings if r.episode.info["ended"] == "success"]
+    assert {"pick", "place"} <= {json.loads(e.payload)["message"]["k"] for e in played.inputs if e.kind == "client"}
+
+
+def test_the_own_body_is_shown_where_the_server_puts_it(server: Any) -> None:
+    said = play("walk", server.links[0])
+    assert said["walked"] > 0.3
+    assert said["errors"] > 30
+    assert said["errorM"][1] < 0.03
+
+
+def test_a_slow_connection_is_predicted(server: Any) -> None:
+    said = play("walk", server.links[0] + "?lag=100")
+    assert said["rttMs"] > 95
+    assert said["errorM"][1] < 0.08
+
+
+def test_a_click_on_the_floor_walks_there(server: Any) -> None:
+    assert play("click", server.links[0])["walked"] > 0.5
+
+
+def test_a_lost_connection_comes_back_to_the_same_seat(server: Any) -> None:
+    said = play("reconnect", server.links[0])
+    assert said["connects"] == 2
+    assert said["after"] > said["before"]
+
+
+def test_the_task_is_played_to_success_in_a_headset(server: Any) -> None:
+    said = play("headset", server.links[0])
+    assert said["over"]["ended"] == "success"
+    assert said["walked"] > 0.2
+    assert max(said["held"]) >= 0
+
+
+def test_the_page_fits_small_screens_and_is_used_by_keys_alone(server: Any) -> None:
+    said = play("sizes", server.links[0])
+    assert said["inside"]
+    assert said["help"]
