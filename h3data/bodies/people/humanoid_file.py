@@ -41,14 +41,20 @@ def humanoid_names() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in builtin_path("bodies").glob("*.npz") if p.name != COMMON_FILE))
 
 
+def _builtin_arrays(name: str) -> dict[str, Any]:
+    return read_arrays(builtin_path(f"bodies/{name}.npz"), FILE_FORMAT)
+
+
 @lru_cache(maxsize=32)
 def load_humanoid(name: str | Path) -> Humanoid:
     """A built-in body by name (``female_0``), ``random:SEED`` (`h3data.bodies.people.random_humanoid`), or one from a file
     that ends in ``.npz``. Loaded once, then shared."""
     if is_random(str(name)):
-        files = [read_arrays(builtin_path(f"bodies/{each}.npz"), FILE_FORMAT) for each in humanoid_names()]
         common = builtin_common()
-        return _humanoid(random_arrays(str(name), files, common.region_names, (to_planes, from_planes)), common)
+        planes = to_planes, from_planes
+        return _humanoid(
+            random_arrays(str(name), humanoid_names(), _builtin_arrays, common.region_names, planes), common
+        )
     if str(name).endswith(".npz"):
         path = Path(name)
     elif str(name) in humanoid_names():

@@ -8,7 +8,7 @@ for their measures, so feet stay planted on any blend.
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,17 +35,20 @@ def is_random(name: str) -> bool:
     return name.startswith(PREFIX) and name.removeprefix(PREFIX).isdecimal()
 
 
-def random_arrays(name: str, bodies: Sequence[Arrays], regions: Sequence[str], planes: Any) -> dict[str, Any]:
+def random_arrays(
+    name: str, bodies: Sequence[str], read: Callable[[str], Arrays], regions: Sequence[str], planes: Any
+) -> dict[str, Any]:
     """The arrays of a baked file for ``random:SEED``.
 
     Args:
         name: The name.
-        bodies: The arrays of the built-in bodies, in the order of their names.
+        bodies: Names of the built-in bodies, sorted.
+        read: Returns the arrays of the body with a name; called for the two that are blended.
         regions: Names of the regions that have a colour each.
         planes: The functions that store vertices as planes of bytes and read them: ``(to_planes, from_planes)``.
     """
     rng = np.random.Generator(np.random.Philox(int(name.removeprefix(PREFIX))))
-    one, other = (bodies[k] for k in rng.choice(len(bodies), 2, replace=False))
+    one, other = (read(bodies[int(k)]) for k in rng.choice(len(bodies), 2, replace=False))
     share = rng.uniform(*BLEND)
     to_planes, from_planes = planes
     mixed: dict[str, Any] = dict(one)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import h3data
 from h3data.bodies import Humanoid, humanoid_names, load_humanoid
+from h3data.bodies.people import humanoid_file
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
 from h3data.bodies.people.humanoid_file import load_humanoid as load
 from h3data.errors import InputError
@@ -29,6 +30,14 @@ def test_the_same_number_is_the_same_person_and_another_is_another() -> None:
     other = load_humanoid("random:8")
     assert other.height_m != first.height_m
     assert not np.array_equal(other.mesh.colors, first.mesh.colors)
+
+
+def test_only_the_two_bodies_that_are_blended_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    names: list[str] = []
+    read = humanoid_file.read_arrays
+    monkeypatch.setattr(humanoid_file, "read_arrays", lambda path, form: names.append(path.stem) or read(path, form))
+    load.__wrapped__("random:7")
+    assert len(set(names) - {"common"}) == len(names) == 2
 
 
 @given(SEEDS)

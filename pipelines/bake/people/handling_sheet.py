@@ -1,0 +1,111 @@
+"""docs/pictures/handling.jpg: a person who picks a thing, carries it and places it in a home, frame by frame.
+
+    python -m bake.people.handling_sheet docs/pictures/handling.jpg
+
+All rows are of one simulated episode of rearrangement with a robot, seen from where the line of sight is free: the first pick
+and its hand close up; carrying past the robot; the sharpest turn while walking in a narrow place; placing, and its hand.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import h3data
+from h3data.bodies.people.skeleton import JOINT_INDEX
+from h3data.geometry import Array, heading_direction, heading_from_quat, wrap_angle
+from h3data.render import look_at, pinhole
+from h3data.render.image_files import write_jpg
+from h3data.replay.replay import Replay
+from h3data.replay.sight import Fan, Sight
+from h3data.scene import FreeSpace
+
+FRAMES, WIDTH, ROW_PX = 12, 1440, 184
+HOME, SEED = "small:1", 3
+PERSON, MIDDLE_M, TALL_M, CLOSE_M = 1, 0.92, 2.1, 0.5
+BOOM_M, YAWS, ELEVATIONS_DEG = 2.6, 36, (8.0, 20.0, 35.0)
+HIDDEN = ("ceiling",)
+WALKS_M, SIDE_RAD = 0.4, 0.8
+"""Way in a second of a person who walks; direction from which hands are seen, from that of the person."""
+
+
+class Stage:
+    """Frames of a recording from directions with a free line of sight."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.replay = replay
+        self.base = replay.recording.agent_column(PERSON, "base_pose").astype(np.float64)
+        self.heading = heading_from_quat(self.base[:, 3:])
+        self._sight = Sight(replay, hidden_layers=HIDDEN)
+        flat = heading_direction(np.arange(YAWS) * 2 * np.pi / YAWS)
+        flat = np.stack([flat[:, 0], np.zeros(YAWS), flat[:, -1]], axis=1)
+        tilts = np.radians(ELEVATIONS_DEG)
+        self._rays = np.concatenate([flat * np.cos(t) + [0, np.sin(t), 0] for t in tilts])
+        self._fan = Fan(self._sight, self._rays)
+        self._renderer = replay.stage.renderer()
+
+    def offset(self, steps: NDArray[np.intp], points: Array, toward: float) -> Array:
+        """Offset [3] of a camera from points [T, 3]: a long free line to each, near the direction ``toward`` [rad]."""
+        free = np.full(len(self._rays), BOOM_M)
+        for step, point in zip(steps, points, strict=True):
+            self._sight.at(int(step))
+            free = np.minimum(free, self._fan.free(self._sight.around(point), BOOM_M))
+        yaw = np.arctan2(-self._rays[:, 2], self._rays[:, 0])
+        best = int(np.argmax(np.minimum(free, BOOM_M) + 0.6 * np.cos(yaw - toward)))
+        return self._rays[best] * max(float(free[best]), 0.5)
+
+    def row(self, steps: NDArray[np.intp], toward: float, *, joint: str = "") -> NDArray[np.uint8]:
+        """Frames at steps, side by side, around the person's middle or around a joint."""
+        points = self.base[steps, :3] + [0, MIDDLE_M, 0]
+        if joint:
+            points = self.replay.joint_matrices(PERSON, steps)[:, JOINT_INDEX[joint], :3, 3]
+        offset = self.offset(steps, points, toward)
+        # a camera that is nearer has a wider lens, so that people are equally tall in all rows
+        high = CLOSE_M if joint else TALL_M
+        width = WIDTH // FRAMES
+        hfov = np.degrees(2 * np.arctan(high / 2 * width / ROW_PX / np.linalg.norm(offset)))
+        frames = []
+        for step, point in zip(steps, points, strict=True):
+            camera = pinhole(width, ROW_PX, hfov_deg=hfov, pose=look_at(point + offset, point), hidden_layers=HIDDEN)
+            frames.append(
+                self.replay.stage.render(self._renderer, int(step), [camera], outputs=("rgb",), samples=4)[0]["rgb"]
+            )
+        return np.concatenate(frames, axis=1)
+
+
+def around(step: int, every: int, length: int, *, before: float = 0.5) -> NDArray[np.intp]:
+    """`FRAMES` steps, ``every`` apart, ``before`` of them before ``step``."""
+    first = step - round(before * FRAMES * every)
+    return np.clip(first + np.arange(FRAMES) * every, 0, length - 1)
+
+
+def main(target: str) -> None:
+    """Writes the sheet."""
+    recording = h3data.simulate("rearrange", HOME, seed=SEED, human_walk="natural")
+    replay, length = Replay(recording), len(recording)
+    stage = Stage(replay)
+    spans = [s for s in recording.skills if s.agent == PERSON and s.outcome == "done"]
+    pick = next(s for s in spans if s.name == "pick")
+    place = next(s for s in spans if s.name == "place" and s.start_step > pick.end_step)
+    free = FreeSpace.from_scene(h3data.open(HOME), radius_m=0.1, height_m=1.41)
+    xz = stage.base[:, [0, 2]]
+    turned = np.abs(wrap_angle(stage.heading[30:] - stage.heading[:-30]))
+    walks = np.hypot(*(xz[30:] - xz[:-30]).T) > WALKS_M
+    turn = 15 + int(np.argmax(turned * walks / np.maximum(free.signed_distance(xz)[15:-15], 0.2)))
+    robot = recording.agent_column(0, "base_pose")[:, [0, 2]]
+    carried = np.arange(pick.end_step, place.start_step)
+    nearest = int(carried[np.argmin(np.hypot(*(robot - xz)[carried].T))])
+    picks, places = (np.linspace(s.start_step, s.end_step, FRAMES).round().astype(np.intp) for s in (pick, place))
+    rows = []
+    for steps in (picks, places):
+        side = float(stage.heading[steps[0]]) - SIDE_RAD
+        rows.append([stage.row(steps, side), stage.row(steps, side, joint="right_wrist")])
+    walking = [stage.row(around(step, 4, length), float(stage.heading[step])) for step in (nearest, turn)]
+    write_jpg(Path(target), np.concatenate([*rows[0], *walking, *rows[1]]), quality=75)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
