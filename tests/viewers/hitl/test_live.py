@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from h3data.errors import InputError
 from h3data.recording import read_mcap
 from h3data.replay.validation import validate_recording
+from h3data_viewers.hitl.app import App, Hud
 from h3data_viewers.hitl.live import CLIENT, LiveGame, Table
 from h3data_viewers.hitl.messages import decode
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.wire import BUSY
 from sim_kinematic.tasks.resume import verify
+from sim_kinematic.tasks.runner import Session, StepResult
 
 
 def table(out: Path, **changes: Any) -> Table:
@@ -172,3 +175,111 @@ def test_plans_that_cannot_be_played(tmp_path: Path):
     ):
         with pytest.raises(InputError, match=message):
             table(tmp_path, **changes).begin(0)
+
+
+def test_follow_me(tmp_path: Path):
+    game = table(tmp_path, app="social_nav", partner=None).begin(0)
+    player = Player(game)
+    player.send(k="move", f=1.0, t=0.1)
+    player.play(60)
+    before = player.base.copy()
+    player.send(k="move", f=-1.0, t=0.0)
+    player.play(5)
+    np.testing.assert_array_equal(player.base, before)  # people do not walk backwards here
+    place = game.session.episode.starts[0]
+    player.send(k="goto", p=[float(place[0]), 0.0, float(place[1])])
+    player.play(3)
+    assert player.busy
+    assert "robot" in game.app.hud(player.number).lines[0]
+    state = game.state(player.number, 0.0, whole=True)
+    assert len(state) == 16 + (12 + 2 * 20) + (12 + 28 + 84)
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert verify(recording).difference is None
+    assert recording.episode.info["policy"] == "heuristic_expert"
+
+
+def test_people_recorded_by_clips_are_shown_as_replays_show_them(tmp_path: Path):
+    from h3data.geometry import pose_to_matrix
+    from h3data.replay import Replay
+
+    game = LiveGame(table(tmp_path, app="social_nav", partner=None), 0)
+    player = Player(game)
+    sent = []
+    for forward, turn in ((1.0, 0.0), (0.5, 0.5), (0.0, 0.0), (0.0, 1.0)):
+        player.send(k="move", f=forward, t=turn)
+        for _ in range(12):
+            player.play()
+            sent.append(game.state(1, 0.0, whole=False))
+    recording = game.close()
+    assert recording is not None
+    replay = Replay(recording)
+    shown = replay.joint_matrices(1, np.arange(len(sent)))[:, 0]
+    at = 16 + 12 + 2 * 20 + 12
+    pelvis = np.array([np.frombuffer(data, "<f4", 7, at) for data in sent], np.float64)
+    assert np.abs(pose_to_matrix(pelvis)[:, :3, 3] - shown[:, :3, 3]).max() < 1e-3
+
+
+def test_steering_the_robot(tmp_path: Path):
+    game = table(tmp_path, seats=("robot",), partner="object_2").begin(0)
+    player = Player(game)
+    assert player.number == 0
+    player.send(k="move", f=0.5, t=0.3)
+    player.play(20)
+    player.send(k="move", f=0.0, t=0.0)
+    with pytest.raises(InputError, match="does not drop"):
+        player.send(k="drop")
+    bring(player, 0)
+    assert game.session.play.at_goal[0], player.said  # type: ignore[attr-defined]
+    game.close()
+    assert verify(read_mcap(tmp_path / "000000.mcap")).difference is None
+
+
+@pytest.mark.parametrize("seats", [("person", "robot"), ("person", "person"), ("person", "person", "spectator")])
+def test_two_people_in_one_world(tmp_path: Path, seats: tuple[str, ...]):
+    game = table(tmp_path, seats=seats, partner=None).begin(0)
+    assert len(game.drivers) == 2
+    first, second = (Player(game, number) for number in game.drivers)
+    first.send(k="move", f=0.6, t=0.2)
+    second.send(k="move", f=0.2, t=-0.4)
+    first.play(30)
+    starts = game.session.episode.starts[:, :2]
+    for player in (first, second):
+        assert np.hypot(*(player.base[[0, 2]] - starts[player.number])) > 0.1
+    assert game.state(first.number, 0.0, whole=True)[8:12] != b"\xff" * 4
+    assert game.state(-1, 0.0, whole=True)[8:12] == b"\xff" * 4, "a spectator has sent nothing"
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert verify(recording).difference is None
+    assert {event.user for event in recording.inputs} == set(game.drivers)
+
+
+class Parade(App):
+    """An app of one's own: the person has to walk ten steps."""
+
+    task = "wander"
+    rules: ClassVar[Mapping[str, Any]] = {"max_steps": 200}
+
+    def reset(self, session: Session) -> None:
+        super().reset(session)
+        self.walked = 0
+
+    def step(self, result: StepResult) -> str:
+        self.walked += self.session.recorder.latest_columns()["agent_1.motion_blend"][-1] > 0
+        return "paraded" if self.walked >= 10 else ""
+
+    def hud(self, number: int) -> Hud:
+        return Hud(task="Walk ten steps.", lines=(f"{self.walked} walked",))
+
+
+def test_an_app_of_ones_own(tmp_path: Path):
+    game = table(tmp_path, app=f"{__name__}:Parade", partner=None).begin(0)
+    player = Player(game)
+    player.send(k="move", f=1.0, t=0.0)
+    player.play(50)
+    assert game.ended == "paraded"
+    assert game.app.hud(1).lines == ("10 walked",)
+    game.close()
+    recording = read_mcap(tmp_path / "000000.mcap")
+    assert recording.episode.info["ended"] == "paraded"
+    assert verify(recording).difference is None
