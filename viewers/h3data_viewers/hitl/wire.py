@@ -133,7 +133,8 @@ class StatePacker:
         walk = self._walks.get(k)
         if walk is None:
             walk = self._walks[k] = PlantedWalk(body.gait_tables, base)
-        walk.step(base)
+        else:
+            walk.step(base)
         quats, pelvis = walk.pose()
         if agent + "motion_arms" in columns:
             draw_in(quats[None], columns[agent + "motion_arms"][-1:])

@@ -1,0 +1,149 @@
+"""What a kill -9 costs: of a worker, of the front; and what fifty hostile clients do to two players."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from h3data.recording import read_mcap
+from h3data_viewers.hitl.seats import JOURNAL
+from sim_kinematic.tasks.resume import verify
+from tests.viewers.hitl.bot import Bot
+from tests.viewers.hitl.server import Server
+
+pytestmark = pytest.mark.slow
+
+
+async def walk(bot: Bot, seconds: float) -> None:
+    """Steers about."""
+    await bot.until(lambda: bot.states)
+    chance, end = random.Random(bot.seq), time.monotonic() + seconds
+    while time.monotonic() < end and not bot.socket.closed:
+        await bot.send(k="move", f=chance.choice((0.3, 0.6)), t=chance.choice((-0.5, 0.0, 0.5)))
+        await asyncio.sleep(0.1)
+
+
+async def back(bot: Bot, seconds: float = 60.0) -> float:
+    """Connects again as a page does; returns how long it took until the next state came [s]."""
+    start, seen = time.monotonic(), len(bot.states)
+    bot.close_code = None
+    while time.monotonic() - start < seconds:
+        try:
+            await bot.connect()
+            await bot.until(lambda: len(bot.states) > seen or bot.close_code, 10)
+        except (aiohttp.ClientError, TimeoutError):
+            pass
+        if len(bot.states) > seen:
+            return time.monotonic() - start
+        await asyncio.sleep(0.1)
+    raise TimeoutError("the seat did not come back")
+
+
+async def worker_is_killed(server: Server) -> tuple[int, int, float]:
+    async with Bot(server.links[0]) as bot:
+        assert await bot.sit() == 200
+        await bot.connect()
+        await asyncio.sleep(8.0)  # until the spare worker is warm
+        await walk(bot, 3.0)
+        before = bot.step
+        os.kill(server.workers()[0], signal.SIGKILL)
+        await bot.until(lambda: bot.close_code)
+        took = await back(bot)
+        first = bot.step
+        await walk(bot, 1.0)
+        await bot.socket.send_str('{"k":"leave"}')
+        await bot.until(lambda: bot.heard("over"))
+    return before, first, took
+
+
+def test_a_killed_worker_costs_a_second(tmp_path: Path):
+    with Server(tmp_path / "rec") as server:
+        before, first, took = asyncio.run(worker_is_killed(server))
+    assert before - first <= 45, "rows are flushed once a second"
+    assert took < 20, "machines that test are busy; 2 s on an idle one"
+    recording = read_mcap(tmp_path / "rec" / "000000.mcap")
+    assert len(recording) > first
+    assert verify(recording).difference is None
+
+
+async def front_is_killed(server: Server, out: Path) -> tuple[int, int]:
+    async with Bot(server.links[0]) as bot:
+        assert await bot.sit() == 200
+        await bot.connect()
+        await walk(bot, 3.0)
+        before, port = bot.step, server.reports[0]["ready"]["port"]
+        server.stop(signal.SIGKILL)
+        await bot.until(lambda: bot.close_code)
+        with await asyncio.to_thread(Server, out, {"port": port}) as again:
+            await back(bot)
+            first = bot.step
+            await walk(bot, 1.0)
+            await bot.socket.send_str('{"k":"leave"}')
+            await bot.until(lambda: bot.heard("over"))
+            assert again.report()["over"]["ended"] == "closed"
+    return before, first
+
+
+def test_a_killed_front_loses_no_seat(tmp_path: Path):
+    out = tmp_path / "rec"
+    with Server(out) as server:
+        before, first = asyncio.run(front_is_killed(server, out))
+    assert before - first <= 3, "workers write down what they have when the front is gone"
+    assert verify(read_mcap(out / "000000.mcap")).difference is None
+    assert not (out / JOURNAL).exists(), "all has been played"
+
+
+async def hostile(link: str, k: int, end: float) -> None:
+    """One of many who try all kinds of things."""
+    chance = random.Random(k)
+    async with Bot(link) as bot:
+        while time.monotonic() < end:
+            try:
+                await bot.sit()
+                kind = k % 5
+                if kind == 0:
+                    await bot.http.post(link + "api/session", data=b"x" * 200_000)
+                elif kind == 1:
+                    await bot.http.ws_connect(link + f"play/{chance.randbytes(8).hex()}")
+                elif kind == 2:
+                    await bot.http.get(link + "world/" + "a" * 3000)
+                elif kind == 3:
+                    await bot.http.ws_connect(link + "play/x", headers={"Cookie": "h3data_seat_0=" + "x" * 2000})
+                elif hasattr(bot, "address"):
+                    await bot.connect()
+                    for text in ("[" * 4000, '{"k":"hand","side":"left","p":[0,1e200,0]}', "x" * 9000):
+                        if not bot.socket.closed:
+                            await bot.socket.send_str(text)
+            except (aiohttp.ClientError, ConnectionError):
+                pass
+            await asyncio.sleep(0.05)
+
+
+async def siege(server: Server, seconds: float) -> list[float]:
+    async with Bot(server.links[0]) as first, Bot(server.links[0]) as second:
+        for bot in (first, second):
+            assert await bot.sit() == 200
+            await bot.connect()
+        end = time.monotonic() + seconds
+        crowd = [hostile(server.links[0], k, end) for k in range(50)]
+        await asyncio.gather(walk(first, seconds), walk(second, seconds), *crowd)
+        assert first.close_code is None
+        assert second.close_code is None
+        return [len(bot.times) / (bot.times[-1] - bot.times[0]) for bot in (first, second)]
+
+
+def test_fifty_hostile_clients_end_no_session(tmp_path: Path):
+    with Server(tmp_path / "rec", {"tables": 2}, episodes=2) as server:
+        rates = asyncio.run(siege(server, 8.0))
+        assert server.stop() == 0
+    assert min(rates) > 5, "the bots themselves take most of the machine"
+    for path in sorted((tmp_path / "rec").glob("*.mcap")):
+        assert verify(read_mcap(path)).difference is None
+    assert len(list((tmp_path / "rec").glob("*.mcap"))) == 2
