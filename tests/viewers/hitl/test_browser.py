@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from h3data.recording import read_mcap
+from sim_kinematic.tasks.resume import verify
 from tests.paths import ROOT
 
 WEB = ROOT / "viewers" / "h3data_viewers" / "hitl" / "web"
@@ -62,14 +63,21 @@ def play(scenario: str, url: str, pictures: Path | None = None) -> dict[str, Any
     return said
 
 
+def verified_messages(server: Any, steps: int) -> set[str]:
+    """Kinds of messages in the recording of a success, of about as many steps, that verifies from raw input."""
+    recordings = [read_mcap(path) for path in server.out.glob("*.mcap")]
+    successes = [r for r in recordings if r.episode.info["ended"] == "success"]
+    recording = min(successes, key=lambda r: abs(len(r) - steps))
+    assert verify(recording).difference is None
+    return {json.loads(event.payload)["message"]["k"] for event in recording.inputs if event.kind == "client"}
+
+
 def test_the_task_is_played_to_success_by_one_key_and_its_recording_is_whole(server: Any, tmp_path: Path) -> None:
     said = play("task", server.links[0], tmp_path)
     assert said["over"]["ended"] == "success"
     assert said["bones"] == 22
     assert {path.name for path in tmp_path.iterdir()} >= {"task_start.png", "task_taken.png", "task_end.png"}
-    recordings = [read_mcap(path) for path in server.out.glob("*.mcap")]
-    (played,) = [r for r in recordings if r.episode.info["ended"] == "success"]
-    assert {"pick", "place"} <= {json.loads(e.payload)["message"]["k"] for e in played.inputs if e.kind == "client"}
+    assert {"pick", "place"} <= verified_messages(server, said["states"])
 
 
 def test_the_own_body_is_shown_where_the_server_puts_it(server: Any) -> None:
@@ -100,9 +108,30 @@ def test_the_task_is_played_to_success_in_a_headset(server: Any) -> None:
     assert said["over"]["ended"] == "success"
     assert said["walked"] > 0.2
     assert max(said["held"]) >= 0
+    assert {"move", "head", "hand", "pick", "place"} <= verified_messages(server, said["states"])
 
 
 def test_the_page_fits_small_screens_and_is_used_by_keys_alone(server: Any) -> None:
     said = play("sizes", server.links[0])
     assert said["inside"]
     assert said["help"]
+
+
+def test_follow_me_is_walked_in_front_of_the_robot(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", app="social_nav", partner="heuristic_expert", scenes="small:2") as server:
+        said = play("walk", server.links[0])
+    assert said["walked"] > 0.3
+    assert said["errorM"][1] < 0.03
+
+
+def test_two_people_play_in_one_world_and_somebody_watches(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    seats = ("person", "robot", "spectator")
+    with Server(tmp_path / "out", seats=seats, scenes="small:1") as server:
+        said = play("together", ",".join(server.links), tmp_path)
+    assert said["me"] == -1
+    assert said["waits"]
+    assert min(said["moved"]) > 0.1

@@ -119,13 +119,33 @@ async function headset() {
   return { walked: Math.hypot(to.x - from.x, to.z - from.z), held, over: await player.over, ...(await player.close()) };
 }
 
-/** Watches others play. */
-async function watch() {
-  const player = await openPage(url);
-  await player.started();
-  await player.nap(2500);
-  await player.shot(picture("watched"));
-  return { me: await player.ask("probe.game.manifest.me"), ...(await player.close()) };
+/** Two people in one world, and somebody who watches; `url` has the three links, separated by commas. */
+async function together() {
+  const links = url.split(",");
+  const first = await openPage(links[0], { width: 640, height: 360 });
+  await first.until("document.body.dataset.state === 'paused'", "the page to say that it waits for the other", 60_000);
+  const waits = await first.ask("document.getElementById('cover-text').innerText");
+  const second = await openPage(links[1], { width: 640, height: 360 });
+  await Promise.all([first.started(), second.started()]);
+  const spectator = await openPage(links[2], { width: 640, height: 360 });
+  await spectator.started();
+  const places = () => spectator.ask("probe.game.net.latest.agents.map(({ x, z, heading }) => [x, z, heading])");
+  const before = await places();
+  for (const player of [first, second]) {
+    await player.press("w", 500);
+    await player.press("a", 500);
+  }
+  await spectator.nap(1000);
+  const after = await places();
+  await spectator.shot(picture("watched"));
+  await second.close();
+  await first.until("document.body.dataset.state === 'paused'", "the page to say that the other is gone", 10_000);
+  const faults = [...first.faults, ...second.faults];
+  await first.close();
+  const moved = after.map((place, k) => Math.hypot(...place.map((value, i) => value - before[k][i])));
+  const me = await spectator.ask("probe.game.manifest.me");
+  const { faults: more, ...said } = await spectator.close();
+  return { ...said, waits, moved, me, faults: [...faults, ...more] };
 }
 
 /** Pages of other sizes and hands: a phone, a laptop at 200 %, the help by keyboard alone. */
@@ -148,6 +168,6 @@ async function sizes() {
   return { inside: overflow.every(Boolean), help, ...(await zoomed.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, watch, sizes };
+const SCENARIOS = { task, walk, click, reconnect, headset, together, sizes };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
