@@ -16,7 +16,7 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
     Mean length of the third derivative of the paths of head, wrists and ankles while the root moves [m/s^3].
 
 ``motion.<metric>`` is the worst of the tasks (pops, slide, jerk), their sum (mid-air stops) or all their steps together
-(turning share). ``motion.natural.*`` are those of social navigation with ``human_walk="natural"`` in small homes.
+(turning share). ``motion.paper.*`` are those of social navigation with ``human_walk="paper"`` in small homes.
 ``motion.real.<name>.*`` are the same figures of captured walks in ``../shared``, put on a body at 30 frames/s;
 where they are absent, ``motion.real.clips`` is 0.
 
@@ -48,7 +48,7 @@ HOMES = 10
 """One episode of each task in each test home."""
 POP_M, STEADY_ROOM = 0.12, 1.1
 AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
-NATURAL_HOMES = 6
+PAPER_HOMES = 6
 BODY_JOINTS = 22
 """Joints without jaw, eyes and fingers, which the wrists stand for."""
 JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]
@@ -68,8 +68,8 @@ def run(emit: Emit) -> None:
     emit("motion.mid_air_stops", sum(figure["mid_air_stops"] for figure in figures), "steps")
     turns = np.concatenate([found["turns"] for found in totals])
     emit("motion.turning_share", float(turns.mean()), "of all steps")
-    natural = [part for k in range(NATURAL_HOMES) for part in motions(_natural(k))]
-    _emit_all(emit, "motion.natural", {name: np.concatenate([part[name] for part in natural]) for name in natural[0]})
+    paper = [part for k in range(PAPER_HOMES) for part in motions(_paper(k))]
+    _emit_all(emit, "motion.paper", {name: np.concatenate([part[name] for part in paper]) for name in paper[0]})
     clips = sorted((SHARED / "motion").glob("*.bvh"))
     emit("motion.real.clips", len(clips), "captured walks (in ../shared/motion)")
     for path in clips:
@@ -87,9 +87,9 @@ _UNITS = {
 }
 
 
-def _natural(home: int) -> Recording:
+def _paper(home: int) -> Recording:
     return h3data.simulate(
-        "social_nav", f"small:{home}", seed=home, human_walk="natural", max_steps=900, end_on_collision=False
+        "social_nav", f"small:{home}", seed=home, human_walk="paper", max_steps=900, end_on_collision=False
     )
 
 

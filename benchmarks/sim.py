@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import median
 
 import numpy as np
@@ -23,7 +24,7 @@ from sim_kinematic.agents.arm_tuck import draw_arms
 from sim_kinematic.agents.manipulation import grip_objects, move_arms, robot_hands
 from sim_kinematic.agents.stands import discs_fit
 from sim_kinematic.motion.gait import walk_humans
-from sim_kinematic.motion.spec import HOME_BASE, ArmSpec, BaseSpec, SocialNavSpec
+from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, NATURAL_WALKER, ArmSpec, BaseSpec, SocialNavSpec
 from sim_kinematic.motion.state import HumanState, RobotState, WorldState
 from sim_kinematic.motion.step import drive_robots
 from sim_kinematic.tasks.runner import simulate
@@ -44,12 +45,15 @@ def run(emit: Emit) -> None:
     emit("sim.state.habitat_slide_w1024_env_steps_per_cpu_s", 1024 * _state_steps(free, 1024, 20, habitat), "steps/s")
     emit("sim.arm.w1_steps_per_s", _arm_steps(worlds=1, steps=2000), "steps/s")
     emit("sim.arm.w1024_env_steps_per_cpu_s", 1024 * _arm_steps(worlds=1024, steps=50), "steps/s")
-    # collisions do not end these episodes: all have the same number of steps
-    spec = SocialNavSpec(end_on_collision=False)
+    # collisions do not end these episodes: all have the same number of steps; people walk as the paper's, as in earlier figures
+    spec = SocialNavSpec(end_on_collision=False, human=HOME_WALKER)
     worlds = [SocialNav().episode(home, seed=seed, spec=spec, free=free) for seed in range(EPISODES)]
     recordings = [simulate(SocialNav(), world) for world in worlds]
     seconds = median(cpu_s(lambda w=world: simulate(SocialNav(), w)) for world in worlds)
     emit("sim.social_nav.steps_per_cpu_s", spec.max_steps / seconds, "steps/s")
+    natural = [replace(world, spec=replace(spec, human=NATURAL_WALKER)) for world in worlds]
+    natural_s = median(cpu_s(lambda w=world: simulate(SocialNav(), w)) for world in natural)
+    emit("sim.social_nav.natural_steps_per_cpu_s", spec.max_steps / natural_s, "steps/s")
     replay = Replay(recordings[0])
     track, steps = camera_track(replay, "robot_arm"), range(0, len(replay), 5)
 
@@ -72,7 +76,7 @@ def run(emit: Emit) -> None:
 
 def _state_steps(free: FreeSpace, worlds: int, steps: int, base: BaseSpec | None = None) -> float:
     """Steps per CPU second of all worlds together: robots drive, humans walk and draw their arms in; nothing else."""
-    spec = SocialNavSpec(robot=base or HOME_BASE)
+    spec = SocialNavSpec(robot=base or HOME_BASE, human=HOME_WALKER)
     rng = np.random.default_rng(0)
     robot, person, human = RobotState.zeros(worlds), HumanState.zeros(worlds), load_humanoid("female_0")
     person.xz[:] = free.sample(rng, worlds)

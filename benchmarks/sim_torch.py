@@ -70,7 +70,7 @@ class Stepper:
     def __init__(self, floor: Any, worlds: int, device: str, dtype: torch.dtype, seed: int = 0) -> None:
         import torch
 
-        from sim_kinematic.motion.spec import SocialNavSpec
+        from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
         from sim_kinematic.torch.state import HumanTensors, RobotTensors
         from sim_kinematic.torch.step import Grids
 
@@ -88,7 +88,7 @@ class Stepper:
         self.human = HumanTensors(people, zero.clone(), zero.clone(), zero.clone(), zero.clone())
         self.goal = on_device(floor.free_places(worlds, rng))
         self.action = on_device(rng.uniform(-1, 1, (worlds, 2)))
-        self.spec = SocialNavSpec()
+        self.spec = SocialNavSpec(human=HOME_WALKER)
 
     def tensors(self) -> list[torch.Tensor]:
         return [*self.robot, *self.human]
@@ -143,13 +143,13 @@ def _depth_fps(worlds: int, *, compile: bool) -> float:
     import torch
 
     from h3data.bodies import load_humanoid, load_robot
-    from sim_kinematic.motion.spec import SocialNavSpec
+    from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
     from sim_kinematic.torch.cameras import TensorCameras
     from sim_kinematic.torch.episodes import EpisodeBank
     from sim_kinematic.torch.graph import captured, fused
     from sim_kinematic.torch.social_nav import Play, SocialNavTensors
 
-    rules = SocialNavSpec(end_on_collision=False, max_steps=3000)
+    rules = SocialNavSpec(end_on_collision=False, max_steps=3000, human=HOME_WALKER)
     bank = EpisodeBank.draw(HOME, 64, spec=rules)
     sim = SocialNavTensors(bank, device="cuda", spec=rules)
     cameras = TensorCameras(

@@ -542,7 +542,7 @@ def habitat(prints: Prints, _: Path, task: str, homes: Sequence[int], seeds: Seq
                 prints.add(f"metrics {profile}", f"home {number} seed {seed}", found.values)
 
 
-LENGTH = {"social_nav": "400", "rearrange": "750", "wander": "300"}
+LENGTH = {"social_nav": "400", "rearrange": "1500", "wander": "300"}
 """Most steps of short episodes."""
 
 
@@ -756,8 +756,8 @@ def _cases() -> Iterator[Case]:
     for policy in ("plain_expert", "sampling_expert", "future_oracle", "learned_follower", "random", "stand_still"):
         yield generated(f"social_nav by {policy}", "--policy", policy, "--episodes", "3", "--max-steps", "600",
                         "--scenes", "small:3")  # fmt: skip
-    yield generated("rearrange that fails twice", "--human", "any", "--human-speed", "1.3", "--episodes", "3",
-                    "--max-steps", "600", "--seed", "8", "--scenes", "medium")  # fmt: skip
+    yield generated("rearrange that fails twice", "--human", "any", "--human-walk", "paper", "--human-speed", "1.3",
+                    "--episodes", "3", "--max-steps", "600", "--seed", "8", "--scenes", "medium")  # fmt: skip
     for policy in ("greedy_nearest", "same_object", "still", "solo"):
         yield generated(f"rearrange by {policy}", "--policy", policy, "--episodes", "2", "--scenes", "small:3")
     for partner in ("object_1", "object_2", "still", "plan_pop_1", "plan_pop_2", "plan_pop_3", "plan_pop_4"):

@@ -7,7 +7,7 @@ from typing import Any
 
 from h3data.recording import Recording
 from h3data.scene import FreeSpace, Scene
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import NATURAL_WALKER, SocialNavSpec, WalkerSpec
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.rearrange.episode import RearrangeEpisode, RearrangeSpec
 from sim_kinematic.tasks.rearrange.task import SOLO, Rearrange
@@ -76,8 +76,9 @@ def simulate_wander(
     seed: int = 0,
     steps: int = 300,
     free: FreeSpace | None = None,
+    human: WalkerSpec = NATURAL_WALKER,
     **options: Any,
 ) -> Recording:
     """A recording of agents that wander about."""
-    spec = SocialNavSpec(max_steps=steps)
+    spec = SocialNavSpec(max_steps=steps, human=human)
     return simulate(WANDER, WANDER.episode(home, seed=seed, spec=spec, free=free, agents=agents), **options)

@@ -149,10 +149,10 @@ class WalkerSpec:
 
 
 NATURAL_WALKER = WalkerSpec(speed_mps=1.3, clearance_m=0.4, arms=ArmRoomSpec(), stride=StrideSpec())
-"""A person who walks curves at a walking speed."""
+"""A person who walks curves at a walking speed: the default of new episodes."""
 
 HOME_WALKER = WalkerSpec(clearance_m=0.4, arms=ArmRoomSpec())
-"""A person of our own episodes: as the paper's, but she keeps clear of walls and furniture where there is room."""
+"""The paper's person, who keeps clear of walls and furniture where there is room."""
 
 
 WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
@@ -175,7 +175,7 @@ class SocialNavSpec:
     agent_height_m: float = 1.41
     """As Habitat's navigation mesh for Spot, which both agents use (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
-    human: WalkerSpec = HOME_WALKER
+    human: WalkerSpec = NATURAL_WALKER
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,10 @@ RESUMED = "resumed"
 """Why what an agent was doing is interrupted where another policy takes over; it may choose the same and go on."""
 
 
+class NotRecorded(InputError):
+    """The episode takes another course than the recording, so that it asks for a command where none was recorded."""
+
+
 class RecordedCommand(NamedTuple):
     """A command from outside, from the recorded raw input."""
 
@@ -79,7 +83,7 @@ class RecordedVelocities:
         if self._own is not None and not isinstance(self._own, FunctionPolicy):
             self._own.act(view)
         if view.step not in self._choices:
-            raise InputError(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
         return self._choices[view.step]
 
 
@@ -97,7 +101,7 @@ class RecordedCommands:
         if view.step >= self._until and self._own is not None:
             return self._own.act(view)
         if self._next >= len(self._commands) or self._commands[self._next].step != view.step:
-            raise InputError(f"The recorded raw input has no command for step {view.step}.")
+            raise NotRecorded(f"The recorded raw input has no command for step {view.step}.")
         self._next += 1
         return self._commands[self._next - 1].choice
 

@@ -17,7 +17,7 @@ from h3data.recording import Event
 from h3data.scene import FreeSpace, Scene
 from sim_kinematic.agents.roster import AgentSpec
 from sim_kinematic.avoidance.robot_base import base_of, floor_of
-from sim_kinematic.motion.spec import HOME_BASE, HOME_WALKER, WALKERS, BaseSpec, WalkerSpec
+from sim_kinematic.motion.spec import HOME_BASE, NATURAL_WALKER, WALKERS, BaseSpec, WalkerSpec
 
 MAX_STEPS = 1_000_000
 """Longest episode that is simulated again: nine hours."""
@@ -34,7 +34,7 @@ class TaskSpec:
     agent_height_m: float = 1.41
     """Size of the agent for which the free floor is computed; Habitat's navigation mesh for Spot (spec/habitat.md 1.2)."""
     robot: BaseSpec = HOME_BASE
-    human: WalkerSpec = HOME_WALKER
+    human: WalkerSpec = NATURAL_WALKER
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from h3data.errors import H3DataError, InputError
 from h3data.recording import Event, InputEvent, Recording, SkillSpan, state_hash
 from sim_kinematic.policies.assignment import KINDS, AssignedPolicy
+from sim_kinematic.policies.recorded import NotRecorded
 from sim_kinematic.tasks.episode import Episode
 from sim_kinematic.tasks.play import Columns, Play
 from sim_kinematic.tasks.recorder import Recorder, finished
@@ -153,9 +154,13 @@ class _Played:
         keep = None
         if keeps_people:
             self.track, keep = task.keep_people(self.play, recording, since)
-        if most:
-            run(self.play, recorder, steps=most, progress=keep)
-        self.ended = self.play.ended
+        unrecorded = ""
+        try:
+            if most:
+                run(self.play, recorder, steps=most, progress=keep)
+        except NotRecorded as fault:
+            unrecorded = str(fault)
+        self.ended = unrecorded or self.play.ended
         recording_made = recorder.finish({}) if len(recorder) else None
         self.columns: Columns = recorder.columns() if recording_made else {"time_ns": np.zeros(0, np.int64)}
         self.skills: tuple[SkillSpan, ...] = tuple(recorder.skills)

@@ -52,7 +52,7 @@ def session(
         robot: Body of robots named by their kind.
         human: Body of people named by their kind.
         **rules: Fields of the rules to change, such as ``max_steps=900`` ``human_speed=1.2`` or
-            ``human_walk="natural"``.
+            ``human_walk="paper"``.
 
     Raises:
         InputError: there is no such task, scene, agent, policy or rule.

@@ -34,7 +34,7 @@ from h3data.recording import AssetRef, Body, Episode, Event, InputEvent, Recordi
 from h3data.render import pinhole
 from h3data.replay import Replay, camera_track
 from h3data.scene import HomeSpec, build_home
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.export.foxglove_file import TURN, File, matrix, nanoseconds
 
 STEPS = 45
@@ -74,7 +74,9 @@ def boxes() -> Recording:
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     scene = build_home(HomeSpec(preset="small", seed=2))
-    return simulate_social_nav(social_nav_episode(scene, seed=2, spec=SocialNavSpec(max_steps=STEPS)))
+    return simulate_social_nav(
+        social_nav_episode(scene, seed=2, spec=SocialNavSpec(max_steps=STEPS, human=HOME_WALKER))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from h3data.recording.mcap.writer import write_mcap
 from h3data.replay import camera_track
 from h3data.scene import HomeSpec, build_home
 from h3data_pipelines.cli import main
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import simulate_social_nav, social_nav_episode
 
 CAMERA = 'eye = [-1.0, 1.6, 0.3]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwidth = 97\nheight = 64\n'
@@ -30,7 +30,9 @@ CAMERA = 'eye = [-1.0, 1.6, 0.3]\ntarget = [1.0, 1.0, 0.0]\nfollow = "human"\nwi
 @pytest.fixture(scope="module")
 def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rerender")
-    world = social_nav_episode(build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=24))
+    world = social_nav_episode(
+        build_home(HomeSpec(seed=2)), seed=2, spec=SocialNavSpec(max_steps=24, human=HOME_WALKER)
+    )
     write_mcap(simulate_social_nav(world), folder / "walk.mcap")
     (folder / "near.toml").write_text(CAMERA)
     return folder / "walk.mcap"

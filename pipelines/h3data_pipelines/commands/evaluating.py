@@ -61,12 +61,12 @@ class Evaluate:
     human: str | None = None
     """Body of the person: a built-in one; any: each episode samples one; random: each makes one (default: female_0)."""
     human_walk: WalkOption | None = None
-    """How people walk: paper turns on the spot and is at 2.5 m/s at once, natural walks curves at 1.3 m/s, sets off and
-    brakes (default: the episode's, else paper)."""
+    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
+    once (default: the episode's, else natural)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: that of --human-walk)."""
     max_steps: int | None = None
-    """Length limit of an episode (default: 1500; rearrange: 750)."""
+    """Length limit of an episode (default: 1500)."""
     workers: int = 1
     """Processes."""
     keep: bool = False

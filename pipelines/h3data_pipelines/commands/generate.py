@@ -122,12 +122,12 @@ class Generate:
     """Body of each agent named human: a built-in one; random:SEED; an .npz file; any: each episode samples one of the
     built-in ones; random: each makes people of its own, in wander each person (default: the episode's, else female_0)."""
     human_walk: WalkOption | None = None
-    """How people walk: paper turns on the spot and is at 2.5 m/s at once, natural walks curves at 1.3 m/s, sets off and
-    brakes (default: the episode's, else paper)."""
+    """How people walk: natural walks curves at 1.3 m/s, sets off and brakes; paper turns on the spot and is at 2.5 m/s at
+    once (default: the episode's, else natural)."""
     human_speed: float | None = None
     """Walking speed of the person [m/s] (default: the episode's, else that of --human-walk)."""
     max_steps: int | None = None
-    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500; rearrange: 750;
+    """Length limit of an episode, at 30 steps per second (default: the episode's, else 1500;
     wander: 300, and they walk as long as that)."""
     spawn_distance: float | None = None
     """Least distance between any two at the start [m] (default: 5, the paper's for evaluation). In social_nav sets and files

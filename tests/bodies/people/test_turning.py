@@ -18,7 +18,7 @@ from h3data.replay import Replay
 from h3data.replay.validation import LOW_M, SLIDE_MPS, validate_recording
 from h3data.scene import HomeSpec, build_home
 from sim_kinematic.motion.gait import walk_humans
-from sim_kinematic.motion.spec import STEP_S, WalkerSpec
+from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HumanState
 from tests.simulated import simulate_wander
 
@@ -27,7 +27,7 @@ from tests.simulated import simulate_wander
 def wandering() -> Recording:
     """As recordings were before people walked with planted feet."""
     home = build_home(HomeSpec(preset="small", seed=5))
-    recording = simulate_wander(home, "robot,human,male_1", seed=3, steps=300)
+    recording = simulate_wander(home, "robot,human,male_1", seed=3, steps=300, human=HOME_WALKER)
     return replace(recording, episode=replace(recording.episode, schema_version="1.4"))
 
 

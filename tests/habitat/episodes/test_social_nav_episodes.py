@@ -26,7 +26,7 @@ from h3data.habitat.episodes.social_nav_episodes import (
 )
 from h3data.recording import Event, Recording
 from h3data.scene import FreeSpace, HomeSpec, build_home
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from tests.simulated import SOCIAL_NAV, simulate_social_nav
 
 numbers = st.floats(-1e3, 1e3)
@@ -84,7 +84,7 @@ def test_the_file_is_one_of_habitat(tmp_path: Path) -> None:
 def recording() -> Recording:
     home = build_home(HomeSpec(preset="small", seed=1))
     free = FreeSpace.from_scene(home, radius_m=0.25, cache=False)
-    world = SOCIAL_NAV.episode(home, seed=5, spec=SocialNavSpec(max_steps=200), free=free)
+    world = SOCIAL_NAV.episode(home, seed=5, spec=SocialNavSpec(max_steps=200, human=HOME_WALKER), free=free)
     return simulate_social_nav(world, episode_id="5")
 
 

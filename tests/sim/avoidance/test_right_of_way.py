@@ -273,15 +273,14 @@ def test_a_hand_that_is_in_somebodys_way_is_taken_back(home: Scene, free: FreeSp
 
 
 @pytest.mark.parametrize(
-    ("agents", "seed", "steps"), [("robot,human,male_1", 0, 750), ("human,human,human,robot,robot", 4, 200)]
+    ("agents", "seed", "steps"), [("robot,human,male_1", 0, 1500), ("human,human,human,robot,robot", 4, 200)]
 )
 def test_nobody_touches_anybody(home: Scene, free: FreeSpace, agents: str, seed: int, steps: int) -> None:
-    spec = RearrangeSpec(max_steps=750)
-    world = rearrange_episode(home, seed=seed, free=free, agents=agents, spec=spec)
-    world = replace(world, spec=replace(spec, max_steps=steps))
+    world = rearrange_episode(home, seed=seed, free=free, agents=agents)
+    world = replace(world, spec=replace(world.spec, max_steps=steps))
     made = simulate_rearrange(world, policy="complement", partner="both", solo_steps=1)
     assert not made.columns["metrics.collision"].any()
-    assert made.episode.info["ended"] == ("success" if steps == 750 else "max_steps")
+    assert made.episode.info["ended"] == ("success" if steps == 1500 else "max_steps")
 
 
 def test_who_has_finished_clears_a_doorway(home: Scene, free: FreeSpace) -> None:

@@ -145,9 +145,9 @@ def test_skills_take_their_time_and_what_is_infeasible_takes_a_step() -> None:
 def test_time_runs_out() -> None:
     env = make_env(HOME, partner="still")
     env.reset(seed=2)
-    steps = [env.step(WAIT) for _ in range(150)]
-    assert [s[3] for s in steps] == [False] * 149 + [True]
-    assert steps[-1][4]["step"] == 750
+    steps = [env.step(WAIT) for _ in range(300)]
+    assert [s[3] for s in steps] == [False] * 299 + [True]
+    assert steps[-1][4]["step"] == 1500
     with pytest.raises(InputError, match="reset"):
         env.step(WAIT)
     assert env.reset()[1]["step"] == 0

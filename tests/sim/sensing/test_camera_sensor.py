@@ -10,7 +10,7 @@ from h3data.errors import InputError
 from h3data.render import normalize_depth
 from h3data.replay import Replay, camera_track
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
-from sim_kinematic.motion.spec import SocialNavSpec
+from sim_kinematic.motion.spec import HOME_WALKER, SocialNavSpec
 from sim_kinematic.motion.state import WorldState
 from sim_kinematic.sensing.camera_sensor import CameraSensor, StateRenderer
 from sim_kinematic.sensing.sensor import detect_humanoids
@@ -48,7 +48,7 @@ def facing_each_other(home: Scene, worlds: int, apart: float = 1.6) -> WorldStat
 
 def test_the_picture_is_that_of_the_replay(home: Scene, bodies: tuple[Robot, Humanoid]) -> None:
     robot, human = bodies
-    world = social_nav_episode(home, seed=3, spec=SocialNavSpec(max_steps=60))
+    world = social_nav_episode(home, seed=3, spec=SocialNavSpec(max_steps=60, human=HOME_WALKER))
     recording = simulate_social_nav(world)
     replay = Replay(recording, stepping=False)  # the simulator turns people on the spot with the feet they have
     drawn = StateRenderer(home, [robot, human])

@@ -344,8 +344,8 @@ def test_what_is_too_far_is_refused_and_nothing_happens() -> None:
 def test_steering_interrupts_a_skill_and_standing_does_not() -> None:
     session = begun()
     person = driven(session)
-    put_at(session, session.episode.targets[0].start[:3])  # type: ignore[attr-defined]
-    session.act("person", Pick(0))
+    put_at(session, session.episode.targets[1].start[:3])  # type: ignore[attr-defined]
+    session.act("person", Pick(1))
     for _ in range(8):
         session.step()
         session.act("person", STAND)

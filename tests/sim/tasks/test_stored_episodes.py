@@ -129,7 +129,7 @@ def test_the_person_goes_where_the_episode_says() -> None:
     assert len(walked) > 2
     person = recording.columns["agent_1.base_pose"][:, [0, 2]]
     for goal in walked[:2]:
-        assert np.hypot(*(person - goal).T).min() < 0.002
+        assert np.hypot(*(person - goal).T).min() < 0.05
     uids = {simulate_social_nav(episode_from(e, open_scene(HOME), spec=SocialNavSpec(max_steps=2))).episode.uid
             for e in (episode, told)}  # fmt: skip
     assert len(uids) == 2
