@@ -13,6 +13,7 @@ import pytest
 from h3data.bodies.people.planted_gait import planted_states, pose_planted
 from h3data.errors import InputError
 from h3data.geometry import pose_multiply
+from h3data.kernels import compiled_count
 from h3data.recording import read_mcap
 from h3data.replay.validation import validate_recording
 from h3data_viewers.hitl.app import App, Hud
@@ -20,6 +21,7 @@ from h3data_viewers.hitl.live import CLIENT, LiveGame, Table
 from h3data_viewers.hitl.messages import decode
 from h3data_viewers.hitl.plan import PlayPlan
 from h3data_viewers.hitl.wire import BUSY
+from h3data_viewers.hitl.worker import rehearse
 from sim_kinematic.tasks.resume import verify
 from sim_kinematic.tasks.runner import Session, StepResult
 
@@ -282,3 +284,19 @@ def test_an_app_of_ones_own(tmp_path: Path):
     recording = read_mcap(tmp_path / "000000.mcap")
     assert recording.episode.info["ended"] == "paraded"
     assert verify(recording).difference is None
+
+
+def test_a_rehearsal_compiles_what_a_game_needs(tmp_path: Path):
+    for changes in ({}, {"app": "social_nav", "partner": None}, {"seats": ("robot",), "partner": "both"}):
+        rehearse(table(tmp_path, **changes))
+    assert not list(tmp_path.iterdir()), "nothing is recorded"
+    compiled = compiled_count()
+    player = Player(LiveGame(table(tmp_path), 0))
+    player.send(k="move", f=0.5, t=0.1)
+    player.play(10)
+    player.send(
+        k="goto",
+        p=[float(x) for x in (*player.game.session.episode.starts[0, :1], 0, player.game.session.episode.starts[0, 1])],
+    )
+    player.play(30)
+    assert compiled_count() == compiled

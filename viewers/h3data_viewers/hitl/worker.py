@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import logging
 import signal
@@ -20,7 +21,7 @@ from h3data.errors import H3DataError, InputError
 from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
-from h3data_viewers.hitl.messages import PERIOD_S, Act, Leave, decode
+from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Leave, Move, Pick, decode
 from h3data_viewers.hitl.plan import PlayPlan
 
 MOST_BEHIND = 3
@@ -93,6 +94,7 @@ class Worker:
     def warm_up(self) -> None:
         """Compiles or loads all kernels, and prepares the first episode."""
         self.prepare(0)
+        rehearse(self.table)
         # all that is alive now stays: the collector need not look at it 30 times a second
         gc.collect()
         gc.freeze()
@@ -286,6 +288,27 @@ _HANDLERS = {
     "can": Worker.can,
     "stop": Worker.stop,
 }
+
+
+def rehearse(table: Table) -> None:
+    """Plays an episode that nobody sees: kernels that are compiled or loaded only when somebody first walks, takes something or
+    gives way would stop a live world for a second each."""
+    game = LiveGame(table, 0)
+    for message, steps in (
+        (Move(f=1.0, t=0.3), 20),
+        (Pick(o=0, lead=True), 150),
+        (Drop(), 20),
+        (GoTo(p=(float(game.session.episode.starts[0, 0]), 0.0, float(game.session.episode.starts[0, 1]))), 60),
+    ):
+        for driver in game.drivers.values():
+            with contextlib.suppress(InputError):  # not every task has things to take
+                driver.take(message)
+                driver.can_place((0.0, 1.0, 0.0))
+        for _ in range(steps):
+            if not game.ended:
+                game.step()
+                game.state(-1, 0.0, whole=True)
+    game.close()
 
 
 def main(descriptor: int) -> None:
