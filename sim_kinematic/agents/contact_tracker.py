@@ -94,7 +94,7 @@ class AgentContactTracker:
             first = max(len(track) - AVOIDANCE.velocity_steps - (not moved), 0)
             steps = len(track) - first - (not moved)
             velocity = (now - track[first]) / (STEP_S * max(steps, 1))
-            steps_aside = me.agreed and other.yields and not len(other.path)
+            steps_aside = me.agreed and other.yields and other.path_start is None
             settled = other.number in self._settled
             seen.append(
                 Seen(other.number, now, velocity, settled, other.is_robot, other.heading, steps_aside, other.footprint)

@@ -85,6 +85,10 @@ class PersonActor:
         return AVOIDANCE.person
 
     @property
+    def path_start(self) -> NDArray | None:
+        return self.path[0] if len(self.path) else None
+
+    @property
     def xz(self) -> NDArray:
         return self.person.base[0:3:2].copy()
 

@@ -78,7 +78,6 @@ class RobotActor:
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
     """Whether it touches another agent in its present posture: then it stops where it was."""
-    path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
     hindered_by: frozenset[int] = frozenset()
@@ -95,6 +94,8 @@ class RobotActor:
         self.footprint: Footprint = footprint_of(self.base)
         self._commands: list[tuple[float, float]] = []
         """Rest of a maneuver by which it steps aside."""
+        self._start: NDArray | None = None
+        self._path: NDArray[np.floating] | Callable[[], NDArray[np.floating]] = NO_PATH
         self._gave_up: list[NDArray] = []
         """Places [2] that it did not get to; next time it goes elsewhere, if it can."""
         self._held_up = np.full(3, np.inf), 0
@@ -112,6 +113,30 @@ class RobotActor:
     @property
     def heading(self) -> float:
         return float(self.state.heading[0])
+
+    @property
+    def path(self) -> NDArray[np.floating]:
+        """As `sim_kinematic.avoidance.right_of_way.Walker`; worked out when somebody asks, which is seldom."""
+        if callable(self._path):
+            self._path = self._path()
+        return self._path
+
+    @path.setter
+    def path(self, path: NDArray[np.floating]) -> None:
+        self._path, self._start = path, path[0] if len(path) else None
+
+    @property
+    def path_start(self) -> NDArray | None:
+        return self._start
+
+    def _announce(self, via: NDArray, goal: NDArray) -> None:
+        """Lets the others know by which points it goes on from here."""
+        xz = self.xz.copy()
+
+        def path() -> NDArray[np.floating]:
+            return np.vstack([xz, *(via if len(via) else self.free.path(xz, goal, max_snap_m=1.0)), goal])
+
+        self._start, self._path = xz, path
 
     @property
     def joints(self) -> NDArray:
@@ -246,8 +271,7 @@ class RobotActor:
             if len(via) and np.hypot(*(via[0] - self.xz)) < AVOIDANCE.via_m:
                 via, best = via[1:], np.inf
             if self.agreed:  # nobody else asks for it
-                path = via if len(via) else self.free.path(self.xz, goal, max_snap_m=1.0)
-                self.path = np.vstack([self.xz, *path, goal])
+                self._announce(via, goal)
             left, waypoint = self._leg(via[0] if len(via) else goal)
             stalled = since > AVOIDANCE.detour_after_steps[0]
             if not len(via) and (left <= ARRIVED_M or (left <= NEARLY_M and (stalled or is_near))):

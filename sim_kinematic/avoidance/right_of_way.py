@@ -28,12 +28,20 @@ class Walker(Body, Protocol):
     """An agent that moves on the floor."""
 
     number: int
-    path: NDArray[np.floating]
-    """Floor points [N, 2] by which it is going somewhere, its own place first; empty: it is not."""
     yields: bool
     """Whether it can step aside now."""
     aside: NDArray[np.float64] | None
     """The points [N, 2] by which it is to step aside; none left: it is to stand there; None: nobody has asked."""
+
+    @property
+    def path(self) -> NDArray[np.floating]:
+        """Floor points [N, 2] by which it is going somewhere, its own place first; empty: it is not."""
+        ...
+
+    @property
+    def path_start(self) -> NDArray[np.floating] | None:
+        """The first of them [2], which costs nothing; None: it is going nowhere."""
+        ...
 
     hindered_by: frozenset[int]
     """Agents that it would have touched in its last step, had it not stopped."""
@@ -68,7 +76,7 @@ class RightOfWay:
             turned = abs(float(wrap_angle(heading - was_heading)))
             if math.hypot(x - was_x, z - was_z) > AVOIDANCE.progress_m or turned > AVOIDANCE.progress_rad:
                 self._stalled[number], self._place[number] = 0, place
-            wants = len(self.path(walker)) or walker.hindered_by
+            wants = self._start(walker) is not None or walker.hindered_by
             self._stalled[number] = self._stalled[number] + 1 if wants else 0
             if number in self._requests:
                 _drop_reached(walker, self._requests[number])
@@ -115,6 +123,12 @@ class RightOfWay:
             return np.vstack([walker.xz[None], route]) if len(route) else NO_PATH
         return walker.path
 
+    def _start(self, walker: Walker) -> NDArray[np.floating] | None:
+        """Returns the first point [2] of `path`; None: it is empty."""
+        if walker.number in self._requests:
+            return walker.xz if len(self._requests[walker.number].route) else None
+        return walker.path_start
+
     def _may_block(self, other: Walker, me: Walker) -> bool:
         """Whether an agent could have to step aside for me, as far as costs little to say: `_blocks` says it exactly."""
         held_up = self._stalled[me.number] >= AVOIDANCE.held_up_steps
@@ -122,10 +136,10 @@ class RightOfWay:
             return False
         if other.number in me.hindered_by and held_up:
             return True
-        path, moves = self.path(me), len(self.path(other)) > 0
-        if not len(path) or (moves and not held_up):
+        start, moves = self._start(me), self._start(other) is not None
+        if start is None or (moves and not held_up):
             return False
-        (x, z), (other_x, other_z) = path[0].tolist(), other.xz.tolist()
+        (x, z), (other_x, other_z) = start.tolist(), other.xz.tolist()
         reach = AVOIDANCE.asks_moving_m if moves else AVOIDANCE.asks_idle_m
         reach += AVOIDANCE.beside_m[me.is_robot] + _size_beyond_default(me) + other.footprint.extent_m
         return math.hypot(other_x - x, other_z - z) <= reach

@@ -16,6 +16,7 @@ from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from h3data.scene.freespace.build import build_from_walkable
 from sim_kinematic.agents.person import Person
 from sim_kinematic.agents.person_skills import PersonActor
+from sim_kinematic.agents.robot_skills import RobotActor
 from sim_kinematic.agents.skills import Action, Ending, Objects
 from sim_kinematic.avoidance.right_of_way import RightOfWay
 from sim_kinematic.avoidance.routes import FloorRoutes, distance_to_path, first_of_path
@@ -158,6 +159,10 @@ class Puppet:
     aside: np.ndarray | None = None
     hindered_by: frozenset[int] = frozenset()
     footprint: Footprint = AVOIDANCE.person
+
+    @property
+    def path_start(self) -> np.ndarray | None:
+        return self.path[0] if len(self.path) else None
 
 
 def puppet(number: int, x: float, z: float, to: tuple[float, float] | None = None) -> Puppet:
@@ -325,3 +330,21 @@ def test_not_ranking_those_who_are_clear_of_each_other_changes_nothing(
         hashes.append(simulate_rearrange(episode, solo_steps=1).columns["state_hash"])
     np.testing.assert_array_equal(*hashes)
     assert 0 < sum(clear) < len(clear)
+
+
+def test_robots_work_out_their_paths_only_where_somebody_may_have_to_step_aside(
+    home: Scene, free: FreeSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    announced, worked_out = [], []
+    announce = RobotActor._announce
+
+    def counted(robot: RobotActor, via: np.ndarray, goal: np.ndarray) -> None:
+        announce(robot, via, goal)
+        path = robot._path
+        announced.append(1)
+        robot._path = lambda: worked_out.append(1) or path()  # type: ignore[operator]
+
+    monkeypatch.setattr(RobotActor, "_announce", counted)
+    simulate_rearrange(rearrange_episode(home, seed=3, free=free), solo_steps=1)
+    assert announced
+    assert len(worked_out) < 0.5 * len(announced)
