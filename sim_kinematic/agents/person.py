@@ -84,6 +84,7 @@ REST_CURL, OPEN_CURL, CURL_MOST, CURL_STEP = 0.244, -0.2, 1.1, 0.12
 which it changes in a step."""
 CLOSES_FROM = 0.8
 """Share of the path to a thing from which on a hand closes."""
+HEAD_JOINTS = [JOINT_INDEX["neck"], JOINT_INDEX["head"]]
 LOOK_STEPS, LOOKED_RAD = 10, 0.15
 """The hand sets off after this many steps at most, or when the head has less than this left to turn."""
 PERSON_SPEC = WalkerSpec(speed_mps=1.2, turn_rad_s=1.6)
@@ -368,8 +369,10 @@ class Person:
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
         if fastest > JOINT_STEP_RAD:
             poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
+        upright = self.walk.pose()[0][HEAD_JOINTS]
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
+            quats[HEAD_JOINTS] = upright  # those of a reach look at the target at once: up to 480 degrees a second
             self.show("reach", self.with_arms(quats, hand), pelvis)
             yield float(at / way[-1]) if way[-1] else 1.0
 

@@ -296,3 +296,19 @@ def test_fingers_close_around_what_they_hold_by_its_size(hand: Hand) -> None:
             person.stride()
         assert person.curl[side] == 0  # it hangs open again
     assert bends[0] > bends[3] > bends[1] > bends[2]
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_the_face_turns_against_the_chest_no_faster_than_heads_do(hand: Hand) -> None:
+    person = _someone("female_1", hand, (0.33, 0.5, 0.25))
+    body, frames = person.body, []
+    for skill in (
+        lambda: person.pick("mug", hand),
+        lambda: person.place(_at(person, hand, (0.4, 0.9, 0.0)), hand),
+        person.settle,
+    ):
+        frames += run(person, skill())[0]
+    joints = _joints(body, frames)
+    face = np.einsum("tji,tj->ti", joints[:, JOINT_INDEX["spine3"], :3, :3], joints[:, JOINT_INDEX["head"], :3, 2])
+    steps = np.degrees(np.arccos(np.clip(np.sum(face[1:] * face[:-1], axis=1), -1, 1)))
+    assert steps.max() < 4.5  # 16 with the poses of a reach, whose head looks at its target at once
