@@ -7,7 +7,7 @@ GROUP ?=
 # without bytecode every command that a test starts would compile 400 files, for a second
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-all check check-docs check-lerobot check-gltf web check-web format bench wheel clean
+.PHONY: setup demo test test-all test-browser check check-docs check-lerobot check-gltf web check-web format bench wheel clean
 
 setup: $(STAMP)
 
@@ -25,6 +25,9 @@ test: setup
 
 test-all: setup  ## the slow ones too
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not gpu and not bench"
+
+test-browser: setup  ## h3data play in Chromium, by scripted players; skipped, and says why, where Chromium or node packages are missing
+	$(BIN)/python -m pytest -m browser -rs
 
 check-docs: setup  ## README and docs run as written, on small data (7 minutes)
 	$(BIN)/python -m pytest -n 2 -m slow tests/product/test_docs_run.py
