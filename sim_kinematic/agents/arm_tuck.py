@@ -1,7 +1,7 @@
-"""Room for the arms: how far a person draws each arm in towards her body, from the distance field at her sides.
+"""Room for the arms: how far a person draws each arm in towards the body, from the distance field at both sides.
 
-A line runs along each side of her, forward and back. What is near it draws the arm in: wholly where she is, the less the
-farther ahead or behind it is. So an arm begins to come in before she is at a door post, and is let go after it.
+A line runs along each side of the person, forward and back. What is near it draws the arm in: wholly at the person, less
+farther ahead or behind. So an arm begins to come in before the person is at a door post, and is let go after it.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _draw_in_worlds(sdf, origin, cell, xz, heading, arms, busy, rate, aside, fre
 def draw_arms(
     state: HumanState, free: FreeSpace, body: Humanoid, rules: ArmRoomSpec | None, *, busy: Hand | None = None
 ) -> None:
-    """Draw the arms of a person in all her worlds in, or let them go, by one step towards what the room there asks for, in
+    """Draws the arms of a person in all worlds in, or lets them go, by one step towards what the room there asks for, in
     place; without rules they stay as they are. An arm whose hand is ``busy`` is let go."""
     if rules is None:
         return
@@ -160,7 +160,7 @@ def held_close(
 
 @lru_cache(maxsize=64)
 def width_m(body: Humanoid) -> float:
-    """How far her capsules get to one side of her middle where she stands with both arms drawn in [m]."""
+    """How far the capsules of a standing person extend to one side of the middle with both arms drawn in [m]."""
     joints = body.joint_matrices(IDENTITY_POSE[None], *body.clip_pose([0], [0.0], arms=np.ones((1, 2))))
     start, end, radius = body.capsules_world(joints)
     return float((np.abs(np.stack([start, end])[:, 0, :, 2]).max(0) + radius).max())

@@ -28,13 +28,13 @@ from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
 from sim_kinematic.motion.stride import Strider
 
 TURN_PATIENCE_STEPS = 10
-"""So long she waits for room to turn on the spot before she walks; then she turns as she walks."""
+"""Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
 HANDS: tuple[Hand, ...] = ("right", "left")
-"""In the order in which she tries them."""
+"""In the order in which a person tries them."""
 
 
 class _Posture(NamedTuple):
-    """How she stands, and what she carries."""
+    """How a person stands, and what they carry."""
 
     base: Array
     quats: Array
@@ -51,7 +51,7 @@ class _Posture(NamedTuple):
 
 @dataclass(eq=False)
 class PersonActor:
-    """A person with two hands; the left one is for what the right one cannot. She heeds those she sees (``others``): a person
+    """A person with two hands; the left one is for what the right one cannot. They heed those they see (``others``): a person
     with one robot sees nobody, as Habitat's planners."""
 
     person: Person
@@ -61,13 +61,13 @@ class PersonActor:
     number: int = HUMAN
     """Of the agent."""
     room: ReachRoom | None = None
-    """Looks where her body would be; None: nobody does."""
+    """Checks where the body would be; None: nobody does."""
     others: tuple[Seen, ...] = ()
     """Who else is there, the nearest first."""
     agreed: bool = False
     """Whether all agents step aside for each other (`sim_kinematic.avoidance.right_of_way.Walker`)."""
     meets: Callable[[], bool] = field(default=lambda: False)
-    """Whether she touches somebody as she is now: then she stops where she was."""
+    """Whether the person touches somebody now: then they stay where they were."""
     path: NDArray[np.floating] = field(default_factory=lambda: NO_PATH)
     yields: bool = True
     aside: NDArray[np.float64] | None = None
@@ -104,7 +104,7 @@ class PersonActor:
 
     @property
     def arm(self) -> NDArray:
-        """She has no joints that could be driven, [0]."""
+        """People have no joints that could be driven, [0]."""
         return np.zeros(0)
 
     def infeasible(self, action: Action) -> str:
@@ -133,7 +133,7 @@ class PersonActor:
         return Ending("done")
 
     def _hands(self, k: int) -> tuple[Hand, ...]:
-        """The hand that holds an object, else both in the order in which she tries them."""
+        """The hand that holds an object, else both in the order in which they are tried."""
         holding: list[Hand] = [hand for hand, held in self.person.held.items() if held.name == self.objects.names[k]]
         return tuple(holding) or HANDS
 
@@ -178,7 +178,7 @@ class PersonActor:
         k, waited, left = 0, 0, False
         while k < len(path) and waited <= AVOIDANCE.patience_steps:
             left |= self.aside is not None
-            if left and self.aside is None:  # back from where she had stepped aside to
+            if left and self.aside is None:  # back from where they had stepped aside to
                 path, k, waited, left = self._path(goal), 0, 0, False
                 continue
             self.path = np.vstack([self.xz[None], path[k:]])
@@ -261,7 +261,7 @@ class PersonActor:
         self._follow()
 
     def _pace(self, towards: NDArray | None) -> None:
-        """One step of walking towards a floor point [2], or of coming to a stand; where she would touch somebody she does not
+        """One step of walking towards a floor point [2], or of coming to a stand; where they would touch somebody they do not
         get on."""
         person, gait, before = self.person, self._gait_here(), self._posture()
         stopped = gait.take([0])
@@ -276,7 +276,7 @@ class PersonActor:
 
     def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
         """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take
-        back what she has done of it, if nothing has come into her hands."""
+        back what was done of it, if nothing has come into their hands."""
         before, done, holding = self._posture(), [], tuple(self.person.held)
         while True:
             try:
@@ -319,7 +319,7 @@ class PersonActor:
         return gait
 
     def _set_off(self) -> HumanState:
-        """Standing where she is."""
+        """Standing at the same place."""
         gait = HumanState.zeros(1)
         gait.xz[0], gait.heading[0] = self.xz, self.heading
         return gait
@@ -368,7 +368,7 @@ class PersonActor:
             except StopIteration as end:
                 result = end.value
                 break
-            if picks and hand not in self.person.held:  # it may go away under her hand
+            if picks and hand not in self.person.held:  # it may go away under the hand
                 self.person.objects[name] = self.objects.poses[k].copy()
             yield
         return Ending("done") if result.success else Ending("failed", result.reason or "out_of_reach")
@@ -378,7 +378,7 @@ class PersonActor:
         return bool(reacher(self.person.body, hand).reachable(seen[None])[0])
 
     def _has_room(self, stand: NDArray, point: NDArray, hand: Hand) -> bool:
-        """Whether her body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
+        """Whether the body keeps out of the home when a hand reaches for a point from a stand; yes where nobody looks, and
         where it does not get there anyway."""
         return self.room is None or not self._reaches(stand, point, hand) or self.room.is_clear(stand, point, hand)
 

@@ -1,5 +1,5 @@
 """The scripted person of social navigation: shortest paths to random points of the home, one after the other
-(paper section 4.1; spec/habitat.md 1.4). She does not react to the robot, so her whole track is known from the seed, or
+(paper section 4.1; spec/habitat.md 1.4). The person does not react to the robot, so the whole track is known from the seed, or
 from the goals that are given.
 """
 
@@ -31,7 +31,7 @@ MIN_WALK_M = 1.5
 ASIDE_STEP_M = 0.02
 """A way point is moved away from what is near in steps of this length."""
 AHEAD_M = 0.2
-"""Goals that she draws are so much farther from everything than `WalkerSpec.clearance_m`: she may run at a wall there, hands
+"""Sampled goals are so much farther from everything than `WalkerSpec.clearance_m`: people may run at a wall there, hands
 first."""
 APART_M = 0.15
 """Way points are not moved nearer together than this: short legs mean turning on the spot."""
@@ -45,7 +45,7 @@ class WaypointHuman:
     seed: int
     spec: WalkerSpec
     given: Sequence[tuple[float, float]] = ()
-    """Goals ``(x, z)`` to walk to first; after them she draws her own."""
+    """Goals ``(x, z)`` to walk to first; after them goals are sampled."""
     goal: int = -1
     """Index of the current goal, -1 before the first."""
     leg: int = 0
@@ -191,16 +191,16 @@ class HumanPlan(NamedTuple):
     """What the scripted person will do, whatever the robot does."""
 
     xz: NDArray[np.float64]
-    """Where she is after each step, shape [steps, 2] [m]."""
+    """Where the person is after each step, shape [steps, 2] [m]."""
     goals: list[NDArray[np.float64]]
-    """The points that she walks to, one after the other, ``(x, z)`` each [m]."""
+    """The points that the person walks to, one after the other, ``(x, z)`` each [m]."""
 
 
 def human_plan(
     free: FreeSpace, start_xz: NDArray[np.float64], heading: float, seed: int, spec: WalkerSpec, steps: int,
     given: Sequence[tuple[float, float]] = (),
 ) -> HumanPlan:  # fmt: skip
-    """Where the scripted person will be in each of ``steps`` steps, and her goals; the first are those ``given``."""
+    """Where the scripted person will be in each of ``steps`` steps, and their goals; the first are those ``given``."""
     state = HumanState.zeros(1)
     state.xz[0], state.heading[0] = start_xz, heading
     human = WaypointHuman(free, seed, spec, given)

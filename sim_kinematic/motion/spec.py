@@ -73,15 +73,15 @@ HOME_BASE = BaseSpec(disc_offsets_m=(-0.4, 0.02, 0.33), keeps_speed=True, maneuv
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRoomSpec:
-    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond her half width with both
+    """When a person draws an arm in (`sim_kinematic.agents.arm_tuck`). Distances are beyond the half width with both
     arms in, which is 0.21 to 0.27 m; swinging arms are 3 to 6 cm wider."""
 
     free_m: float = 0.08
-    """An arm swings freely where so much more room than that is at her side,"""
+    """An arm swings freely where so much more room than that is at its side,"""
     tight_m: float = 0.02
     """and is wholly drawn in where there is only so much more."""
     aside_m: float = 0.12
-    """Where the line runs along which this is measured, to the side of her middle."""
+    """Where the line runs along which this is measured, to the side of the middle."""
     within_m: float = 0.3
     """So far ahead and behind, what is near counts in full,"""
     fade_m: float = 0.5
@@ -132,13 +132,13 @@ class WalkerSpec:
     turn_before_walk_rad: float = 0.0873
     """Above this heading error (5 degrees, spec/habitat.md 3.4) it turns without walking."""
     arrive_m: float = 1e-3
-    """A way point counts as reached within this distance. She lands on it exactly; more would cut the next corner."""
+    """A way point counts as reached within this distance. People land on it exactly; more would cut the next corner."""
     blend_s: float = 0.2
     """Time to go over between standing and walking."""
     clearance_m: float = 0.0
-    """Her way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
+    """Way points keep so far away from walls and furniture where there is room; 0: shortest paths, as in Habitat."""
     arms: ArmRoomSpec | None = None
-    """How she draws her arms in beside walls and furniture; None: they swing whatever is there."""
+    """How arms are drawn in beside walls and furniture; None: they swing whatever is there."""
     stride: StrideSpec | None = None
     """How people walk curves, set off and brake; None: as in the paper, they turn on the spot and walk at full speed."""
 
@@ -161,7 +161,7 @@ WALKERS = {"paper": HOME_WALKER, "natural": NATURAL_WALKER}
 
 @dataclass(frozen=True, kw_only=True)
 class SocialNavSpec:
-    """Rules of social navigation: find the person, then follow at 1-2 m, facing her (paper section 4.1 and appendix)."""
+    """Rules of social navigation: find the person, then follow at 1-2 m, facing them (paper section 4.1 and appendix)."""
 
     max_steps: int = 1500
     spawn_distance_m: float = 5.0
@@ -169,7 +169,7 @@ class SocialNavSpec:
     near_m: float = 1.0
     far_m: float = 2.0
     facing_dot: float = 0.5
-    """Cosine between the robot's forward axis and the direction to the human, above which it faces her."""
+    """Cosine between the robot's forward axis and the direction to the human, above which it faces them."""
     end_on_collision: bool = True
     agent_radius_m: float = 0.25
     agent_height_m: float = 1.41

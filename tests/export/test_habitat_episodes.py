@@ -29,9 +29,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *args: object, code: int = 0) -
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("played") / "ds"
-    h3data.generate(
-        "rearrange", out, scenes="small", homes=2, episodes=3, policy="still", partner="both", max_steps=600
-    )
+    h3data.generate("rearrange", out, scenes="small", homes=2, episodes=3, policy="still", partner="both")
     return out
 
 

@@ -7,12 +7,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from h3data.errors import InputError
 from h3data_pipelines.cli import main
-from h3data_pipelines.command import Group
+from h3data_pipelines.command import Group, WalkOption
 from h3data_pipelines.commands.exporting import Export
 from h3data_pipelines.commands.generate import Generate
 from h3data_pipelines.commands.importing import Import
@@ -20,6 +21,7 @@ from h3data_pipelines.commands.table import COMMANDS
 from h3data_pipelines.options import options_of
 from h3data_pipelines.parsing import parse
 from h3data_pipelines.pictures.viewing import View
+from sim_kinematic.motion.spec import WALKERS
 
 LEAVES = [
     (words, command)
@@ -215,3 +217,7 @@ raise SystemExit(code)
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert said.returncode == 2
     assert "Cannot export to 'b'." in said.stderr
+
+
+def test_human_walk_names_every_walker() -> None:
+    assert set(get_args(WalkOption)) == set(WALKERS)

@@ -80,11 +80,11 @@ class RobotAgent:
 
 
 class HumanAgent:
-    """A person in W worlds. ``nav``: she walks on shortest paths to random objects, a new one when she is there (oracle
-    navigation); ``pick``: she stands and her right hand goes to random objects as far as it reaches."""
+    """A person in W worlds. ``nav``: walks on shortest paths to random objects, a new one on arrival (oracle
+    navigation); ``pick``: stands, and the right hand goes to random objects as far as it reaches."""
 
     def __init__(self, human: Humanoid, free: FreeSpace, state: WorldState, *, number: int) -> None:
-        """``number`` is the agent's, for what she holds."""
+        """``number`` is the agent's, for what the person holds."""
         self.body, self.free, self.state, self.number = human, free, state, number
         self.own = state.people[number - len(state.robots)]
         self.walker = WalkerSpec()
@@ -94,7 +94,7 @@ class HumanAgent:
         self._pose("nav")
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Standing at random places, her hand at her side."""
+        """Standing at random places, the hand at the side."""
         own, worlds = self.own, self.state.worlds
         own.xz[:] = self.free.sample(rng, worlds)
         own.heading[:] = rng.uniform(-np.pi, np.pi, worlds)
@@ -128,7 +128,7 @@ class HumanAgent:
             grip_objects(state, palms, values[:, 1], ArmSpec(), agent=self.number)
 
     def _way_points(self, goals: Array) -> Array:
-        """Next way points [W, 2]; who has arrived sets out for her goal of ``goals`` [W, 2]."""
+        """Next way points [W, 2]; whoever has arrived sets out for their goal of ``goals`` [W, 2]."""
         here, points = self.own.xz, self.own.xz.copy()
         for w, goal in enumerate(goals):
             path = self._paths[w]

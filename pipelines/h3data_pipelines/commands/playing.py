@@ -59,7 +59,7 @@ class Play:
     seconds: float | None = None
     """Length limit of an episode (default: the app's; rearrange 180, social_nav 90)."""
     human_walk: WalkOption | None = None
-    """How fast people walk: paper is 2.5 m/s, natural 1.3 m/s (default: paper)."""
+    """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
     port: int = 0
     """Port of the page (default: any free one)."""
     host: str = "127.0.0.1"

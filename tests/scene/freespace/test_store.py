@@ -224,7 +224,7 @@ def test_processes_that_build_the_same_scene_do_not_disturb_each_other(tmp_path)
         assert worker.stdin is not None
         worker.stdin.write("\n")
         worker.stdin.flush()
-    answers = [worker.communicate(timeout=120) for worker in workers]
+    answers = [worker.communicate(timeout=300) for worker in workers]
     assert [w.returncode for w in workers] == [0, 0], answers
     assert answers[0] == answers[1]  # and no warnings of broken files
     assert not [p for p in (tmp_path / "freespace").iterdir() if p.suffix == ".part"]

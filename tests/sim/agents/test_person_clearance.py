@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from h3data.bodies import load_humanoid
+from h3data.bodies import JOINT_INDEX, load_humanoid
 from h3data.bodies.people.reach import reacher
 from h3data.geometry import ground_pose
 from h3data.recording import Recording
@@ -104,7 +104,10 @@ def test_what_stands_in_her_way_leaves_no_room(home: Scene, world: RearrangeEpis
 
 
 def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
-    """`Person.hand_way` and what `pick` and `place` do."""
+    """`Person.hand_way` and what `pick` and `place` do, but for the gaze and the fingers, which move by themselves."""
+    trunk_and_limbs = np.setdiff1d(
+        np.arange(JOINT_INDEX["right_wrist"]), [JOINT_INDEX["neck"] - 1, JOINT_INDEX["head"] - 1]
+    )
     body = load_humanoid("female_0")
     person = Person(body, ground_pose([0.0, 0.0], 0.3), {"cup": np.array([0.0, 1.0, 0.0, 0, 0, 0, 1.0])})
     person.objects["cup"][:3] = person.palm("right")[:3] + np.array([0.3, 0.3, 0.0])
@@ -113,11 +116,10 @@ def test_the_way_that_is_looked_at_is_the_one_that_is_gone() -> None:
     empty = person.hand_way(point)
     frames, result = run(person, person.pick("cup"))
     assert result.success
-    reached = min(np.abs(f.joints - empty.quats[-1, 1:]).max() for f in frames)
-    assert reached < 1e-9
+    assert min(np.abs((f.joints - empty.quats[-1, 1:])[trunk_and_limbs]).max() for f in frames) < 1e-9
     full = person.hand_way(point, full=True)
     frames, _ = run(person, person.place(point))
-    assert min(np.abs(f.joints - full.quats[-1, 1:]).max() for f in frames) < 1e-9
+    assert min(np.abs((f.joints - full.quats[-1, 1:])[trunk_and_limbs]).max() for f in frames) < 1e-9
 
 
 class NoRoom(ReachRoom):
