@@ -39,6 +39,8 @@ NOT_RUN = {
     "extending.md": "test_extending.py runs it",
     "gpu.md": "needs a CUDA device; tests marked gpu run its calls",
     "headset.md": "needs a headset; tests/viewers/hitl/test_browser.py plays in an emulated one",
+    "play.md": "its commands wait for players; tests/viewers/hitl plays them",
+    "study.md": "its commands wait for participants; tests/viewers/hitl/studies takes part",
 }
 OPEN = 'import h3data\nrecording = h3data.open("episode.mcap")\n'
 BODY = 'from h3data.bodies import load_humanoid\nbody = load_humanoid("male_1")\nimport numpy as np\ndistance = 0.4\n'

@@ -96,7 +96,9 @@ def plan_sessions(
     for scene, ids in episodes.items():
         if len(set(ids)) != len(ids):
             raise InputError(f"Scene {scene!r} holds the same episode id twice.")
-    orders, scenes = latin_square(conditions), list(episodes)
+    # a single condition has one order, which is no Latin square
+    orders = latin_square(conditions) if len(conditions) != 1 else (tuple(conditions),)
+    scenes = list(episodes)
     cycle = math.lcm(len(orders), len(scenes))
     random = np.random.default_rng(seed)
     dealt = random.permutation(len(people)).tolist()

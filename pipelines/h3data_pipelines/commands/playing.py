@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import subprocess
-import sys
 import time
 import webbrowser
 from dataclasses import dataclass
@@ -15,10 +12,20 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from h3data.errors import H3DataError, InputError
+from h3data.errors import InputError
 from h3data.files import part_file
-from h3data.progress import is_quiet
 from h3data_pipelines.command import JsonFlag, Outcome, WalkOption, claim_folder, counted, keeping
+from h3data_pipelines.commands.serving import (
+    CertOption,
+    HostOption,
+    KeyOption,
+    NoBrowserFlag,
+    PortOption,
+    ProxyFlag,
+    run_server,
+    say,
+    serving_options,
+)
 
 PLAN = "plan.json"
 DEFAULT_OUT = Path("out/play")
@@ -60,18 +67,12 @@ class Play:
     """Length limit of an episode (default: the app's; rearrange 180, social_nav 90)."""
     human_walk: WalkOption | None = None
     """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
-    port: int = 0
-    """Port of the page (default: any free one)."""
-    host: str = "127.0.0.1"
-    """Address to listen on. Others than this machine's own need TLS (--cert and --key) or --behind-proxy."""
-    cert: Path | None = None
-    """File of the TLS certificate."""
-    key: Path | None = None
-    """File of its key."""
-    behind_proxy: bool = False
-    """A proxy in front of this server does TLS."""
-    no_browser: bool = False
-    """Only print the address."""
+    port: PortOption = 0
+    host: HostOption = "127.0.0.1"
+    cert: CertOption = None
+    key: KeyOption = None
+    behind_proxy: ProxyFlag = False
+    no_browser: NoBrowserFlag = False
     json: JsonFlag = False
 
     def run(self) -> Outcome:
@@ -79,7 +80,7 @@ class Play:
         out = self.out or DEFAULT_OUT / time.strftime("%Y%m%d-%H%M%S")
         goes_on = self._claim(out)
         with keeping(lambda: f"{counted(len(_recordings(out)), 'recording')} in {out}"):
-            self._say(f"Setting up the {'session again' if goes_on else 'first home'} ...")
+            say(f"Setting up the {'session again' if goes_on else 'first home'} ...")
             links, overs = self._serve(out)
         files = _recordings(out)
         lines = [f"{path}: {over['ended']} after {counted(over['steps'], 'step')}" for path, over in _named(overs)]
@@ -98,17 +99,16 @@ class Play:
         return Outcome(text=text, data=data, result=files)
 
     def _check(self) -> None:
-        if importlib.util.find_spec("aiohttp") is None:
-            raise InputError("h3data play needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
-        if self.episodes < 1 or self.seed < 0 or not 0 <= self.port < 65536:
-            raise InputError("Expected --episodes of at least 1, a --seed of at least 0 and a --port below 65536.")
+        self._serving()
+        if self.episodes < 1 or self.seed < 0:
+            raise InputError("Expected --episodes of at least 1 and a --seed of at least 0.")
         if self.seconds is not None and not 1 <= self.seconds <= 36000:
             raise InputError(f"--seconds must be 1 to 36000, got {self.seconds}.")
-        if (self.cert is None) != (self.key is None):
-            raise InputError("Give both --cert and --key, or neither.")
-        for file in (self.cert, self.key):
-            if file is not None and not file.is_file():
-                raise InputError(f"There is no such file: {file}")
+
+    def _serving(self) -> dict[str, Any]:
+        return serving_options(
+            "h3data play", host=self.host, port=self.port, cert=self.cert, key=self.key, behind_proxy=self.behind_proxy
+        )
 
     def _plan(self, out: Path) -> dict[str, Any]:
         from h3data_viewers.hitl.plan import SEATS
@@ -154,39 +154,9 @@ class Play:
 
     def _serve(self, out: Path) -> tuple[list[list[str]], list[dict[str, Any]]]:
         """Runs the server until it ends; returns the links of the seats and how the episodes ended."""
-        options = {
-            "plan": self._plan(out),
-            "host": self.host,
-            "port": self.port,
-            "cert": str(self.cert or ""),
-            "key": str(self.key or ""),
-            "behind_proxy": self.behind_proxy,
-        }
-        paths = os.pathsep.join(path for path in sys.path if path)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "h3data_viewers.hitl.serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths},
-        )  # fmt: skip
-        assert process.stdin is not None
-        assert process.stdout is not None
         links: list[list[str]] = []
         overs: list[dict[str, Any]] = []
-        try:
-            process.stdin.write(msgspec.json.encode(options) + b"\n")
-            process.stdin.flush()
-            for line in process.stdout:
-                self._heard(msgspec.json.decode(line), links, overs)
-        except KeyboardInterrupt:
-            process.terminate()  # where only this process was told
-            for line in process.stdout:
-                self._heard(msgspec.json.decode(line), links, overs)
-            process.wait()
-            raise
-        finally:
-            process.stdin.close()
-            process.wait()
-        if process.returncode:
-            raise H3DataError(f"The server ended with exit code {process.returncode}; its message is above.")
+        run_server({"plan": self._plan(out), **self._serving()}, lambda report: self._heard(report, links, overs))
         return links, overs
 
     def _heard(self, report: dict[str, Any], links: list[list[str]], overs: list[dict[str, Any]]) -> None:
@@ -195,22 +165,17 @@ class Play:
         if "ready" in report:
             links += report["ready"]["links"]
             for seat, link in links:
-                self._say(f"Play as the {seat}: {link}" if seat != "spectator" else f"Watch: {link}")
-            self._say("Ctrl-C ends the session.")
+                say(f"Play as the {seat}: {link}" if seat != "spectator" else f"Watch: {link}")
+            say("Ctrl-C ends the session.")
             if not self.no_browser:
                 webbrowser.open(links[0][1])
         elif "over" in report:
             overs.append(report["over"])
             left = self.episodes - report["over"]["episode"] - 1
             more = f", {left} to go" if left > 0 else ""
-            self._say(f"Episode {report['over']['episode']}: {report['over']['ended']}{more}")
+            say(f"Episode {report['over']['episode']}: {report['over']['ended']}{more}")
         elif "lost" in report:
-            self._say("A worker process ended; another one takes over.")
-
-    def _say(self, line: str) -> None:
-        if not is_quiet():
-            sys.stderr.write(line + "\n")
-            sys.stderr.flush()
+            say("A worker process ended; another one takes over.")
 
 
 def _recordings(out: Path) -> list[Path]:

@@ -10,6 +10,7 @@ import tyro
 
 from h3data.errors import InputError
 from h3data_pipelines.command import ForceFlag, Group, JsonFlag, Outcome, claim_file, write_text
+from h3data_pipelines.studies.running import StudyNew, StudyRun
 
 StepsModelOption = Annotated[
     Literal["auto", "poisson", "observation"],
@@ -70,4 +71,6 @@ class StudyFit:
         return Outcome(text=analysis.to_text(), data=analysis.to_dict())
 
 
-STUDY = Group("Analyse studies with people.", {"fit": StudyFit})
+STUDY = Group(
+    "Run studies with people in the browser, and analyse them.", {"new": StudyNew, "run": StudyRun, "fit": StudyFit}
+)

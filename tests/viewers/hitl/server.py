@@ -22,8 +22,11 @@ class Server:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}, text=True,
         )  # fmt: skip
         whole = {"app": "rearrange", "scenes": "small:3", "partner": "still", "out": str(out), **plan}
+        given = {"plan": whole, **(options or {})}
+        if "study" in given:
+            del given["plan"]
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"plan": whole, **(options or {})}) + "\n")
+        self.process.stdin.write(json.dumps(given) + "\n")
         self.process.stdin.flush()
         self.reports: list[dict[str, Any]] = [self.report()]
 

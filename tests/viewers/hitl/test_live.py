@@ -19,7 +19,7 @@ from h3data.replay.validation import validate_recording
 from h3data_viewers.hitl.app import App, Hud
 from h3data_viewers.hitl.live import CLIENT, LiveGame, Table
 from h3data_viewers.hitl.messages import decode
-from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY
 from h3data_viewers.hitl.worker import rehearse
 from sim_kinematic.tasks.resume import verify
@@ -81,7 +81,7 @@ def bring(player: Player, k: int) -> None:
 
 
 def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
-    game = table(tmp_path).begin(0)
+    game = table(tmp_path).begin(GameOrder(index=0, name="000000"))
     player = Player(game)
     for forward, turn in ((1.0, 0.0), (0.3, 0.7), (-0.4, 0.0), (0.0, 0.0)):
         player.send(k="move", f=forward, t=turn)
@@ -102,13 +102,13 @@ def test_a_whole_episode_verifies_from_raw_input(tmp_path: Path):
 
 
 def test_a_game_goes_on_from_its_unfinished_log(tmp_path: Path):
-    player = Player(table(tmp_path).begin(0))
+    player = Player(table(tmp_path).begin(GameOrder(index=0, name="000000")))
     player.send(k="move", f=1.0, t=0.2)
     player.play(35)
     player.send(k="pick", o=0, lead=True)
     player.play(20)
     player.game.session.abort()  # as a process that is killed
-    again = table(tmp_path).begin(0)
+    again = table(tmp_path).begin(GameOrder(index=0, name="000000"))
     assert len(again.session.recorder) == 55
     np.testing.assert_array_equal(again.columns["object_pose"], player.game.columns["object_pose"])
     other = Player(again)
@@ -165,7 +165,7 @@ def test_what_is_no_command_is_not_recorded(tmp_path: Path):
 
 
 def test_a_session_that_nobody_played_leaves_no_file(tmp_path: Path):
-    game = table(tmp_path).begin(0)
+    game = table(tmp_path).begin(GameOrder(index=0, name="000000"))
     assert game.close() is None
     assert not list(tmp_path.glob("*.mcap*"))
 
@@ -178,11 +178,11 @@ def test_plans_that_cannot_be_played(tmp_path: Path):
         ({"app": "social_nav", "partner": None, "seats": ("person", "person")}, "one robot follows one person"),
     ):
         with pytest.raises(InputError, match=message):
-            table(tmp_path, **changes).begin(0)
+            table(tmp_path, **changes).begin(GameOrder(index=0, name="000000"))
 
 
 def test_follow_me(tmp_path: Path):
-    game = table(tmp_path, app="social_nav", partner=None).begin(0)
+    game = table(tmp_path, app="social_nav", partner=None).begin(GameOrder(index=0, name="000000"))
     player = Player(game)
     player.send(k="move", f=1.0, t=0.1)
     player.play(60)
@@ -222,7 +222,7 @@ def test_people_recorded_by_clips_walk_with_planted_feet(tmp_path: Path):
 
 
 def test_steering_the_robot(tmp_path: Path):
-    game = table(tmp_path, seats=("robot",), partner="object_2").begin(0)
+    game = table(tmp_path, seats=("robot",), partner="object_2").begin(GameOrder(index=0, name="000000"))
     player = Player(game)
     assert player.number == 0
     player.send(k="move", f=0.5, t=0.3)
@@ -238,7 +238,7 @@ def test_steering_the_robot(tmp_path: Path):
 
 @pytest.mark.parametrize("seats", [("person", "robot"), ("person", "person"), ("person", "person", "spectator")])
 def test_two_people_in_one_world(tmp_path: Path, seats: tuple[str, ...]):
-    game = table(tmp_path, seats=seats, partner=None).begin(0)
+    game = table(tmp_path, seats=seats, partner=None).begin(GameOrder(index=0, name="000000"))
     assert len(game.drivers) == 2
     first, second = (Player(game, number) for number in game.drivers)
     first.send(k="move", f=0.6, t=0.2)
@@ -274,7 +274,7 @@ class Parade(App):
 
 
 def test_an_app_of_ones_own(tmp_path: Path):
-    game = table(tmp_path, app=f"{__name__}:Parade", partner=None).begin(0)
+    game = table(tmp_path, app=f"{__name__}:Parade", partner=None).begin(GameOrder(index=0, name="000000"))
     player = Player(game)
     player.send(k="move", f=1.0, t=0.0)
     player.play(50)

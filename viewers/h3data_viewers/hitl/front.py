@@ -6,92 +6,27 @@ import asyncio
 import contextlib
 import gzip
 import hashlib
-import json
-import struct
 import time
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from h3data_viewers.hitl.connections import Connection, Failed, Live, pong, require_own_origin, strict, swallow
 from h3data_viewers.hitl.messages import MOST_BYTES, Can, Ping, decode
-from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan, recording_name
 from h3data_viewers.hitl.seats import Game, Journal, Seat, new_token
 from h3data_viewers.hitl.workers import WorkerProcess, Workers
 
 PAGE = Path(__file__).parent / "web" / "dist"
 RATE_PER_S, BURST = 90.0, 180.0
-QUEUE = 90
-"""States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
 MOST_BUSY = 0.7
 """Share of a core above which a worker takes no further game: all others would slow down."""
 MOST_SPECTATORS = 20
-BEGIN_S, SEND_S, POST_BYTES = 90.0, 20.0, 64 * 1024
+BEGIN_S, POST_BYTES = 90.0, 64 * 1024
 ELSEWHERE, GONE, RESTARTING = 4001, 4003, 1012
-HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: ws: wss:; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
-
-
-@dataclass(eq=False)
-class Live:
-    """A game on a worker."""
-
-    game: Game
-    worker: WorkerProcess
-    begun: asyncio.Future[dict[str, Any]]
-    sockets: dict[str, Connection] = field(default_factory=dict)
-    """Of those who are connected, by seat."""
-    told_over: dict[str, Any] | None = None
-
-
-class Connection:
-    """The socket of one seat and what waits to be sent through it."""
-
-    def __init__(self, socket: web.WebSocketResponse, agent: int) -> None:
-        self.socket, self.agent = socket, agent
-        self._texts: deque[str] = deque()
-        self._states: deque[bytes] = deque(maxlen=QUEUE)
-        self._news = asyncio.Event()
-        self._ends = False
-
-    def state(self, data: bytes) -> None:
-        """Queues a state; the oldest one goes where the client is slow."""
-        self._states.append(data)
-        self._news.set()
-
-    def tell(self, message: dict[str, Any]) -> None:
-        """Queues a text frame."""
-        self._texts.append(json.dumps(message))
-        self._news.set()
-
-    def end(self) -> None:
-        """Closes after everything has been sent."""
-        self._ends = True
-        self._news.set()
-
-    async def send(self) -> None:
-        """Sends until the socket closes."""
-        while True:
-            await self._news.wait()
-            self._news.clear()
-            async with asyncio.timeout(SEND_S):
-                while self._states or self._texts:
-                    if self._states:
-                        await self.socket.send_bytes(self._states.popleft())
-                    if self._texts and not self._states:
-                        await self.socket.send_str(self._texts.popleft())
-            if self._ends:
-                await self.socket.close()
-                return
 
 
 class Front:
@@ -99,7 +34,8 @@ class Front:
 
     def __init__(
         self, plan: PlayPlan, *, workers: int = 1, tables: int = 1, open_door: bool = True, secure: bool = False,
-        report: Callable[[dict[str, Any]], None] = lambda _: None,
+        report: Callable[[dict[str, Any]], None] = lambda _: None, plans: Sequence[PlayPlan] = (),
+        journal: Journal | None = None,
     ) -> None:  # fmt: skip
         """
         Args:
@@ -109,23 +45,27 @@ class Front:
             open_door: Whether ``/`` leads to the seat of the only player, else every seat has a link with a secret.
             secure: Whether browsers come through TLS: cookies are then for TLS only.
             report: Called with what the command line tells its user.
+            plans: What orders of games refer to by number (default: ``plan`` alone).
+            journal: Seats and games (default: those of the plan's folder).
         """
         self.plan, self.secure, self.report = plan, secure, report
         self.tables = tables if len(plan.players) == 1 else 1
         self.open_door = open_door and len(plan.players) == 1
-        self.journal = Journal(Path(plan.out))
+        self.journal = Journal(Path(plan.out)) if journal is None else journal
         self.journal.make_links(len(plan.seats))
-        self.workers = Workers(plan, workers, self.heard, self.lost)
+        self.workers = Workers(plans or (plan,), workers, self.heard, self.lost)
         self.lives: dict[str, Live] = {}
         self.files: dict[str, tuple[bytes, str]] = {}
         """By name: content, gzip-compressed, and its type."""
         self.done = asyncio.Event()
         """All episodes are over."""
+        self.finishes = True
+        """Whether recordings are finished when the server stops; else the next server goes on with them."""
 
     # --- the application ----------------------------------------------------------------------------------------------
     def application(self) -> web.Application:
         """What aiohttp serves."""
-        app = web.Application(client_max_size=POST_BYTES, middlewares=[_strict])
+        app = web.Application(client_max_size=POST_BYTES, middlewares=[strict])
         for prefix in ("", "/s/{key}"):
             app.router.add_get(prefix + "/", self.page)
             app.router.add_post(prefix + "/api/session", self.sit)
@@ -176,7 +116,7 @@ class Front:
     # --- sitting down -------------------------------------------------------------------------------------------------
     async def sit(self, request: web.Request) -> web.Response:
         """Gives a browser its seat, the same one if it has one, and begins the next episode if there is none."""
-        _require_own_origin(request)
+        require_own_origin(request)
         number = self._seat_number(request)
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="Expected JSON.")
@@ -261,7 +201,11 @@ class Front:
     def _begin(self, live: Live, worker: WorkerProcess) -> None:
         live.worker = worker
         worker.games.add(live.game.key)
-        worker.send("begin", live.game.key, {"index": live.game.episode})
+        worker.send("begin", live.game.key, msgspec.to_builtins(self._order(live.game)))
+
+    def _order(self, game: Game) -> GameOrder:
+        """What a worker plays as a game."""
+        return GameOrder(index=game.episode, name=recording_name(game.episode))
 
     def _agent(self, seat: Seat, begun: dict[str, Any]) -> int:
         """The agent that a seat plays; -1: none."""
@@ -306,7 +250,7 @@ class Front:
             return
         self.journal.end(live.game, over["ended"])
         live.worker.games.discard(live.game.key)
-        is_last = len(self.journal.games) >= self.plan.episodes
+        is_last = self._is_last()
         text = "Something went wrong in the simulator. What was played is kept." if over["ended"] == "failed" else ""
         for connection in live.sockets.values():
             said = over["texts"].get(str(connection.agent), text)
@@ -316,9 +260,13 @@ class Front:
             live.begun.set_exception(Failed(over.get("why", over["ended"])))
             live.begun.exception()  # nobody may be waiting for it
         del self.lives[live.game.key]
-        self.report({"over": {**over, "episode": live.game.episode}})
+        self.report({"over": {**over, "episode": live.game.episode, "key": live.game.key}})
         if is_last and all(game.over for game in self.journal.games.values()):
             self.done.set()
+
+    def _is_last(self) -> bool:
+        """Whether no further game will begin."""
+        return len(self.journal.games) >= self.plan.episodes
 
     def lost(self, worker: WorkerProcess) -> None:
         """A worker died: its games go on elsewhere, from what is on the disk."""
@@ -341,7 +289,7 @@ class Front:
     # --- sockets ------------------------------------------------------------------------------------------------------
     async def play(self, request: web.Request) -> web.StreamResponse:
         """The socket of a seat."""
-        _require_own_origin(request)
+        require_own_origin(request)
         number = self._seat_number(request)
         seat = self.journal.seats.get(request.match_info["sid"])
         token = request.cookies.get(self._cookie(number), "")
@@ -368,7 +316,7 @@ class Front:
                 await asyncio.wait_for(before_closes, 1.0)
         live.worker.send("here", game.key, {"agent": connection.agent, "here": True})
         sending = asyncio.create_task(connection.send())
-        sending.add_done_callback(_finished)
+        sending.add_done_callback(swallow)
         try:
             await self._listen(live, connection, socket)
         finally:
@@ -396,43 +344,12 @@ class Front:
                 await socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"no message")
                 return
             if isinstance(message, Ping):
-                connection.state(_pong(message.ct))
-            elif connection.agent < 0 or live.worker.is_stuck:
+                connection.state(pong(message.ct))
                 continue
-            elif isinstance(message, Can):
+            connection.heard = time.time()
+            if connection.agent < 0 or live.worker.is_stuck:
+                continue
+            if isinstance(message, Can):
                 live.worker.send("can", live.game.key, [connection.agent, list(message.p)])
             else:
                 live.worker.send("input", live.game.key, [connection.agent, frame.data, time.monotonic() * 1e3])
-
-
-class Failed(Exception):
-    """A game could not begin."""
-
-
-def _pong(client_ms: float) -> bytes:
-    return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
-
-
-def _finished(task: asyncio.Task[None]) -> None:
-    """A socket that breaks while something is sent ends its reader too; nothing to report."""
-    if not task.cancelled():
-        task.exception()
-
-
-def _require_own_origin(request: web.Request) -> None:
-    """Pages of other sites may not use a player's cookies. Programs that send no Origin have none to misuse."""
-    origin = request.headers.get("Origin")
-    if origin is not None and origin.partition("://")[2] != request.host:
-        raise web.HTTPForbidden(text="This request comes from another site.")
-
-
-@web.middleware
-async def _strict(request: web.Request, handler: Any) -> web.StreamResponse:
-    try:
-        response = await handler(request)
-    except web.HTTPException as error:
-        error.headers.update(HEADERS)
-        raise
-    if not response.prepared:
-        response.headers.update(HEADERS)
-    return response

@@ -16,7 +16,7 @@ from h3data.recording import STEP_NS, InputEvent, Recording, RecordingWriter, re
 from h3data_viewers.hitl.app import App, find_app
 from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act, decode
-from h3data_viewers.hitl.plan import VERSION, PlayPlan, recording_name
+from h3data_viewers.hitl.plan import VERSION, GameOrder, PlayPlan
 from h3data_viewers.hitl.wire import BUSY, ENDED, TOUCH, WALL, Columns, PackedStep, StatePacker
 from sim_kinematic.policies.policy import External
 from sim_kinematic.tasks.episode import Episode, with_options
@@ -63,24 +63,21 @@ class Table:
         """Samples episode ``index``."""
         return self.source.sample(self.plan.seed, index)
 
-    def path(self, index: int) -> Path:
-        """File of an episode's recording."""
-        return Path(self.plan.out, recording_name(index) + ".mcap")
-
-    def begin(self, index: int) -> LiveGame:
+    def begin(self, order: GameOrder) -> LiveGame:
         """Begins an episode, or goes on with one of which an unfinished log is there."""
-        path = self.path(index)
+        path = Path(self.plan.out, order.name + ".mcap")
+        path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(path.name + ".part")
         if not part.exists():
-            return LiveGame(self, index, path)
+            return LiveGame(self, order.index, path, order)
         saved = path.with_name(f".{path.name}.saved.mcap")
         try:
             recover_mcap(part, saved, overwrite=True)
             recording = read_mcap(saved)
         except H3DataError:  # killed before anything was written
             os.replace(part, part.with_name(part.name + ".broken"))
-            return LiveGame(self, index, path)
-        game = LiveGame(self, index, path)
+            return LiveGame(self, order.index, path, order)
+        game = LiveGame(self, order.index, path, order)
         game.play_again(recording)
         saved.unlink()
         return game
@@ -89,7 +86,7 @@ class Table:
 class LiveGame:
     """One episode under way."""
 
-    def __init__(self, table: Table, index: int, path: Path | None = None) -> None:
+    def __init__(self, table: Table, index: int, path: Path | None = None, order: GameOrder | None = None) -> None:
         plan, episode = table.plan, table.episode(index)
         names = {episode.roster[k].name: External(interrupts_when_close=False) for k in table.numbers}
         others = [m.name for k, m in enumerate(episode.roster) if k not in table.numbers]
@@ -98,8 +95,10 @@ class LiveGame:
         sink = None
         if path is not None:
             # one home is stored once for all episodes that are played in it
-            sink = lambda header: RecordingWriter(path, header, overwrite=True, share_in=path.parent)  # noqa: E731
-        info = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
+            sink = lambda header: RecordingWriter(path, header, overwrite=True, share_in=plan.out)  # noqa: E731
+        info: dict[str, Any] = {"hitl": {"app": plan.app, "seats": list(plan.seats), "protocol": VERSION}}
+        if order is not None:
+            info = {**order.info, "hitl": {**info["hitl"], **order.hitl}}
         self.index, self.path, self.slipped = index, path, 0
         self.session = Session(table.task, episode, policies, sink=sink, episode_id=str(index), info=info)
         self.app: App = table.app()

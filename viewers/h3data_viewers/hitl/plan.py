@@ -46,6 +46,21 @@ class PlayPlan(msgspec.Struct, frozen=True, kw_only=True):
         return ("robot",) * robots + ("human",) * people
 
 
+class GameOrder(msgspec.Struct, frozen=True, kw_only=True):
+    """One game, as the front orders it from a worker."""
+
+    index: int
+    """Of the episode in the run of the plan's seed."""
+    name: str
+    """Path of its recording in the plan's folder, without the ending."""
+    plan: int = 0
+    """Number of its plan among those that the worker was started with."""
+    info: dict[str, Any] = {}
+    """What else its recording says (``info``)."""
+    hitl: dict[str, Any] = {}
+    """What else its recording says in ``info["hitl"]``."""
+
+
 def recording_name(index: int) -> str:
     """File name of an episode's recording, without its ending."""
     return f"{index:06d}"

@@ -60,6 +60,8 @@ class Journal:
     """Seats and games of a folder, in memory and in its SQLite file."""
 
     folder: Path
+    name: str = JOURNAL
+    """Of the file."""
     seats: dict[str, Seat] = field(default_factory=dict)
     games: dict[str, Game] = field(default_factory=dict)
     links: list[str] = field(default_factory=list)
@@ -67,7 +69,7 @@ class Journal:
 
     def __post_init__(self) -> None:
         # one process writes; a commit is on the disk before a browser hears of it
-        self._db = sqlite3.connect(self.folder / JOURNAL, isolation_level=None)
+        self._db = sqlite3.connect(self.folder / self.name, isolation_level=None)
         self._db.executescript(_TABLES)
         for sid, token, place, number, game in self._db.execute("select sid, token, place, number, game from seats"):
             self.seats[sid] = Seat(sid, token, place, number, game)
@@ -123,4 +125,4 @@ class Journal:
         """Closes the file; deletes it where everything is ``done``."""
         self._db.close()
         if done:
-            (self.folder / JOURNAL).unlink(missing_ok=True)
+            (self.folder / self.name).unlink(missing_ok=True)

@@ -15,6 +15,7 @@ from aiohttp import web
 
 from h3data_viewers.hitl.front import Front
 from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.study.design import StudyPlan
 from h3data_viewers.hitl.workers import Refused
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -27,7 +28,9 @@ LAST_WORDS_S = 1.0
 class ServeOptions(msgspec.Struct, frozen=True, kw_only=True):
     """What the front is started with."""
 
-    plan: PlayPlan
+    plan: PlayPlan | None = None
+    study: StudyPlan | None = None
+    """In place of a plan."""
     host: str = "127.0.0.1"
     port: int = 0
     """0: any free one."""
@@ -63,10 +66,17 @@ async def serve(options: ServeOptions, report: Any) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stops.set)
     is_local = options.host in LOOPBACK
-    front = Front(
-        options.plan, workers=options.workers, tables=options.tables, open_door=is_local,
-        secure=bool(options.cert) or options.behind_proxy, report=report,
-    )  # fmt: skip
+    given = {
+        "workers": options.workers, "open_door": is_local, "secure": bool(options.cert) or options.behind_proxy,
+        "report": report,
+    }  # fmt: skip
+    if options.study is not None:
+        from h3data_viewers.hitl.study.front import StudyFront
+
+        front: Front = StudyFront(options.study, **given)
+    else:
+        assert options.plan is not None
+        front = Front(options.plan, tables=options.tables, **given)
     starting, stopped = asyncio.ensure_future(front.workers.start()), asyncio.ensure_future(stops.wait())
     await asyncio.wait((starting, stopped), return_when=asyncio.FIRST_COMPLETED)
     runner = web.AppRunner(front.application(), access_log=None, shutdown_timeout=0.5)
@@ -80,7 +90,7 @@ async def serve(options: ServeOptions, report: Any) -> int:
                 await asyncio.sleep(LAST_WORDS_S)
     finally:
         starting.cancel()
-        await front.workers.stop(CLOSE_S)
+        await front.workers.stop(CLOSE_S, finish=front.finishes)
         with contextlib.suppress(Exception):
             await runner.cleanup()
         front.journal.close(done=front.done.is_set())
@@ -101,7 +111,7 @@ async def _listen(front: Front, runner: web.AppRunner, options: ServeOptions, re
     port = runner.addresses[0][1]
     host = f"[{options.host}]" if ":" in options.host else options.host
     base = f"{'https' if tls else 'http'}://{host}:{port}"
-    links = [[seat, base + front.link(number)] for number, seat in enumerate(options.plan.seats)]
+    links = [[seat, base + front.link(number)] for number, seat in enumerate(front.plan.seats)]
     report({"ready": {"links": links, "port": port}})
 
 

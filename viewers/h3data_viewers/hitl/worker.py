@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +22,7 @@ from h3data_viewers.hitl import assets
 from h3data_viewers.hitl.channel import Channel, Closed
 from h3data_viewers.hitl.live import LiveGame, Table
 from h3data_viewers.hitl.messages import PERIOD_S, Act, Drop, GoTo, Leave, Move, Pick, decode
-from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.plan import GameOrder, PlayPlan
 
 MOST_BEHIND = 3
 """Steps that a late game catches up at once; beyond that its clock slips, and the recording says so."""
@@ -70,31 +70,46 @@ class Running:
 class Worker:
     """All games of this process. A fault in one ends that one."""
 
-    def __init__(self, channel: Channel, plan: PlayPlan) -> None:
+    def __init__(self, channel: Channel, plans: Sequence[PlayPlan]) -> None:
         self.channel = channel
-        self.table = Table(plan)
-        self.period = PERIOD_S / plan.speed
+        self.plans, self.tables = plans, {0: Table(plans[0])}
+        self.period = PERIOD_S / plans[0].speed
         self.games: dict[str, Running] = {}
-        self.stops = False
+        self.stops, self.finishes = False, True
         self._busy, self._reported = 0.0, time.monotonic()
-        self._prepared: dict[int, tuple[dict[str, Any], bytes, bytes]] = {}
+        self._prepared: dict[tuple[int, int], tuple[dict[str, Any], bytes, bytes]] = {}
 
-    def prepare(self, index: int) -> tuple[dict[str, Any], bytes, bytes]:
+    def table(self, number: int) -> Table:
+        """The table of plan ``number``."""
+        if number not in self.tables:
+            self.tables[number] = Table(self.plans[number])
+        return self.tables[number]
+
+    def prepare(self, plan: int, index: int) -> tuple[dict[str, Any], bytes, bytes]:
         """Manifest, GLB and distance grid of an episode; made once. Also does whatever the end of the episode will need."""
-        if index not in self._prepared:
-            game = LiveGame(self.table, index)
+        if (plan, index) not in self._prepared:
+            game = LiveGame(self.table(plan), index)
             data, entry = assets.distance_grid(game.session)
             glb = assets.world_glb(game.session)
             told = assets.manifest(game.session, game.app, entry)
             game.step()
             game.close()  # some facts about an episode take a second, once
-            self._prepared = {index: (told, glb, data)} | dict(list(self._prepared.items())[:7])
-        return self._prepared[index]
+            self._prepared = {(plan, index): (told, glb, data)} | dict(list(self._prepared.items())[:7])
+        return self._prepared[plan, index]
 
     def warm_up(self) -> None:
-        """Compiles or loads all kernels, and prepares the first episode."""
-        self.prepare(0)
-        rehearse(self.table)
+        """Compiles or loads all kernels, and prepares the first episode.
+
+        Raises:
+            H3DataError: one of the plans cannot be played.
+        """
+        kinds: set[tuple[Any, ...]] = set()
+        for number, plan in enumerate(self.plans):
+            kind = plan.app, plan.seats, plan.partner, repr(plan.rules)
+            if kind not in kinds:  # plans that differ in their homes run the same kernels
+                kinds.add(kind)
+                self.prepare(number, 0)
+                rehearse(self.table(number))
         # all that is alive now stays: the collector need not look at it 30 times a second
         gc.collect()
         gc.freeze()
@@ -148,10 +163,12 @@ class Worker:
 
     # --- letters of the front -----------------------------------------------------------------------------------------
     def begin(self, key: str, body: dict[str, Any]) -> None:
-        told, glb, grid = self.prepare(int(body["index"]))
-        game = self.table.begin(int(body["index"]))
+        order = msgspec.convert(body, GameOrder)
+        table = self.table(order.plan)
+        told, glb, grid = self.prepare(order.plan, order.index)
+        game = table.begin(order)
         self.games[key] = Running(key, game)
-        answer = {"manifest": told, "glb": glb, "grid": grid, "agents": list(self.table.numbers)}
+        answer = {"manifest": told, "glb": glb, "grid": grid, "agents": list(table.numbers)}
         self.channel.send("begun", key, {**answer, "steps": len(game.session.recorder)})
 
     def here(self, key: str, body: dict[str, Any]) -> None:
@@ -201,9 +218,9 @@ class Worker:
         self.channel.send("told", key, [number, {"can": {"p": point, "why": why}}])
 
     def stop(self, key: str, body: Any) -> None:
-        """All recordings are finished, and the process ends."""
-        del key, body
-        self.stops = True
+        """The process ends; all recordings are finished, or left as logs."""
+        del key
+        self.stops, self.finishes = True, bool(body["finish"])
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def step(self, key: str, body: Any) -> None:
@@ -320,9 +337,9 @@ def main(descriptor: int) -> None:
         letters = []
         while not letters:
             letters = channel.receive(10.0)
-        plan = msgspec.convert(letters[0][2], PlayPlan)
+        plans = msgspec.convert(letters[0][2], list[PlayPlan])
         try:
-            worker = Worker(channel, plan)
+            worker = Worker(channel, plans)
             worker.warm_up()
         except H3DataError as fault:
             channel.send("refused", "", str(fault))
@@ -335,7 +352,7 @@ def main(descriptor: int) -> None:
     except Closed:  # the front was killed: a later one goes on with what is on the disk
         worker.close_all(finish=False)
         return
-    worker.close_all(finish=True)
+    worker.close_all(finish=worker.finishes)
 
 
 if __name__ == "__main__":

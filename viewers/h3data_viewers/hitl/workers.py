@@ -8,7 +8,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -31,8 +31,8 @@ class Refused(Exception):
 class WorkerProcess:
     """One process, and the games that it plays."""
 
-    def __init__(self, plan: PlayPlan, heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
-        self._plan, self._heard, self._lost = plan, heard, lost
+    def __init__(self, plans: Sequence[PlayPlan], heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
+        self._plans, self._heard, self._lost = plans, heard, lost
         self.games: set[str] = set()
         self.busy = 0.0
         """Share of a core that steps took in the last second."""
@@ -56,7 +56,7 @@ class WorkerProcess:
         """
         reader, self._writer = await asyncio.open_connection(sock=self._socket)
         self._reading = asyncio.create_task(self._read(reader))
-        self.send("plan", "", msgspec.to_builtins(self._plan))
+        self.send("plans", "", msgspec.to_builtins(self._plans))
         await asyncio.wait_for(self.ready, READY_S)
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
@@ -85,9 +85,9 @@ class WorkerProcess:
         """Whether it has not read for a while."""
         return self._writer is not None and self._writer.transport.get_write_buffer_size() > MOST_UNSENT
 
-    async def stop(self, seconds: float) -> None:
-        """Lets it finish its recordings, and waits until it has ended."""
-        self.send("stop", "", None)
+    async def stop(self, seconds: float, *, finish: bool = True) -> None:
+        """Lets it finish its recordings, or leave them as logs with which a later server goes on; waits until it has ended."""
+        self.send("stop", "", {"finish": finish})
         try:
             await asyncio.wait_for(asyncio.to_thread(self.process.wait), seconds)
         except TimeoutError:
@@ -103,8 +103,10 @@ class WorkerProcess:
 class Workers:
     """So many processes, and one more that is warm and takes over when one dies."""
 
-    def __init__(self, plan: PlayPlan, count: int, heard: Heard, lost: Callable[[WorkerProcess], None]) -> None:
-        self._plan, self._count, self._heard, self._on_lost = plan, count, heard, lost
+    def __init__(
+        self, plans: Sequence[PlayPlan], count: int, heard: Heard, lost: Callable[[WorkerProcess], None]
+    ) -> None:
+        self._plans, self._count, self._heard, self._on_lost = plans, count, heard, lost
         self.active: list[WorkerProcess] = []
         self.spare: asyncio.Task[WorkerProcess] | None = None
         self._stops = False
@@ -121,7 +123,7 @@ class Workers:
         self.spare = asyncio.create_task(self._started())
 
     async def _started(self) -> WorkerProcess:
-        worker = WorkerProcess(self._plan, self._heard, self._lost)
+        worker = WorkerProcess(self._plans, self._heard, self._lost)
         await worker.start()
         return worker
 
@@ -142,11 +144,11 @@ class Workers:
         self.active.append(worker)
         return worker
 
-    async def stop(self, seconds: float) -> None:
-        """Finishes all recordings."""
+    async def stop(self, seconds: float, *, finish: bool = True) -> None:
+        """Finishes all recordings, or leaves them as logs."""
         self._stops = True
         if self.spare is not None:
             if self.spare.done() and not self.spare.cancelled() and self.spare.exception() is None:
                 self.active.append(self.spare.result())
             self.spare.cancel()
-        await asyncio.gather(*(worker.stop(seconds) for worker in self.active))
+        await asyncio.gather(*(worker.stop(seconds, finish=finish) for worker in self.active))

@@ -1,0 +1,88 @@
+"""The server of live play as a process of its own: its options on the command line, how it is started and heard."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import tyro
+
+from h3data.errors import H3DataError, InputError
+from h3data.progress import is_quiet
+
+PortOption = Annotated[int, tyro.conf.arg(help="Port of the page (default: any free one).")]
+HostOption = Annotated[
+    str,
+    tyro.conf.arg(
+        help="Address to listen on. Others than this machine's own need TLS (--cert and --key) or --behind-proxy."
+    ),
+]
+CertOption = Annotated[Path | None, tyro.conf.arg(help="File of the TLS certificate.")]
+KeyOption = Annotated[Path | None, tyro.conf.arg(help="File of its key.")]
+ProxyFlag = Annotated[bool, tyro.conf.arg(help="A proxy in front of this server does TLS.")]
+NoBrowserFlag = Annotated[bool, tyro.conf.arg(help="Only print the address.")]
+
+
+def serving_options(
+    what: str, *, host: str, port: int, cert: Path | None, key: Path | None, behind_proxy: bool
+) -> dict[str, Any]:
+    """Options of the server process, checked.
+
+    Raises:
+        InputError: they are impossible, or aiohttp is missing.
+    """
+    if importlib.util.find_spec("aiohttp") is None:
+        raise InputError(f"{what} needs the package aiohttp. Hint: pip install 'h3data[hitl]'")
+    if not 0 <= port < 65536:
+        raise InputError(f"Expected a --port from 0 to 65535, got {port}.")
+    if (cert is None) != (key is None):
+        raise InputError("Give both --cert and --key, or neither.")
+    for file in (cert, key):
+        if file is not None and not file.is_file():
+            raise InputError(f"There is no such file: {file}")
+    return {"host": host, "port": port, "cert": str(cert or ""), "key": str(key or ""), "behind_proxy": behind_proxy}
+
+
+def run_server(options: dict[str, Any], heard: Callable[[dict[str, Any]], None]) -> None:
+    """Runs the server until it ends; ``heard`` gets its reports.
+
+    Raises:
+        H3DataError: it ended with a fault.
+        KeyboardInterrupt: after Ctrl-C, once the server has ended.
+    """
+    paths = os.pathsep.join(path for path in sys.path if path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "h3data_viewers.hitl.serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": paths},
+    )  # fmt: skip
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(msgspec.json.encode(options) + b"\n")
+        process.stdin.flush()
+        for line in process.stdout:
+            heard(msgspec.json.decode(line))
+    except KeyboardInterrupt:
+        process.terminate()  # where only this process was told
+        for line in process.stdout:
+            heard(msgspec.json.decode(line))
+        process.wait()
+        raise
+    finally:
+        process.stdin.close()
+        process.wait()
+    if process.returncode:
+        raise H3DataError(f"The server ended with exit code {process.returncode}; its message is above.")
+
+
+def say(line: str) -> None:
+    """A line for whoever started the server."""
+    if not is_quiet():
+        sys.stderr.write(line + "\n")
+        sys.stderr.flush()

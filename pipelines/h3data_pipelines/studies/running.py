@@ -1,0 +1,167 @@
+"""``h3data study new`` and ``h3data study run``: a study file, and its server."""
+
+from __future__ import annotations
+
+import fcntl
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from h3data.errors import InputError
+from h3data.files import part_file
+from h3data_pipelines.command import ForceFlag, JsonFlag, Outcome, claim_file, counted, keeping, write_text
+from h3data_pipelines.commands.serving import (
+    CertOption,
+    HostOption,
+    KeyOption,
+    NoBrowserFlag,
+    PortOption,
+    ProxyFlag,
+    run_server,
+    say,
+    serving_options,
+)
+
+if TYPE_CHECKING:
+    from h3data_viewers.hitl.study.design import Design
+
+LOCK = ".running"
+
+
+@dataclass(frozen=True)
+class StudyNew:
+    """Write an example of a study file, with comments, to begin from.
+
+    Examples:
+        h3data study new study.toml
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The .toml file to write."""
+    force: ForceFlag = False
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        import h3data_viewers.hitl.study as package
+
+        path = claim_file(self.file, force=self.force, suffix=".toml")
+        text = (Path(package.__path__[0]) / "example.toml").read_text("utf-8")
+        write_text(path, text)
+        return Outcome(text=f"{path}\nh3data study run {path}", data={"file": str(path)}, result=path)
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """Serve a study to its participants until Ctrl-C; the same command goes on where it was.
+
+    Everything is kept in the folder NAME-VERSION beside the study file: recordings, answers, how far everybody is. The secret
+    that makes pseudonyms of participants lies beside that folder (NAME-VERSION.key). Needs the extra hitl.
+
+    Examples:
+        h3data study new study.toml
+        h3data study run study.toml
+        h3data study run study.toml --host 0.0.0.0 --port 443 --cert cert.pem --key key.pem --workers 4
+        h3data study run study.toml --behind-proxy --host 127.0.0.1 --port 8080
+    """
+
+    study: tyro.conf.Positional[Path]
+    """The study file (.toml)."""
+    workers: int = 1
+    """Processes that simulate; about 12 people at once each."""
+    port: PortOption = 0
+    host: HostOption = "127.0.0.1"
+    cert: CertOption = None
+    key: KeyOption = None
+    behind_proxy: ProxyFlag = False
+    no_browser: NoBrowserFlag = False
+    speed: Annotated[float, tyro.conf.Suppress] = 1.0
+    """Above 1 time runs faster: for scripted participants."""
+    json: JsonFlag = False
+
+    def run(self) -> Outcome:
+        from h3data_viewers.hitl.study.files import make_plan, read_design, study_folder
+
+        serving = serving_options(
+            "h3data study run", host=self.host, port=self.port, cert=self.cert, key=self.key,
+            behind_proxy=self.behind_proxy,
+        )  # fmt: skip
+        if self.workers < 1:
+            raise InputError(f"Expected --workers of at least 1, got {self.workers}.")
+        design = read_design(self.study)
+        folder = study_folder(self.study, design)
+        plan = make_plan(design, folder, speed=self.speed)
+        with running(folder):
+            keep_design(folder, design)
+            say(f"Study {design.name}, version {design.version}, in {folder}. Setting up its conditions ...")
+            options = {"study": plan, "stays": True, "workers": self.workers, **serving}
+            with keeping(lambda: f"everything in {folder}; the same command goes on with it"):
+                run_server(options, self._heard)
+        return Outcome(text=f"Everything is in {folder}.", data={"folder": str(folder)}, result=folder)
+
+    def _heard(self, report: dict[str, Any]) -> None:
+        if "refused" in report:
+            raise InputError(report["refused"])
+        if "ready" in report:
+            link = report["ready"]["links"][0][1]
+            say(f"Participants open: {link}")
+            say("Ctrl-C stops the study; who has begun goes on where they were when it is started again.")
+            if not self.no_browser:
+                webbrowser.open(link)
+        elif "joined" in report:
+            say(f"{report['joined']['participant']} takes part.")
+        elif "ended" in report:
+            ended = report["ended"]
+            because = f" ({ended['reason']})" if ended["reason"] else ""
+            say(f"{ended['participant']}: {ended['status'].replace('_', ' ')}{because}")
+        elif "over" in report:
+            over = report["over"]
+            late = f", {counted(over['slipped'], 'step')} late" if over.get("slipped") else ""
+            say(f"{over['key']}: {over['ended']} after {counted(over['steps'], 'step')}{late}")
+        elif "lost" in report:
+            say("A worker process ended; another one takes over.")
+
+
+def keep_design(folder: Path, design: Design) -> None:
+    """Keeps the study file's content with what is recorded under it.
+
+    Raises:
+        InputError: the folder holds recordings under another content.
+    """
+    import msgspec
+
+    kept, now = folder / "design.json", msgspec.json.format(msgspec.json.encode(design), indent=2)
+    if kept.is_file() and kept.read_bytes() != now and (folder / "study.sqlite").is_file():
+        from h3data_viewers.hitl.study.store import open_database
+
+        with open_database(folder) as database:
+            people = database.execute("select count(*) from participants").fetchone()[0]
+        if people:
+            raise InputError(
+                f"The study file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
+                "the change, or give the study another version, which gets a folder of its own."
+            )
+    with part_file(kept) as part:
+        part.write_bytes(now)
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[None]:
+    """Holds the folder of a study, so that only one process changes it.
+
+    Raises:
+        InputError: another one does.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(
+                f"The study is running in another process. Stop that first (Ctrl-C; participants go on later): {folder}"
+            ) from None
+        yield

@@ -1,0 +1,115 @@
+"""Sockets of the front and what its requests have in common."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from aiohttp import web
+
+from h3data_viewers.hitl.seats import Game
+from h3data_viewers.hitl.workers import WorkerProcess
+
+QUEUE = 90
+"""States that may wait for a slow client; older ones are dropped (each is whole but for objects at rest)."""
+SEND_S = 20.0
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: ws: wss:; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+@dataclass(eq=False)
+class Live:
+    """A game on a worker."""
+
+    game: Game
+    worker: WorkerProcess
+    begun: asyncio.Future[dict[str, Any]]
+    sockets: dict[str, Connection] = field(default_factory=dict)
+    """Of those who are connected, by seat."""
+    told_over: dict[str, Any] | None = None
+
+
+class Connection:
+    """The socket of one seat and what waits to be sent through it."""
+
+    def __init__(self, socket: web.WebSocketResponse, agent: int) -> None:
+        self.socket, self.agent = socket, agent
+        self.heard = time.time()
+        """When something came, other than pings."""
+        self._texts: deque[str] = deque()
+        self._states: deque[bytes] = deque(maxlen=QUEUE)
+        self._news = asyncio.Event()
+        self._ends = False
+
+    def state(self, data: bytes) -> None:
+        """Queues a state; the oldest one goes where the client is slow."""
+        self._states.append(data)
+        self._news.set()
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Queues a text frame."""
+        self._texts.append(json.dumps(message))
+        self._news.set()
+
+    def end(self) -> None:
+        """Closes after everything has been sent."""
+        self._ends = True
+        self._news.set()
+
+    async def send(self) -> None:
+        """Sends until the socket closes."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            async with asyncio.timeout(SEND_S):
+                while self._states or self._texts:
+                    if self._states:
+                        await self.socket.send_bytes(self._states.popleft())
+                    if self._texts and not self._states:
+                        await self.socket.send_str(self._texts.popleft())
+            if self._ends:
+                await self.socket.close()
+                return
+
+
+class Failed(Exception):
+    """A game could not begin."""
+
+
+def pong(client_ms: float) -> bytes:
+    return struct.pack("<B7xdd", 2, client_ms, time.monotonic() * 1e3)
+
+
+def swallow(task: asyncio.Task[None]) -> None:
+    """A socket that breaks while something is sent ends its reader too; nothing to report."""
+    if not task.cancelled():
+        task.exception()
+
+
+def require_own_origin(request: web.Request) -> None:
+    """Pages of other sites may not use a player's cookies. Programs that send no Origin have none to misuse."""
+    origin = request.headers.get("Origin")
+    if origin is not None and origin.partition("://")[2] != request.host:
+        raise web.HTTPForbidden(text="This request comes from another site.")
+
+
+@web.middleware
+async def strict(request: web.Request, handler: Any) -> web.StreamResponse:
+    try:
+        response = await handler(request)
+    except web.HTTPException as error:
+        error.headers.update(HEADERS)
+        raise
+    if not response.prepared:
+        response.headers.update(HEADERS)
+    return response

@@ -1,0 +1,221 @@
+"""Reading a study file, checking it, and planning who plays what. This runs in the command, not in the server."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from h3data.errors import InputError, did_you_mean
+from h3data.habitat.scene_names import named_scenes
+from h3data.metrics import plan_sessions
+from h3data_viewers.hitl.app import find_app
+from h3data_viewers.hitl.live import Table
+from h3data_viewers.hitl.plan import PlayPlan
+from h3data_viewers.hitl.study.design import Block, Condition, Consent, Design, Form, Place, StudyPlan, Text
+from h3data_viewers.hitl.study.forms import BUILTIN, resolved
+from h3data_viewers.hitl.study.texts import ENGLISH
+
+STUDY_FILE, RECORDINGS, TUTORIALS = "study.toml", "recordings", "tutorial"
+TUTORIAL_APP, TUTORIAL_RULES = "tutorial", {"objects": 1, "max_steps": 3600}
+_SECTION = re.compile(r" - at `\$\.?(.*)`$")
+
+
+def read_design(path: Path) -> Design:
+    """The study file at ``path``, checked but for what needs the simulator.
+
+    Raises:
+        InputError: it cannot be read, or says something that is not possible; the message names the place.
+    """
+    try:
+        text = path.read_bytes()
+        data = tomllib.loads(text.decode())
+    except OSError as fault:
+        raise InputError(
+            f"Cannot read the study file ({fault.strerror}): {path}. Hint: h3data study new {path}"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise InputError(f"The study file is not valid TOML: {fault}. File: {path}") from None
+    try:
+        design = msgspec.convert(data, Design)
+    except msgspec.ValidationError as fault:
+        raise InputError(f"{_in_words(str(fault))} File: {path}") from None
+    design = _with_consent(design, path)
+    try:
+        _check(design)
+    except InputError as fault:
+        raise InputError(f"{fault} File: {path}") from None
+    return design
+
+
+def _in_words(fault: str) -> str:
+    """``Object contains unknown field `x` - at `$.device` `` as a sentence."""
+    found = _SECTION.search(fault)
+    where = re.sub(r"\[(\d+)\]", lambda m: f" number {int(m[1]) + 1}", found[1]).replace(".", ", ") if found else ""
+    text = _SECTION.sub("", fault)
+    if unknown := re.search(r"unknown field `(.*)`", text):
+        text = f"Unknown setting {unknown[1]!r}"
+    elif missing := re.search(r"missing required field `(.*)`", text):
+        text = f"The setting {missing[1]!r} is missing"
+    else:
+        text = text.replace("`", "'")
+    return f"{text}{f' in {where}' if where else ''}."
+
+
+def _with_consent(design: Design, path: Path) -> Design:
+    consent = design.consent
+    if consent.file and consent.text:
+        raise InputError(f"Give the consent's text or its file, not both. File: {path}")
+    if consent.file:
+        file = path.parent / consent.file
+        try:
+            text = file.read_text("utf-8")
+        except (OSError, UnicodeDecodeError) as fault:
+            raise InputError(f"Cannot read the text of the consent ({fault}): {file}") from None
+        design = msgspec.structs.replace(design, consent=Consent(version=consent.version, text=text))
+    if not design.consent.text:
+        raise InputError(f"The consent has no text: set text or file in [consent]. File: {path}")
+    return design
+
+
+def _check(design: Design) -> None:
+    _distinct("conditions", [c.name for c in design.conditions])
+    if not design.conditions:
+        raise InputError("Expected at least one [[conditions]].")
+    if not design.scenes:
+        raise InputError('Expected at least one of scenes, such as scenes = ["small:1"].')
+    if not design.languages:
+        raise InputError('Expected at least one of languages, such as languages = ["en"].')
+    if not re.search(r"\S", design.contact):
+        raise InputError("Expected whom participants ask (contact), such as an e-mail address.")
+    for language, words in design.texts.items():
+        if language not in design.languages:
+            raise InputError(f"[texts.{language}] is of a language that languages does not name.")
+        if unknown := [name for name in words if name not in ENGLISH]:
+            raise InputError(
+                f"There is no text {unknown[0]!r} in [texts.{language}].{did_you_mean(unknown[0], ENGLISH)} Expected some of: "
+                f"{', '.join(ENGLISH)}."
+            )
+    names = {c.name for c in design.conditions}
+    forms = [resolved(_known(form)) for form in design.forms]
+    for form in forms:
+        if not form.id or not form.items:
+            raise InputError('Every one of [[forms]] needs a builtin, or an id and items: builtin = "nasa_tlx".')
+        if strangers := set(form.conditions) - names:
+            raise InputError(f"The form {form.id} names a condition that is not there: {sorted(strangers)[0]}.")
+        if form.conditions and form.after != "condition":
+            raise InputError(f'The form {form.id} names conditions, so it needs after = "condition".')
+        _distinct(f"items of the form {form.id}", [item.id for item in form.items])
+        for item in form.items:
+            if item.kind == "choice" and len(item.options) < 2:
+                raise InputError(f"The choice {item.id} of the form {form.id} needs two options or more.")
+            if not item.min < item.max:
+                raise InputError(f"The item {item.id} of the form {form.id} needs a min below its max.")
+    _distinct("forms", [f"{form.id} after the {form.after}" for form in forms])
+    for text in _texts(design):
+        if isinstance(text, dict) and (strange := set(text) - set(design.languages)):
+            raise InputError(f"A text is in the language {sorted(strange)[0]!r}, which languages does not name.")
+        if isinstance(text, dict) and design.languages[0] not in text:
+            raise InputError(f"A text lacks the study's first language, {design.languages[0]!r}: {text}")
+
+
+def _known(form: Form) -> Form:
+    name = form.builtin
+    if name and name not in BUILTIN:
+        raise InputError(
+            f"Unknown built-in form {name!r}.{did_you_mean(name, BUILTIN)} Expected one of: {', '.join(BUILTIN)}."
+        )
+    return form
+
+
+def _texts(design: Design) -> list[Text]:
+    texts: list[Text] = [design.title, design.about, design.consent.text, design.tutorial.text]
+    texts += [c.text for c in design.conditions]
+    for form in design.forms:
+        texts += [form.title, form.text]
+        for item in form.items:
+            texts += [item.text, item.low, item.high, *item.options]
+    return texts
+
+
+def _distinct(what: str, names: list[str]) -> None:
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"Expected different {what}, got {twice!r} twice.")
+
+
+def study_folder(path: Path, design: Design) -> Path:
+    """Where a study keeps what it records: beside its file, with its name and version."""
+    return path.parent / f"{design.name}-{design.version}"
+
+
+def make_plan(design: Design, folder: Path, *, speed: float = 1.0) -> StudyPlan:
+    """Deals conditions, scenes and episodes to all places; above a ``speed`` of 1 time runs faster, for scripted participants.
+
+    Raises:
+        InputError: there are no such scenes or apps.
+    """
+    scenes = list(dict.fromkeys(named.name for text in design.scenes for named in named_scenes(text)))
+    tutorial = _tutorial(design)
+    for condition in (tutorial, *design.conditions):
+        find_app(condition.app)
+    blocks_each = math.ceil(len(design.conditions) / len(scenes))
+    practice = 0 if design.tutorial.skip else 1
+    pool = [str(k) for k in range(blocks_each * design.episodes + practice)]
+    sessions = plan_sessions(
+        design.participants, [c.name for c in design.conditions], dict.fromkeys(scenes, pool),
+        episodes_per_condition=design.episodes, training_episodes=practice, study=design.name, seed=design.seed,
+    )  # fmt: skip
+    places = tuple(
+        Place(
+            practice=tuple(int(e) for e in session.training),
+            blocks=tuple(Block(b.condition, b.scene, tuple(int(e) for e in b.episodes)) for b in session.blocks),
+        )
+        for session in sessions
+    )
+    plans, numbers = [], {}
+    for name, condition in (("", tutorial), *((c.name, c) for c in design.conditions)):
+        for scene in scenes:
+            numbers[f"{name}|{scene}"] = len(plans)
+            plans.append(
+                PlayPlan(
+                    app=condition.app,
+                    out=str(folder.resolve()),
+                    seats=(condition.play_as,),
+                    partner=condition.partner,
+                    scenes=scene,
+                    seed=design.seed,
+                    speed=speed,
+                    rules=condition.rules,
+                )
+            )
+    for name in ("", *(c.name for c in design.conditions)):
+        _check_playable(name, plans[numbers[f"{name}|{scenes[0]}"]])
+    return StudyPlan(
+        design=design, out=str(folder.resolve()), places=places, plans=tuple(plans), numbers=numbers,
+        key_file=str(folder.resolve().with_name(folder.name + ".key")),
+    )  # fmt: skip
+
+
+def _check_playable(name: str, plan: PlayPlan) -> None:
+    try:
+        Table(plan)
+    except (InputError, TypeError) as fault:  # TypeError: rules that the task does not have
+        where = f"condition {name}" if name else "tutorial"
+        raise InputError(f"The {where} cannot be played: {str(fault).replace('replace() got', 'rules have')}") from None
+
+
+def _tutorial(design: Design) -> Condition:
+    """The tutorial as a condition: the built-in app, or an episode with one object and nobody else."""
+    seat = design.conditions[0].play_as
+    app, rules = design.tutorial.app, design.tutorial.rules
+    if not app:
+        try:
+            find_app(TUTORIAL_APP)
+            app = TUTORIAL_APP
+        except InputError:
+            app, rules = "rearrange", {**TUTORIAL_RULES, **rules}
+    return Condition(name="tutorial", app=app, play_as=seat, partner="solo", rules=rules)

@@ -1,0 +1,201 @@
+"""Participants on the disk: who has consented, what they have done, where they sit. One SQLite file per study, of which every
+commit is on the disk before a browser hears of it."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from h3data_viewers.hitl.seats import Game, Journal, Seat
+from h3data_viewers.hitl.study.design import StudyPlan
+from h3data_viewers.hitl.study.flow import ACTIVE, COMPLETE, Progress
+
+DATABASE = "study.sqlite"
+_TABLES = """
+create table if not exists participants (
+    number integer primary key, id text not null unique, place integer not null, status text not null, reason text not null,
+    joined real not null, seen real not null, ended real, language text not null, consent text not null, ids text not null
+);
+create table if not exists rows (
+    participant integer not null, stage text not null, at real not null, data text not null, primary key (participant, stage)
+);
+create table if not exists counts (name text primary key, value integer not null);
+"""
+
+
+@dataclass(eq=False)
+class Participant:
+    """Somebody who has consented."""
+
+    number: int
+    id: str
+    """Pseudonym."""
+    place: int
+    """Number of `StudyPlan.places`."""
+    joined: float
+    """Unix time [s]."""
+    seen: float
+    """When they last did something."""
+    language: str
+    consent: dict[str, str]
+    """Version and SHA-256 of the text that they agreed to."""
+    ids: dict[str, str]
+    """Pseudonyms of the recruiting platform's ids."""
+    progress: Progress
+    ended: float | None = None
+    times: dict[str, float] = field(default_factory=dict)
+    """When each row was written."""
+
+    @property
+    def is_active(self) -> bool:
+        return self.progress.status == ACTIVE
+
+
+def open_database(folder: Path) -> sqlite3.Connection:
+    """The study's database; what is deleted in it is overwritten."""
+    db = sqlite3.connect(folder / DATABASE, isolation_level=None)
+    db.execute("pragma secure_delete = on")
+    db.executescript(_TABLES)
+    return db
+
+
+class StudyStore(Journal):
+    """The journal of seats and games of a study, and its participants."""
+
+    def __init__(self, plan: StudyPlan) -> None:
+        self.plan = plan
+        self.participants: dict[int, Participant] = {}
+        super().__init__(Path(plan.out), name=DATABASE)
+        self._db.execute("pragma secure_delete = on")
+        self._db.executescript(_TABLES)
+        self._load()
+
+    def _load(self) -> None:
+        rows: dict[int, dict[str, Any]] = {}
+        times: dict[int, dict[str, float]] = {}
+        for number, stage, at, data in self._db.execute("select participant, stage, at, data from rows order by at"):
+            rows.setdefault(number, {})[stage] = msgspec.json.decode(data)
+            times.setdefault(number, {})[stage] = at
+        for number, pseudonym, place, status, reason, joined, seen, ended, language, consent, ids in self._db.execute(
+            "select number, id, place, status, reason, joined, seen, ended, language, consent, ids from participants"
+        ):
+            progress = Progress(self.plan.design, self.plan.places[place], rows.get(number, {}), status, reason)
+            self.participants[number] = Participant(
+                number=number, id=pseudonym, place=place, joined=joined, seen=seen, ended=ended, language=language,
+                consent=msgspec.json.decode(consent), ids=msgspec.json.decode(ids), progress=progress,
+                times=times.get(number, {}),
+            )  # fmt: skip
+        for game in self.games.values():  # killed between the end of an episode and its row
+            participant = self.participants.get(game.place)
+            if game.over and participant is not None:
+                self.save(participant, participant.progress.over(game.key.partition("/")[2], {"ended": game.over}))
+
+    # --- participants -------------------------------------------------------------------------------------------------
+    def by_id(self, pseudonym: str) -> Participant | None:
+        """The participant with a pseudonym."""
+        return next((p for p in self.participants.values() if p.id == pseudonym), None)
+
+    def free_place(self) -> int | None:
+        """The first place that nobody has or has filled: that of somebody who has dropped out is free again."""
+        taken = {p.place for p in self.participants.values() if p.progress.status in (ACTIVE, COMPLETE)}
+        return next((k for k in range(len(self.plan.places)) if k not in taken), None)
+
+    def join(
+        self, pseudonym: str, place: int, *, language: str, consent: dict[str, str], ids: dict[str, str]
+    ) -> Participant:
+        """A new participant, who has consented."""
+        now = time.time()
+        number = 1 + self._last_number()
+        participant = Participant(
+            number=number, id=pseudonym, place=place, joined=now, seen=now, language=language, consent=consent, ids=ids,
+            progress=Progress(self.plan.design, self.plan.places[place]),
+        )  # fmt: skip
+        with self._transaction():
+            self._db.execute(
+                "insert into participants values (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (number, pseudonym, place, ACTIVE, "", now, now, None, language, _json(consent), _json(ids)),
+            )
+            self.count("last number", number - self._last_number())
+        self.participants[number] = participant
+        return participant
+
+    def _last_number(self) -> int:
+        """Numbers of people who were forgotten are not given again."""
+        row = self._db.execute("select value from counts where name = 'last number'").fetchone()
+        return 0 if row is None else int(row[0])
+
+    def count(self, name: str, by: int = 1) -> None:
+        """Counts something that happened to nobody in particular."""
+        self._db.execute(
+            "insert into counts values (?, ?) on conflict (name) do update set value = value + excluded.value",
+            (name, by),
+        )
+
+    def saw(self, participant: Participant, at: float | None = None) -> None:
+        """Notes that a participant has done something."""
+        participant.seen = time.time() if at is None else at
+        self._db.execute("update participants set seen = ? where number = ?", (participant.seen, participant.number))
+
+    def save(self, participant: Participant, rows: dict[str, dict[str, Any]]) -> None:
+        """Writes new rows and the status, together."""
+        now, progress = time.time(), participant.progress
+        if not participant.is_active and participant.ended is None:
+            participant.ended = now
+        with self._transaction():
+            for stage, data in rows.items():
+                participant.times[stage] = now
+                self._db.execute(
+                    "insert or replace into rows values (?, ?, ?, ?)", (participant.number, stage, now, _json(data))
+                )
+            self._db.execute(
+                "update participants set status = ?, reason = ?, ended = ? where number = ?",
+                (progress.status, progress.reason, participant.ended, participant.number),
+            )
+
+    def _transaction(self) -> _Transaction:
+        return _Transaction(self._db)
+
+    # --- seats --------------------------------------------------------------------------------------------------------
+    def seat_of(self, participant: Participant) -> Seat | None:
+        """Where a participant sits."""
+        return self.taken(participant.number, 0)
+
+    def move(self, participant: Participant, token: str) -> Seat:
+        """A seat for the browser that holds ``token``; the one that the participant had is gone."""
+        old = self.seat_of(participant)
+        if old is not None:
+            del self.seats[old.sid]
+            self._db.execute("delete from seats where sid = ?", (old.sid,))
+        seat = self.sit(token, participant.number, 0)
+        if old is not None and old.game:
+            self.assign(seat, self.games[old.game])
+        return seat
+
+    def begin_episode(self, participant: Participant, key: str) -> Game:
+        """The game of an episode."""
+        game = Game(key, participant.number, 0)
+        self.games[key] = game
+        self._db.execute("insert into games values (?, ?, ?, ?)", (key, game.place, 0, ""))
+        return game
+
+
+class _Transaction:
+    """All or nothing."""
+
+    def __init__(self, db: sqlite3.Connection) -> None:
+        self._db = db
+
+    def __enter__(self) -> None:
+        self._db.execute("begin immediate")
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self._db.execute("commit" if kind is None else "rollback")
+
+
+def _json(value: Any) -> str:
+    return msgspec.json.encode(value).decode()
