@@ -142,7 +142,7 @@ def keep_design(folder: Path, design: Design) -> None:
             people = database.execute("select count(*) from participants").fetchone()[0]
         if people:
             raise InputError(
-                f"The study file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
+                f"The file has changed since {counted(people, 'participant')} took part. Expected what is in {kept}. Undo "
                 "the change, or give the study another version, which gets a folder of its own."
             )
     with part_file(kept) as part:
