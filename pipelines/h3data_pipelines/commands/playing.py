@@ -44,19 +44,23 @@ class Play:
         h3data play rearrange --as robot --partner both
         h3data play social_nav --partner heuristic_expert --episodes 3
         h3data play rearrange --as person,robot
+        h3data play tutorial
+        h3data play teleop --partner both
         h3data play my_app.py_module:MyApp --no-browser --port 8080
     """
 
     app: tyro.conf.Positional[str]
-    """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you. Or
+    """rearrange: bring two objects to their places. social_nav: walk about while a robot has to find and follow you.
+    tutorial: walk, look, take and place, one step after the other. teleop: drive the robot, take and place with its arm. Or
     module:Class, an app of your own (docs/play.md)."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the recordings (default: a new one below out/play)."""
-    play_as: Annotated[str, tyro.conf.arg(aliases=["--as"])] = "person"
+    play_as: Annotated[str | None, tyro.conf.arg(aliases=["--as"])] = None
     """person, robot, or several separated by commas, each with a link of its own: person,robot or person,person. spectator
-    adds the link of somebody who watches."""
+    adds the link of somebody who watches (default: the app's; teleop robot, the others person)."""
     partner: str | None = None
-    """Policy of everybody whom nobody plays: a name as in generate, weights:FILE, or solo (nobody is added)."""
+    """Policy of everybody whom nobody plays: a name as in generate, weights:FILE, or solo (nobody is added; the default of
+    tutorial and teleop)."""
     scenes: str = "small"
     """Homes to play in, as in generate."""
     seed: int = 0
@@ -64,7 +68,7 @@ class Play:
     episodes: int = 1
     """How many, one after the other."""
     seconds: float | None = None
-    """Length limit of an episode (default: the app's; rearrange 180, social_nav 90)."""
+    """Length limit of an episode (default: the app's; rearrange and teleop 180, social_nav 90, tutorial 600)."""
     human_walk: WalkOption | None = None
     """How fast people walk: natural is 1.3 m/s, paper 2.5 m/s (default: natural)."""
     port: PortOption = 0
@@ -111,13 +115,15 @@ class Play:
         )
 
     def _plan(self, out: Path) -> dict[str, Any]:
+        from h3data_viewers.hitl.app import find_app
         from h3data_viewers.hitl.plan import SEATS
 
-        seats = [name.strip() for name in self.play_as.split(",")]
+        play_as = self.play_as or ",".join(find_app(self.app).seats)
+        seats = [name.strip() for name in play_as.split(",")]
         strange = [name for name in seats if name not in SEATS]
         if strange or not set(seats) & {"person", "robot"}:
             raise InputError(
-                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {self.play_as}"
+                f"Expected --as with some of {', '.join(SEATS)}, somebody who plays among them, got: {play_as}"
             )
         rules: dict[str, Any] = {}
         if self.seconds is not None:

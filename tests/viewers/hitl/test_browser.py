@@ -135,3 +135,13 @@ def test_two_people_play_in_one_world_and_somebody_watches(tmp_path: Path) -> No
     assert said["me"] == -1
     assert said["waits"]
     assert min(said["moved"]) > 0.1
+
+
+def test_the_tutorial_is_played_step_by_step(tmp_path: Path) -> None:
+    from tests.viewers.hitl.server import Server
+
+    with Server(tmp_path / "out", app="tutorial", partner=None, scenes="small:1") as server:
+        said = play("tutorial", server.links[0], tmp_path)
+    assert said["over"]["ended"] == "success"
+    assert [text.split()[0] for text in said["texts"]] == ["Walk", "Turn", "Take", "Bring"]
+    assert said["refused"].startswith("Not yet: first walk to the white ring")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from h3data.errors import InputError
 from h3data.plugins import Registry
 from h3data_viewers.hitl.drivers import Driver
 from h3data_viewers.hitl.messages import Act
@@ -22,6 +23,8 @@ class Hud:
     """Time that is left [s]; None: no limit is shown."""
     lines: tuple[str, ...] = ()
     """How it stands, a line each."""
+    marker: tuple[float, float, float] | None = None
+    """A point of the floor that the page marks with a ring, a label and a sign on the map [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,11 @@ class App:
     """Name of the task, or ``module:Class``."""
     rules: ClassVar[Mapping[str, Any]] = {}
     """Rules of the task that differ where people play it."""
+    seats: ClassVar[tuple[str, ...]] = ("person",)
+    """Roles that are played unless the command line names others."""
+    partner: ClassVar[str | None] = None
+    """Policy of the agents that nobody plays, unless the command line names one; None: the task's default, ``solo``: there are
+    none."""
 
     session: Session
 
@@ -55,6 +63,12 @@ class App:
     def driver(self, number: int) -> Driver:
         """How a player moves agent ``number``."""
         return Driver(self.session, number)
+
+    def refusal(self, number: int, message: Act) -> str:
+        """Returns why a message of the player of agent ``number`` is not followed now, as a sentence; empty: it is. Like
+        everything else in an app it may depend on messages and on the world only, so that a game can go on after a crash."""
+        del number, message
+        return ""
 
     def on_input(self, number: int, message: Act) -> None:
         """Takes note of a message of the player of agent ``number``, which has been accepted."""
@@ -97,13 +111,21 @@ def sentence_of(words: str) -> str:
     return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
 
 
+def _require_app(found: Any) -> None:
+    if not (isinstance(found, type) and issubclass(found, App) and found.task):
+        raise InputError("Expected a subclass of h3data_viewers.hitl.app.App that names its task.")
+
+
 _APPS: Registry[Any] = Registry(
     "h3data.apps",
     {
         "rearrange": "h3data_viewers.hitl.apps.rearrange:RearrangeApp",
         "social_nav": "h3data_viewers.hitl.apps.social_nav:FollowMeApp",
+        "tutorial": "h3data_viewers.hitl.apps.tutorial:TutorialApp",
+        "teleop": "h3data_viewers.hitl.apps.teleop:TeleopApp",
     },
     what="app",
+    check=_require_app,
 )
 
 

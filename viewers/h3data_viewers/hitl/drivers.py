@@ -43,13 +43,14 @@ class Driver:
         self.guide: Guide | None = None
 
     # --- from the player ----------------------------------------------------------------------------------------------
-    def take(self, message: Act) -> str:
-        """Folds in one message, which acts on the next step; returns a sentence for the player where it cannot be done.
+    def take(self, message: Act, refusal: str = "") -> str:
+        """Folds in one message, which acts on the next step; returns a sentence for the player where it cannot be done, or
+        the app's ``refusal``.
 
         Raises:
             InputError: it is no command in this task; then it must not be recorded.
         """
-        why = self.follow(message)
+        why = refusal or self.follow(message)
         if message.seq is not None:
             self.ack = message.seq
         return why

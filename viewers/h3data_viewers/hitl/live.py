@@ -37,7 +37,10 @@ class Table:
         Raises:
             InputError: there is no such app, task, scene, agent or policy.
         """
-        self.plan, self.app = plan, find_app(plan.app)
+        self.app = find_app(plan.app)
+        if plan.partner is None:
+            plan = msgspec.structs.replace(plan, partner=self.app.partner)
+        self.plan = plan
         self.task = find_task(self.app.task)
         self.spec = with_options(self.task.Spec(), **{**self.app.rules, **plan.rules})
         self.roster = plan.roster(tuple(self.task.agents))
@@ -119,7 +122,7 @@ class LiveGame:
         Raises:
             InputError: it is no command; nothing is recorded.
         """
-        why = self.drivers[number].take(message)
+        why = self.drivers[number].take(message, self.app.refusal(number, message))
         self.app.on_input(number, message)
         self._record(CLIENT, number, f'{{"server_ms":{server_ms:.1f},"message":{text}}}')
         return why

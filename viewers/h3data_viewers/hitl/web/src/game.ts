@@ -112,6 +112,11 @@ export class Game {
     aim.why = why;
   }
 
+  /** A point of the floor that the app wants to be seen; null: none. */
+  mark(point: [number, number, number] | null): void {
+    this.cues.mark(point && new Vector3(...point));
+  }
+
   refused(why: string): void {
     this.hud.toast(why);
     this.sound.play("refused");

@@ -35,7 +35,7 @@ async function play(): Promise<void> {
 interface Message {
   why?: string;
   toast?: string;
-  hud?: { task: string; left_s?: number | null; lines?: string[] };
+  hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
   can?: { p: number[]; why: string };
   pause?: string;
   over?: { ended: string; text?: string; next?: boolean };
@@ -44,7 +44,10 @@ interface Message {
 function hear(game: Game, message: Message): void {
   if (message.why) game.refused(message.why);
   if (message.toast) hud.toast(message.toast, "good");
-  if (message.hud) hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
+  if (message.hud) {
+    hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
+    game.mark(message.hud.marker ?? null);
+  }
   if (message.can) game.answer(message.can.p, message.can.why);
   if (message.pause) hud.phase("paused", "The home stands still", message.pause);
   else if (message.pause === "") hud.phase("playing");

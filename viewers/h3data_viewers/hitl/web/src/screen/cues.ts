@@ -6,7 +6,7 @@ import type { Base } from "../motion/drive.ts";
 import type { Manifest } from "../link/manifest.ts";
 import { FloorRing, Ghost, Labels, type Mark } from "./markers.ts";
 import { MiniMap } from "./minimap.ts";
-import { thingColor } from "./palette.ts";
+import { MARKER, thingColor } from "./palette.ts";
 import type { Sdf } from "../motion/sdf.ts";
 import type { State } from "../link/wire.ts";
 import type { World } from "../scene/world.ts";
@@ -21,6 +21,8 @@ export class Cues {
   private readonly ghost: Ghost;
   private readonly goals: FloorRing[];
   private readonly spot: FloorRing;
+  private readonly ring: FloorRing;
+  private marker: Vector3 | null = null;
   private readonly map: MiniMap;
   private readonly heights: number[];
   private frame = 0;
@@ -38,6 +40,8 @@ export class Cues {
     this.goals = manifest.goals.map((_, k) => new FloorRing(world.scene, thingColor(k), 0.105, 0.13));
     this.spot = new FloorRing(world.scene, "#ffffff", 0.17, 0.21);
     this.spot.hide();
+    this.ring = new FloorRing(world.scene, thingColor(MARKER), 0.34, 0.42);
+    this.ring.hide();
     this.map = new MiniMap(mapCanvas, sdf);
     this.heights = world.things.map((thing) => world.lowest(thing));
   }
@@ -54,6 +58,13 @@ export class Cues {
   walkingTo(point: Vector3 | null): void {
     if (point) this.spot.show(point.x, point.y + 0.02, point.z);
     else this.spot.hide();
+  }
+
+  /** A point of the floor that the app wants to be seen; null: none. */
+  mark(point: Vector3 | null): void {
+    this.marker = point;
+    if (point) this.ring.show(point.x, point.y + 0.015, point.z);
+    else this.ring.hide();
   }
 
   /** Lowest point of a thing below its origin, m. */
@@ -82,6 +93,11 @@ export class Cues {
 
   private marks(state: State, now: Situation, own: Base | null): Mark[] {
     const marks: Mark[] = [];
+    const goTo = this.marker;
+    if (goTo) {
+      const far = own && Math.hypot(goTo.x - own.x, goTo.z - own.z);
+      marks.push({ point: goTo.clone().setY(goTo.y + OVER_M), text: "here", thing: MARKER, near: false, far });
+    }
     state.things.forEach((thing, k) => {
       const goal = this.manifest.goals[k];
       if (!goal || now.done[k]) return;
@@ -125,6 +141,6 @@ export class Cues {
         held: thing.held >= 0,
       };
     });
-    this.map.draw(agents, things, yaw);
+    this.map.draw(agents, things, this.marker, yaw);
   }
 }

@@ -18,7 +18,7 @@ export interface Mark {
   /** Point in the world that the label floats over. */
   point: Vector3;
   text: string;
-  /** Index of the thing that it is about. */
+  /** Index of the thing that it is about, or `MARKER`. */
   thing: number;
   /** Whether it would be taken, or is the goal of what is held. */
   near: boolean;

@@ -1,7 +1,7 @@
 /** The floor plan in a corner: obstacles, agents, things and where they belong, what the camera sees. */
 
 import type { Base } from "../motion/drive.ts";
-import { OTHER, ROBOT, thingColor, thingLetter, YOU } from "./palette.ts";
+import { MARKER, OTHER, ROBOT, thingColor, thingLetter, YOU } from "./palette.ts";
 import type { Sdf } from "../motion/sdf.ts";
 
 export interface MapAgent extends Base {
@@ -37,10 +37,10 @@ export class MiniMap {
     canvas.style.setProperty("--wide", `${shape[0] * cell * PX_PER_M}px`);
     this.brush = canvas.getContext("2d")!;
     this.plan = this.drawPlan(canvas.width, canvas.height);
-    this.draw([], [], 0);
+    this.draw([], [], null, 0);
   }
 
-  draw(agents: MapAgent[], things: MapThing[], yaw: number): void {
+  draw(agents: MapAgent[], things: MapThing[], marker: { x: number; z: number } | null, yaw: number): void {
     const { brush } = this;
     brush.clearRect(0, 0, brush.canvas.width, brush.canvas.height);
     brush.drawImage(this.plan, 0, 0);
@@ -56,9 +56,21 @@ export class MiniMap {
       }
       if (!thing.held) this.chip(thing, k, thing.done ? 0.55 : 1);
     });
+    if (marker) this.drawMarker(marker);
     for (const agent of agents) this.drawAgent(agent);
     // what is in a hand goes on top, or the agent would hide it
     things.forEach((thing, k) => thing.held && this.chip(thing, k, 1));
+  }
+
+  private drawMarker(marker: { x: number; z: number }): void {
+    const { brush, scale } = this;
+    for (const [color, wide] of [["#10171d", 0.15], [thingColor(MARKER), 0.09]] as const) {
+      brush.strokeStyle = color;
+      brush.lineWidth = scale * wide;
+      brush.beginPath();
+      brush.arc(...this.at(marker.x, marker.z), scale * 0.3, 0, 7);
+      brush.stroke();
+    }
   }
 
   private at(x: number, z: number): [number, number] {

@@ -7,5 +7,7 @@ export const OTHER = "#cc79a7";
 export const OK = "#009e73";
 export const BAD = "#d55e00";
 
-export const thingColor = (k: number): string => THINGS[k % THINGS.length]!;
-export const thingLetter = (k: number): string => String.fromCharCode(65 + (k % 26));
+/** The place that the app marks has the number -1. */
+export const MARKER = -1;
+export const thingColor = (k: number): string => (k === MARKER ? "#ffffff" : THINGS[k % THINGS.length]!);
+export const thingLetter = (k: number): string => (k === MARKER ? "◎" : String.fromCharCode(65 + (k % 26)));

@@ -168,6 +168,35 @@ async function sizes() {
   return { inside: overflow.every(Boolean), help, ...(await zoomed.close()) };
 }
 
-const SCENARIOS = { task, walk, click, reconnect, headset, together, sizes };
+/** The tutorial: to the ring, by a turn to the thing, then by one key. */
+async function tutorial() {
+  const player = await openPage(url);
+  await player.started();
+  const task = () => player.ask("document.getElementById('title').innerText");
+  const texts = [await task()];
+  await player.shot(picture("ring"));
+  await player.press("f");
+  await player.until("document.getElementById('toast').innerText", "a reason why nothing can be taken yet");
+  const refused = await player.ask("document.getElementById('toast').innerText");
+  await player.ask("probe.game.net.send({ k: 'goto', p: probe.game.cues.marker.toArray() }); 0");
+  await player.until("!probe.game.cues.marker", "the ring to be reached", 60_000);
+  texts.push(await task());
+  await player.shot(picture("look"));
+  for (let k = 0; k < 40 && (await task()) === texts[1]; k++) {
+    await player.press("a", 150);
+    await player.nap(900); // it has to be looked at for half a second
+  }
+  texts.push(await task());
+  for (let k = 0; k < 6 && !(await player.over); k++) {
+    await player.press("f");
+    await player.idle();
+    if (!k) texts.push(await task());
+  }
+  await player.until("!!probe.over", "the end of the tutorial");
+  await player.shot(picture("end"));
+  return { texts, refused, over: await player.over, ...(await player.close()) };
+}
+
+const SCENARIOS = { task, walk, click, reconnect, headset, together, sizes, tutorial };
 if (!SCENARIOS[scenario]) throw new Error(`Expected one of ${Object.keys(SCENARIOS).join(", ")}, got ${scenario}`);
 console.log(JSON.stringify(await SCENARIOS[scenario]()));
