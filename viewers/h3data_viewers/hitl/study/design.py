@@ -65,8 +65,7 @@ class Device(Record, frozen=True):
 class Tutorial(Record, frozen=True):
     """The practice that has to be passed before anything counts."""
 
-    app: str = ""
-    """Default: the built-in tutorial."""
+    app: str = "tutorial"
     rules: dict[str, Any] = {}
     attempts: Count = 5
     """Who has not passed after so many is screened out."""

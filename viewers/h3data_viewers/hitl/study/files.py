@@ -20,7 +20,6 @@ from h3data_viewers.hitl.study.forms import BUILTIN, resolved
 from h3data_viewers.hitl.study.texts import ENGLISH
 
 STUDY_FILE, RECORDINGS, TUTORIALS = "study.toml", "recordings", "tutorial"
-TUTORIAL_APP, TUTORIAL_RULES = "tutorial", {"objects": 1, "max_steps": 3600}
 _SECTION = re.compile(r" - at `\$\.?(.*)`$")
 
 
@@ -209,13 +208,8 @@ def _check_playable(name: str, plan: PlayPlan) -> None:
 
 
 def _tutorial(design: Design) -> Condition:
-    """The tutorial as a condition: the built-in app, or an episode with one object and nobody else."""
-    seat = design.conditions[0].play_as
-    app, rules = design.tutorial.app, design.tutorial.rules
-    if not app:
-        try:
-            find_app(TUTORIAL_APP)
-            app = TUTORIAL_APP
-        except InputError:
-            app, rules = "rearrange", {**TUTORIAL_RULES, **rules}
-    return Condition(name="tutorial", app=app, play_as=seat, partner="solo", rules=rules)
+    """The tutorial as a condition, in the seat of the first one."""
+    said = design.tutorial
+    return Condition(
+        name="tutorial", app=said.app, play_as=design.conditions[0].play_as, partner="solo", rules=said.rules
+    )

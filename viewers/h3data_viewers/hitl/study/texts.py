@@ -20,7 +20,7 @@ ENGLISH: dict[str, str] = {
     "device_title": "Checking your computer",
     "device": "This takes a few seconds.",
     "tutorial_title": "Practice",
-    "tutorial": "First, a practice round in which nothing counts: walk about, take the thing, and bring it to its place.",
+    "tutorial": "First, a practice round in which nothing counts: walk about, take a thing, and bring it to its place.",
     "tutorial_again": "That was not quite it. Please try once more (try {attempt} of {of}).",
     "block_title": "Part {block} of {blocks}",
     "episode_title": "Round {trial} of {trials}",

@@ -11,11 +11,22 @@ export interface Seat {
 }
 
 /** The server's answer was no; the text is for the player. */
-export class Refused extends Error {}
+export class Refused extends Error {
+  constructor(
+    text: string,
+    readonly status: number,
+  ) {
+    super(text);
+  }
+}
+
+const BUSY = 503;
+const BUSY_TRIES = 40;
+const BUSY_MS = 3000;
 
 export async function takeSeat(progress: (text: string) => void): Promise<Seat> {
   progress("The home is being set up.");
-  const answer = await post("api/session", {});
+  const answer = await seat(progress);
   const manifest = answer.manifest as Manifest;
   progress("The home is on its way.");
   const [glb, grid] = await Promise.all([bytes(answer.glb as string), bytes(manifest.sdf.url)]);
@@ -24,15 +35,28 @@ export async function takeSeat(progress: (text: string) => void): Promise<Seat> 
   return { manifest, glb, sdf: new Sdf(manifest.sdf, grid), socket: url.href };
 }
 
-async function post(path: string, body: unknown): Promise<Record<string, unknown>> {
+/** Tries again while the machine is busy with others. */
+async function seat(progress: (text: string) => void): Promise<Record<string, unknown>> {
+  for (let k = 1; ; k++) {
+    try {
+      return await post("api/session", {});
+    } catch (error) {
+      if (!(error instanceof Refused) || error.status !== BUSY || k === BUSY_TRIES) throw error;
+      progress(`${error.message} This page tries by itself.`);
+      await new Promise((resolve) => setTimeout(resolve, BUSY_MS));
+    }
+  }
+}
+
+export async function post(path: string, body: unknown): Promise<Record<string, unknown>> {
   const headers = { "Content-Type": "application/json" };
   const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body) });
-  if (!response.ok) throw new Refused(await response.text());
+  if (!response.ok) throw new Refused(await response.text(), response.status);
   return (await response.json()) as Record<string, unknown>;
 }
 
 async function bytes(path: string): Promise<ArrayBuffer> {
   const response = await fetch(path);
-  if (!response.ok) throw new Refused(`The server has no ${path} (${response.status}). Reload the page.`);
+  if (!response.ok) throw new Refused(`The server has no ${path} (${response.status}). Reload the page.`, response.status);
   return response.arrayBuffer();
 }

@@ -2,7 +2,7 @@
 
 import { decodePong, decodeState, type AgentLayout, type State } from "./wire.ts";
 
-export type Link = "connecting" | "open" | "lost" | "closed";
+export type Link = "connecting" | "open" | "lost" | "paused" | "closed";
 
 export interface NetListener {
   state(state: State): void;
@@ -112,6 +112,18 @@ export class Net {
     this.socket?.close(4000);
   }
 
+  /** Lets go of the link until `resume`; the world stands still meanwhile. */
+  pause(): void {
+    this.link = "paused";
+    this.socket?.close(1000);
+  }
+
+  resume(): void {
+    if (this.link !== "paused") return;
+    this.link = "connecting";
+    this.connect();
+  }
+
   /** Ends the link for good. */
   close(why: string): void {
     this.become("closed", why);
@@ -135,7 +147,7 @@ export class Net {
       else this.hear(event.data);
     };
     socket.onclose = (event) => {
-      if (this.socket !== socket || this.link === "closed") return;
+      if (this.socket !== socket || this.link === "closed" || this.link === "paused") return;
       const why = FINAL[event.code];
       if (why) {
         this.become("closed", why);

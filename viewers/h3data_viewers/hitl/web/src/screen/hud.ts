@@ -3,7 +3,7 @@
 import { setText } from "./markers.ts";
 import { thingColor, thingLetter } from "./palette.ts";
 
-export type Phase = "loading" | "playing" | "lost" | "paused" | "over" | "refused";
+export type Phase = "loading" | "playing" | "lost" | "paused" | "over" | "refused" | "study";
 
 export interface TodoItem {
   /** Index of the thing: its letter and colour. */
@@ -150,6 +150,16 @@ export class Hud {
 
   get playing(): boolean {
     return document.body.dataset.state === "playing";
+  }
+
+  /** Other words for the dialog that asks before leaving. */
+  leaveWords(button: string, title: string, text: string, stay: string): void {
+    setText($("button-leave"), button);
+    setText($("leave-title"), title);
+    setText($("leave").querySelector("p")!, text);
+    const [back, out] = $("leave").querySelectorAll("button");
+    setText(back!, stay);
+    setText(out!, button);
   }
 
   /** Asks before what cannot be taken back. */

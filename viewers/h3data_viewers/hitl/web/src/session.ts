@@ -1,0 +1,96 @@
+/** A seat, the home, the link: one episode as it is played in this page. */
+
+import { Refused, takeSeat } from "./link/flow.ts";
+import { Game } from "./game.ts";
+import { Hud } from "./screen/hud.ts";
+import { Net, type Link } from "./link/net.ts";
+import { installProbe, noteOver } from "./probe.ts";
+import { World } from "./scene/world.ts";
+
+const query = new URLSearchParams(location.search);
+
+/** What is around the episode: nothing, or a study. */
+export interface Around {
+  /** Label of the button that follows the last picture; empty: the server says whether there is a next episode. */
+  next: string;
+  /** A chance to offer more once the link is there, such as a pause. */
+  began(net: Net, hud: Hud): void;
+}
+
+const ALONE: Around = { next: "", began: () => undefined };
+
+/** Plays the episode of this browser's seat; what goes wrong is said on the page. */
+export async function play(hud: Hud, around: Around = ALONE): Promise<void> {
+  try {
+    await begin(hud, around);
+  } catch (error) {
+    const text = error instanceof Refused ? error.message : `The page could not start: ${String(error)}`;
+    hud.phase("refused", "This did not work", text, "Try again", () => location.reload());
+    if (!(error instanceof Refused)) throw error;
+  }
+}
+
+async function begin(hud: Hud, around: Around): Promise<void> {
+  const seat = await takeSeat((text) => hud.phase("loading", "Loading the home", text));
+  performance.mark("seat");
+  const { manifest } = seat;
+  const world = await World.load(seat.glb, manifest);
+  performance.mark("world");
+  let game: Game | null = null;
+  const agents = manifest.agents.map((agent) => ({ kind: agent.kind, joints: agent.joints ?? 0 }));
+  const options = { url: seat.socket, agents, stepMs: manifest.dt * 1000, lagMs: Number(query.get("lag")) || 0 };
+  const net = new Net(options, {
+    state: (state) => game?.hear(state),
+    told: (message) => game && hear(game, hud, around, message as Message),
+    link: (link, why) => game && linked(game, hud, link, why),
+  });
+  const plain = query.has("plain");
+  game = new Game(manifest, world, seat.sdf, net, hud, {
+    antialias: !plain,
+    pixelRatio: Math.min(devicePixelRatio, Number(query.get("dpr")) || 2),
+  });
+  installProbe(game);
+  around.began(net, hud);
+  game.renderer.setAnimationLoop((_, frame) => game!.frame(frame));
+}
+
+/** A text frame of the server; it may say several things. */
+interface Message {
+  why?: string;
+  toast?: string;
+  hud?: { task: string; left_s?: number | null; lines?: string[]; marker?: [number, number, number] | null };
+  can?: { p: number[]; why: string };
+  pause?: string;
+  over?: { ended: string; text?: string; next?: boolean };
+}
+
+function hear(game: Game, hud: Hud, around: Around, message: Message): void {
+  if (message.why) game.refused(message.why);
+  if (message.toast) hud.toast(message.toast, "good");
+  if (message.hud) {
+    hud.task(message.hud.task, message.hud.lines ?? [], message.hud.left_s ?? null);
+    game.mark(message.hud.marker ?? null);
+  }
+  if (message.can) game.answer(message.can.p, message.can.why);
+  if (message.pause) hud.phase("paused", "The home stands still", message.pause);
+  else if (message.pause === "") hud.phase("playing");
+  if (message.over) over(game, hud, around, message.over);
+}
+
+function over(game: Game, hud: Hud, around: Around, message: NonNullable<Message["over"]>): void {
+  const { ended, text, next } = message;
+  noteOver(message);
+  const success = ended === "success";
+  game.over(success);
+  game.net.close("");
+  const [title, said] = success ? ["Well done!", "Everything is where it belongs."] : ["The episode has ended", ""];
+  hud.phase("over", title, text ?? said, around.next || (next ? "Next episode" : ""), () => location.reload());
+}
+
+function linked(game: Game, hud: Hud, link: Link, why: string): void {
+  if (link === "open") {
+    game.reconnected();
+    hud.phase("playing");
+  } else if (link === "lost") hud.phase("lost", "The connection was lost", "Your place is kept. Connecting again …");
+  else if (link === "closed" && why) hud.phase("refused", "This session has been closed", why, "Reload", () => location.reload());
+}
