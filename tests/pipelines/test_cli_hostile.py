@@ -203,7 +203,7 @@ def wait_for(what: Any, seconds: float = 60) -> None:
         (signal.SIGTERM, "social_nav"),
         pytest.param(signal.SIGHUP, "social_nav", marks=pytest.mark.slow),
         pytest.param(signal.SIGKILL, "social_nav", marks=pytest.mark.slow),
-        (signal.SIGKILL, "wander"),
+        pytest.param(signal.SIGKILL, "wander", marks=pytest.mark.slow),
     ],
 )
 def test_stopped_at_any_moment_it_can_be_resumed(

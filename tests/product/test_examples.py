@@ -64,6 +64,7 @@ def test_learned_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert followed[0] == 0 < 0.5 < followed[1] <= 1
 
 
+@pytest.mark.slow
 def test_behaviour_cloning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from h3data.recording import DatasetWriter
 

@@ -43,6 +43,7 @@ def run(
     return example["train"](out, episodes=bank, worlds=WORLDS, steps=rounds * WORLDS * ROLLOUT, **options)
 
 
+@pytest.mark.slow
 def test_it_learns_and_its_weights_play(example: dict[str, Any], bank: EpisodeBank, tmp_path: Path) -> None:
     curve = run(example, tmp_path / "net.npz", bank, rounds=16)
     reward = np.array([row["reward"] for row in curve])

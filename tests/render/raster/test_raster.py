@@ -117,7 +117,7 @@ def assert_same(picture: dict[str, NDArray], triangles: NDArray, camera: Camera)
 def test_random_soups_equal_the_ray_caster():
     rng = np.random.default_rng(1)
     checked = total = 0
-    for _ in range(50):
+    for _ in range(30):
         triangles, camera = soup(rng), random_camera(rng)
         checked += assert_same(draw(triangles, camera), triangles, camera)
         total += camera.width * camera.height
@@ -138,7 +138,7 @@ def random_view(rng: np.random.Generator, projection: Projection) -> Camera:
 def test_orthographic_and_clipped_soups_equal_the_ray_caster(projection):
     rng = np.random.default_rng(3)
     checked = total = 0
-    for _ in range(40):
+    for _ in range(25):
         triangles, camera = soup(rng), random_view(rng, projection)
         checked += assert_same(draw(triangles, camera), triangles, camera)
         total += camera.width * camera.height

@@ -121,6 +121,7 @@ def test_the_same_actions_give_the_episodes_of_the_batch(rules: Any) -> None:
     assert batch.play.world.floor_y.shape == (worlds,)
 
 
+@pytest.mark.slow
 def test_float32_plays_nearly_the_same(bank: EpisodeBank) -> None:
     worlds, rng = 24, np.random.default_rng(4)
     first = torch.arange(worlds) % len(bank) - 1
