@@ -4,7 +4,7 @@ Joints are those of a replay, as pictures show them; a step is 1/30 s. For each 
 
 ``pops_per_minute``
     Steps in which a joint moves more than 12 cm against the pelvis, and more than 1.1 times as far as it ever does in the
-    steady gait of the fastest speed of the episode; per minute of a person.
+    steady gait at any speed up to the fastest of the episode; per minute of a person.
 ``mid_air_stops``
     Steps in which the root rests while both soles are more than 2 cm above the floor.
 ``turning_share``
@@ -49,6 +49,8 @@ HOMES = 10
 POP_M, STEADY_ROOM = 0.12, 1.1
 AIR_M, REST_M, REST_RAD, FLOOR_M = 0.02, 1e-3, 1e-3, 0.002
 PAPER_HOMES = 6
+SPEEDS = 5
+"""Up to the fastest of an episode, at which the steady gait is looked at."""
 BODY_JOINTS = 22
 """Joints without jaw, eyes and fingers, which the wrists stand for."""
 JERK_JOINTS = [JOINT_INDEX[name] for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]
@@ -165,17 +167,13 @@ def _local(heading: Array, joints: Array) -> Array:
 
 
 def _steady_steps(body: Humanoid, step_m: float) -> Array:
-    """The farthest that each joint moves in a step of the steady gait, [21] [m], of all gaits up to a speed."""
-    farthest = np.zeros(BODY_JOINTS - 1)
-    for clip in body.clips:
-        if clip.speed_mps > 0 and clip.speed_mps * STEP_S <= 1.2 * step_m:
-            phase = np.linspace(0, 1, 64, endpoint=False)
-            share = max(step_m, clip.speed_mps * STEP_S) / clip.stride_m
-            number = body.motion_names.index(clip.name)
-            poses = [
-                body.joint_matrices([[0, 0, 0, 0, 0, 0, 1]], *body.clip_pose(np.full(64, number), phase + ahead))
-                for ahead in (0.0, share)
-            ]
-            before, after = (_local(np.zeros(64), frames) for frames in poses)
-            farthest = np.maximum(farthest, np.linalg.norm(after - before, axis=-1).max(0))
+    """The farthest that each joint moves in a step of the steady gait, [21] [m], at any speed up to that of a step."""
+    farthest, count = np.zeros(BODY_JOINTS - 1), 64
+    phase, root = np.linspace(0, 1, count, endpoint=False), [[0, 0, 0, 0, 0, 0, 1]]
+    fastest = step_m / STEP_S
+    for speed in np.linspace(0, fastest, SPEEDS + 1)[1:] if fastest > REST_M else ():
+        speeds, ahead = np.full(count, speed), speed * STEP_S / body.stride_m(speed)
+        poses = [body.joint_matrices(root, *body.walk_pose(speeds, phase + way)) for way in (0.0, ahead)]
+        before, after = (_local(np.zeros(count), frames) for frames in poses)
+        farthest = np.maximum(farthest, np.linalg.norm(after - before, axis=-1).max(0))
     return farthest

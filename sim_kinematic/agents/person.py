@@ -66,8 +66,6 @@ EASE_M = 0.08
 """Over this much of the way the trunk goes from standing to reaching; there an empty hand may leave its line by 8 mm."""
 SNAP_M = 0.01
 """A hand takes hold of what is nearer to its palm than this."""
-UPRIGHT_FROM = 0.5
-"""From this share of the way on, what is put down is turned upright."""
 SETTLE_STEPS = 45
 """Feet get to their standing places in fewer steps than this."""
 FADE_STEPS = 12
@@ -119,7 +117,7 @@ class Frame(NamedTuple):
     """pose7 each."""
 
 
-class _Held(NamedTuple):
+class Held(NamedTuple):
     name: str
     grip: Array
     """Pose of the object in the palm's frame."""
@@ -151,10 +149,12 @@ class Person:
         name of the object; the default is `GRIP_M`."""
         self.body, self.spec, self.free = body, spec, free
         self._drawn = HumanState.zeros(1)
+        self.tilts: dict[Hand, float] = {"left": 0.0, "right": 0.0}
+        """How far a thing turns with the hand that holds it, 0 (it stays upright) to 1."""
         self._close: dict[Hand, float] = {"left": 0.0, "right": 0.0}
         """How close to the body each hand carries what it holds, 0 (held out) to 1."""
         self.objects: dict[str, Array] = {name: np.array(pose, np.float64) for name, pose in (objects or {}).items()}
-        self.held: dict[Hand, _Held] = {}
+        self.held: dict[Hand, Held] = {}
         self.base = np.array(base_pose, np.float64)
         self._offsets = np.ascontiguousarray(body.joint_offsets, np.float64)
         tables = body.gait_tables if free is None else on_floor(body.gait_tables, free)
@@ -189,7 +189,9 @@ class Person:
     def _assign(self, quats: Array, pelvis: Array, bare: Array) -> None:
         self.quats, self.pelvis, self.bare = quats, pelvis, bare
         for hand, held in self.held.items():
-            self.objects[held.name] = pose_multiply(self.palm(hand), held.grip)
+            pose = pose_multiply(self.palm(hand), held.grip)
+            pose[3:] = quat_nlerp(self.upright(held), pose[3:], self.tilts[hand])
+            self.objects[held.name] = pose
 
     @property
     def joint_matrices(self) -> Array:
@@ -201,6 +203,10 @@ class Person:
         joints = self.joint_matrices
         turn = quat_from_matrix(joints[JOINT_INDEX[f"{hand}_wrist"], :3, :3])
         return np.concatenate([hand_points(joints[None], self.body, hand)[0], turn])
+
+    def upright(self, held: Held) -> Array:
+        """Rotation [4] in the world of a thing in a hand that stands as it stood when it was taken."""
+        return quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
 
     def frame(self) -> Frame:
         """A copy of this moment."""
@@ -302,7 +308,7 @@ class Person:
             return SkillResult(success=False, reason="missed", hand_error_m=error)
         heading = quat_from_heading(-heading_from_quat(self.base[3:]))
         self.held = {other: held for other, held in self.held.items() if held.name != name}  # from the other hand
-        self.held[hand] = _Held(
+        self.held[hand] = Held(
             name, pose_multiply(pose_inverse(palm), self.objects[name]), quat_multiply(heading, self.objects[name][3:])
         )
         self.look_at = None
@@ -320,11 +326,7 @@ class Person:
             return _unreached(answer)
         yield from self._look(np.asarray(position, np.float64))
         line = np.stack([self._carry_point(hand), target])
-        for share in self._move(hand, line, ends=(0.0, 1.0), arms=(1.0, 1.0)):
-            upright = quat_multiply(quat_from_heading(heading_from_quat(self.base[3:])), held.stood)
-            weight = np.clip((share - UPRIGHT_FROM) / (1 - UPRIGHT_FROM), 0, 1)
-            pose = self.objects[held.name]
-            pose[3:] = quat_nlerp(pose[3:], upright, weight)
+        for _ in self._move(hand, line, ends=(0.0, 1.0), arms=(1.0, 1.0)):
             yield
         del self.held[hand]
         self.look_at = None
@@ -369,10 +371,10 @@ class Person:
         fastest = float(joint_steps(poses.quats).max(initial=0.0))
         if fastest > JOINT_STEP_RAD:
             poses, way = self._line(hand, corners, ends, ends if arms is None else arms, fastest / JOINT_STEP_RAD)
-        upright = self.walk.pose()[0][HEAD_JOINTS]
         for quats, pelvis, at in zip(poses.quats, poses.pelvis, way, strict=True):
             self.walk.step(self.base)
-            quats[HEAD_JOINTS] = upright  # those of a reach look at the target at once: up to 480 degrees a second
+            # those of a reach look at the target at once: up to 480 degrees a second
+            quats[HEAD_JOINTS] = self.walk.pose()[0][HEAD_JOINTS]
             self.show("reach", self.with_arms(quats, hand), pelvis)
             yield float(at / way[-1]) if way[-1] else 1.0
 
@@ -441,7 +443,8 @@ class Person:
             curl_fingers(quats, self.curl)
         if self.look_at is not None or self.gaze.any():
             target = np.zeros(3) if self.look_at is None else self.seen(self.look_at)
-            self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, self.look_at is not None, self.gaze)
+            looks, turning = self.look_at is not None, self.walk.head_turn
+            self._to_turn = turn_gaze(self._offsets, quats, pelvis, target, looks, turning, self.gaze)
 
     def curl_around(self, name: str) -> float:
         """Bend of each joint of a finger [rad] whose bones touch a round thing of an object's radius."""

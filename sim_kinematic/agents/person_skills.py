@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -23,9 +23,9 @@ from sim_kinematic.agents.waypoint_walker import walking_path
 from sim_kinematic.avoidance.spec import AVOIDANCE, Footprint
 from sim_kinematic.avoidance.yielding import NO_PATH, Seen, crowds, in_the_way, path_around, waits
 from sim_kinematic.motion.gait import move_people, walk_humans
-from sim_kinematic.motion.spec import WalkerSpec
+from sim_kinematic.motion.spec import STEP_S, WalkerSpec
 from sim_kinematic.motion.state import HUMAN, NOBODY, HumanState
-from sim_kinematic.motion.stride import Strider
+from sim_kinematic.motion.stride import CREEP_MPS, Strider
 
 TURN_PATIENCE_STEPS = 10
 """Steps for which a person waits for room to turn on the spot; after them they turn while walking."""
@@ -264,15 +264,24 @@ class PersonActor:
         """One step of walking towards a floor point [2], or of coming to a stand; where they would touch somebody they do not
         get on."""
         person, gait, before = self.person, self._gait_here(), self._posture()
-        stopped = gait.take([0])
+        stopped, spec = gait.take([0]), self.spec if towards is None else self._setting_off(towards)
         for target in (gait.xz[0].copy() if towards is None else towards, gait.xz[0].copy()):
-            walk_humans(gait, target[None], self.spec)
+            walk_humans(gait, target[None], spec)
             person.stride(gait)
             if not self.meets():
                 break
             self._gait = gait = stopped.take([0])
             self._take(before)
         self._follow()
+
+    def _setting_off(self, towards: NDArray) -> WalkerSpec:
+        """The walker of one step towards a floor point [2], who sets off and brakes as `StrideSpec` says."""
+        stride, speed = self.spec.stride, self.person.walk.speed_mps
+        if stride is None:
+            return self.spec
+        left = float(np.hypot(*(towards - self.xz)))
+        speed = min(speed + stride.accel_mps2 * STEP_S, math.sqrt(2 * stride.decel_mps2 * left))
+        return replace(self.spec, speed_mps=min(max(speed, CREEP_MPS), self.spec.speed_mps))
 
     def _careful(self, motion: Motion, patience: int = AVOIDANCE.patience_steps) -> Generator[None, None, SkillResult]:
         """Do a motion, each step of it as soon as nobody is where it leads; after so many steps in which somebody was, take

@@ -35,7 +35,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
     stand = stand_posture(legs)
     quats, pelvis = np.empty((rows, PHASES, JOINT_COUNT, 4)), np.empty((rows, PHASES, 3))
     quats[0], pelvis[0] = stand.quats[0], stand.pelvis[0]
-    travel, stance, strike, middle = np.zeros((4, rows))
+    travel, stance, strike, middle, swing = np.zeros((5, rows))
     middle[0] = stand.ankle[0, 0, 2]
     stand_foot, swing_foot, swing_path = np.zeros((3, rows, SHARES, 2))
     swing_path[0, :, 1] = legs.ankle_height
@@ -51,10 +51,11 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         cycle = moment(np.arange(PHASES) / PHASES)
         quats[k], pelvis[k] = cycle.quats, cycle.pelvis
         stand_foot[k] = moment(share * style.stance * (1 - 1e-9)).foot[:, 0, ::2]
-        swing = moment(style.stance + share * (1 - style.stance) * (1 - 1e-9))
-        swing_foot[k] = swing.foot[:, 0, ::2]
+        flight = moment(style.stance + share * (1 - style.stance) * (1 - 1e-9))
+        swing_foot[k] = flight.foot[:, 0, ::2]
         line = travel[k] * (strike[k] - style.stance + share * share * (3 - 2 * share) * style.stance)
-        swing_path[k] = np.stack([swing.ankle[:, 0, 2] - line, swing.ankle[:, 0, 1]], axis=-1)
+        swing_path[k] = np.stack([flight.ankle[:, 0, 2] - line, flight.ankle[:, 0, 1]], axis=-1)
+        swing[k] = np.abs(np.diff(flight.ankle[:, 0, 2])).max() * (SHARES - 1) / (1 - style.stance)
     stance[0], strike[0] = stance[1], strike[1]
     speeds = np.array(SPEEDS_MPS)
     cadence = speeds / np.maximum(travel, 1e-9)
@@ -68,6 +69,7 @@ def gait_tables(gaits: Gaits) -> GaitTables:
         cadence=cadence,
         stance=stance,
         strike=strike,
+        swing=swing * cadence,
         middle=middle,
         quats=quats,
         pelvis=pelvis,
@@ -141,6 +143,20 @@ class PlantedWalk:
         from h3data.bodies.people.kernels.planted import one_stands
 
         return bool(one_stands(self.tables, self.state))
+
+    @property
+    def head_turn(self) -> float:
+        """How far the head has turned to the left in the last step [rad]."""
+        from h3data.bodies.people.kernels.planted import LOOK_RATE
+
+        return float(self.state[LOOK_RATE]) * STEP_S
+
+    @property
+    def speed_mps(self) -> float:
+        """Speed of the gait: the root's, but it changes by no more than 9 m/s^2."""
+        from h3data.bodies.people.kernels.planted import SPEED
+
+        return abs(float(self.state[SPEED]))
 
     def is_at(self, base: ArrayLike) -> bool:
         """Whether the root [7] is where the last step left it."""

@@ -87,7 +87,7 @@ def main(target: str) -> None:
     recording = h3data.simulate("rearrange", HOME, seed=SEED, human_walk="natural")
     replay, length = Replay(recording), len(recording)
     stage = Stage(replay)
-    spans = [s for s in recording.skills if s.agent == PERSON and s.outcome == "done"]
+    spans = [s for s in recording.skills if s.agent == PERSON and s.outcome in ("done", "running")]
     pick = next(s for s in spans if s.name == "pick")
     place = next(s for s in spans if s.name == "place" and s.start_step > pick.end_step)
     free = FreeSpace.from_scene(h3data.open(HOME), radius_m=0.1, height_m=1.41)

@@ -16,8 +16,6 @@ from h3data.geometry import (
     ground_pose,
     pose_inverse,
     pose_multiply,
-    quat_from_heading,
-    quat_multiply,
 )
 from sim_kinematic.agents.arm_tuck import HANDS
 from sim_kinematic.agents.driven.commands import (
@@ -215,7 +213,7 @@ class DrivenPerson(PersonActor):
     def _upright(self, k: int, point: NDArray) -> Array:
         """pose7 of what is held, put down at a point as it stood when it was taken."""
         held = self.person.held[self._hands(k)[0]]
-        return np.concatenate([point, quat_multiply(quat_from_heading(self.heading), held.stood)])
+        return np.concatenate([point, self.person.upright(held)])
 
     # --- one step under a command -------------------------------------------------------------------------------------
     def _drive(self, command: PersonCommand) -> None:
@@ -240,6 +238,8 @@ class DrivenPerson(PersonActor):
         """Brings arms and head on by one step."""
         for k, target in enumerate((command.left, command.right)):
             rate = 1 / HAND_STEPS
+            tilts, hand = target is not None and target.rotation is not None, HANDS[k]
+            self.person.tilts[hand] += min(max(float(tilts) - self.person.tilts[hand], -rate), rate)
             if target is None:
                 self._shares[k] = max(self._shares[k] - rate, 0.0)
                 continue

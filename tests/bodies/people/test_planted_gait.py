@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.motion import figures_of, motion_of
-from h3data.bodies import Humanoid, load_humanoid
+from h3data.bodies import JOINT_INDEX, Humanoid, load_humanoid
 from h3data.bodies.people.foot_planting import LEG_JOINTS, sole_points
-from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE
+from h3data.bodies.people.kernels.planted import AIR, FOOT, FOOT_COLUMNS, IDLE, LOOK
 from h3data.bodies.people.planted_gait import on_floor, planted_states, pose_planted
-from h3data.geometry import Array, ground_pose
+from h3data.geometry import Array, ground_pose, pose_to_matrix
 
 STEPS = 45
 """Of each part of a random track."""
@@ -114,6 +114,32 @@ def test_whoever_turns_on_the_spot_steps_round() -> None:
     lifts = np.diff(in_air(states).astype(int), axis=0) > 0
     assert lifts.sum() >= 3
     assert not in_air(states).all(1).any()
+
+
+@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("speed", [0.0, 0.4, 0.6, 0.9])
+def test_feet_and_face_turn_no_faster_than_people_s_on_tight_curves(name: str, speed: float) -> None:
+    turning = np.concatenate([np.zeros(20), np.full(70, 1.8), np.zeros(10), np.full(70, -2.4), np.zeros(30)])
+    moves = limited(np.where(turning == 0, 0.0, speed), 1.1 / 30)
+    base = track(moves, turning)
+    states, joints = walked(name, base)
+    local = np.linalg.inv(pose_to_matrix(base))[:, None] @ joints
+    steps = np.linalg.norm(np.diff(local[:, 1:22, :3, 3] - local[:, :1, :3, 3], axis=0), axis=-1)
+    assert steps.max() < 0.125  # toes moved 15 cm in a step
+    face = np.einsum("tji,tj->ti", joints[:, JOINT_INDEX["spine3"], :3, :3], joints[:, JOINT_INDEX["head"], :3, 2])
+    turned = np.degrees(np.arccos(np.clip(np.sum(face[1:] * face[:-1], axis=1), -1, 1)))
+    assert turned.max() < 4.5  # 16 where a turn began or ended
+    assert np.ptp(np.degrees(states[:, LOOK])) > 40, "they still look where they turn"
+
+
+def test_steps_of_whole_nanoseconds_are_thirtieths_of_a_second() -> None:
+    body = load_humanoid("male_1")
+    moves = limited(np.repeat([0.0, 1.3, 0.4, 1.1, 0.0], 60), 1.1 / 30)
+    base = track(moves, 0.5 * moves)
+    time_s = np.round(np.arange(len(base)) * 1e9 / 30) * 1e-9
+    for times in (time_s, np.arange(len(base)) * 33_333_333 * 1e-9):
+        states = planted_states(body.gait_tables, base, times)
+        np.testing.assert_array_equal(states, planted_states(body.gait_tables, base))
 
 
 def test_any_moment_is_posed_alone_and_does_not_depend_on_later_ones() -> None:

@@ -18,7 +18,7 @@ from h3data.replay import Replay
 from h3data.scene import FreeSpace, HomeSpec, Scene, build_home
 from sim_kinematic.agents.arm_tuck import draw_arms, width_m
 from sim_kinematic.agents.penetration import penetrations
-from sim_kinematic.agents.person import Person, _Held, joint_steps, run
+from sim_kinematic.agents.person import Held, Person, joint_steps, run
 from sim_kinematic.agents.waypoint_walker import aside, sharp_corners, with_room
 from sim_kinematic.motion.spec import HOME_WALKER, STEP_S, ArmRoomSpec, SocialNavSpec, WalkerSpec
 from sim_kinematic.motion.state import HumanState
@@ -228,7 +228,7 @@ def test_what_is_carried_is_held_close_where_there_is_little_room_ahead(free: Fr
     for spec in (HOME_WALKER, WalkerSpec()):
         body = load_humanoid("female_0")
         person = Person(body, ground_pose(place, heading, free.floor_y), {"mug": np.eye(7)[6]}, spec=spec, free=free)
-        person.held[hand] = _Held("mug", IDENTITY_POSE.copy(), IDENTITY_POSE[3:].copy())
+        person.held[hand] = Held("mug", IDENTITY_POSE.copy(), IDENTITY_POSE[3:].copy())
         frames, _ = run(person, person.turn(heading + 3.1))
         joints = body.joint_matrices_free(np.stack([f.root for f in frames]), np.stack([f.joints for f in frames]))
         start, end, radius = body.capsules_world(joints)

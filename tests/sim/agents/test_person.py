@@ -15,7 +15,9 @@ from h3data.geometry import (
     heading_from_quat,
     pose_inverse,
     pose_multiply,
+    quat_conjugate,
     quat_from_matrix,
+    quat_multiply,
     quat_rotate,
 )
 from sim_kinematic.agents import person as skills
@@ -72,7 +74,7 @@ def test_pick_and_place(name: str, hand: Hand, start: tuple, end: tuple) -> None
     np.testing.assert_array_equal(mugs[:taken], np.broadcast_to(there, (taken, 7)))
     assert np.linalg.norm(palms[taken - 1, :3] - there[:3]) < 1e-5
     grip = pose_multiply(pose_inverse(palms[taken:]), mugs[taken:])
-    assert np.abs(np.abs(grip @ grip[0]) - grip[0] @ grip[0]).max() < 1e-6  # rigid, up to the quaternion's sign
+    np.testing.assert_allclose(grip[:, :3], np.broadcast_to(grip[0, :3], (len(grip), 3)), atol=1e-6)
     assert _off_the_line(palms[taken - 1 :, :3]) < 1e-5
     goal = _at(person, hand, end)
     placing, placed = run(person, person.place(goal, hand))
@@ -312,3 +314,31 @@ def test_the_face_turns_against_the_chest_no_faster_than_heads_do(hand: Hand) ->
     face = np.einsum("tji,tj->ti", joints[:, JOINT_INDEX["spine3"], :3, :3], joints[:, JOINT_INDEX["head"], :3, 2])
     steps = np.degrees(np.arccos(np.clip(np.sum(face[1:] * face[:-1], axis=1), -1, 1)))
     assert steps.max() < 4.5  # 16 with the poses of a reach, whose head looks at its target at once
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_what_is_carried_keeps_upright(hand: Hand) -> None:
+    """A bowl was carried on its edge: it kept the pose in which the hand had taken it."""
+    person = _someone("female_1", hand, (0.38, 0.9, 0.1))
+    up = quat_rotate(quat_conjugate(person.objects["mug"][3:]), np.array([0.0, 1.0, 0.0]))
+    frames: list[Frame] = []
+    for skill in (
+        lambda: person.pick("mug", hand),
+        lambda: person.walk_to([[2.6, -2.5], [2.8, -0.8]]),
+        lambda: person.place(_at(person, hand, (0.36, 0.5, 0.1)), hand),
+    ):
+        moved, result = run(person, skill())
+        assert result.success
+        frames += moved
+    ups = quat_rotate(_poses(frames, "mug")[:, 3:], np.broadcast_to(up, (len(frames), 3)))
+    assert ups[:, 1].min() > 1 - 1e-9
+
+
+def test_what_is_held_turns_with_a_hand_that_is_turned_from_outside() -> None:
+    person = _someone("female_1", "right", (0.38, 0.9, 0.1))
+    run(person, person.pick("mug", "right"))
+    person.tilts["right"] = 1.0
+    person.stride()
+    held = person.held["right"]
+    expected = quat_multiply(person.palm("right")[3:], held.grip[3:])
+    np.testing.assert_allclose(np.abs(person.objects["mug"][3:] @ expected), 1, atol=1e-9)

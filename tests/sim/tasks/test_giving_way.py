@@ -65,6 +65,23 @@ def test_nobody_stands_aside_for_good(home: Scene, free: FreeSpace, seed: int) -
     assert not play.collision  # type: ignore[attr-defined]
 
 
+def test_people_set_off_and_brake_where_they_step_aside(home: Scene, free: FreeSpace) -> None:
+    """They were at 1.3 m/s from one step to the next."""
+    episode = rearrange_episode(home, seed=1, free=free)
+    play = REARRANGE.play(episode, REARRANGE.assign(episode, {"robot": "still", "human": "both"}))
+    person = play.people[0]  # type: ignore[attr-defined]
+    path = person._path(free.sample(np.random.default_rng(3), 1)[0])
+    assert np.hypot(*(path[0] - person.xz)) > 0.5
+    person.aside, places = path[:1], [person.xz]
+    for _ in range(200):
+        person.idle()
+        places.append(person.xz)
+    speeds = np.hypot(*np.diff(places, axis=0).T) * 30
+    assert np.hypot(*(places[-1] - path[0])) < 0.01, "they get there"
+    assert speeds.max() > 0.4
+    assert np.abs(np.diff(speeds)).max() < 0.15
+
+
 def test_a_person_who_is_done_leaves_the_doorway(tmp_path: Path) -> None:
     """The person stood in the bathroom's doorway for 300 steps before the robot that carried the last thing."""
     h3data.generate(

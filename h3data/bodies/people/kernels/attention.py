@@ -107,8 +107,11 @@ def _shortened(a, b, most):
 
 
 @kernel(error_model="numpy")
-def turn_gaze(offsets, quats, pelvis, target, looks, gaze):
+def turn_gaze(offsets, quats, pelvis, target, looks, turning, gaze):
     """Turns head and eyes of a pose, in place, by one step towards ``target`` [3], or back to where the pose has them.
+
+    ``turning`` is how far the pose itself turns the head to the left in this step [rad]: both together turn it no faster than
+    heads turn.
 
     ``gaze`` [6], updated in place, holds the angles of the head, of the eyes, and of the head's last step, each to the left and
     down, beyond the pose [rad]. Returns the angle that the head has yet to turn [rad].
@@ -132,7 +135,8 @@ def turn_gaze(offsets, quats, pelvis, target, looks, gaze):
             yaw = _within(yaw + own_yaw, YAW_MAX) - own_yaw
             pitch = _within(pitch + own_pitch, PITCH_MAX) - own_pitch
     missing = math.hypot(yaw - gaze[0], pitch - gaze[1])
-    turn_yaw, turn_pitch = _shortened(HEAD_SHARE * (yaw - gaze[0]), HEAD_SHARE * (pitch - gaze[1]), HEAD_STEP)
+    turn_yaw, turn_pitch = _shortened(HEAD_SHARE * (yaw - gaze[0]) + turning, HEAD_SHARE * (pitch - gaze[1]), HEAD_STEP)
+    turn_yaw -= turning
     more_yaw, more_pitch = _shortened(turn_yaw - gaze[4], turn_pitch - gaze[5], HEAD_GAIN)
     gaze[4] += more_yaw
     gaze[5] += more_pitch

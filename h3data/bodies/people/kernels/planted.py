@@ -27,12 +27,12 @@ from h3data.kernels import kernel, kernel_part
 from h3data.scene.freespace._sdf import sample_sdf, sdf_gradient
 
 # columns of a state
-PHASE, SHOWN, SPEED, TURN, SINK, IDLE, TIME, X, Z, HEADING, AHEAD, STYLE = range(12)
+PHASE, SHOWN, SPEED, TURN, SINK, IDLE, TIME, X, Z, HEADING, AHEAD, STYLE, LOOK, LOOK_RATE = range(14)
 """``PHASE``: of the feet, 0 where the left one strikes; ``SHOWN``: of trunk and arms, which follow it smoothly; ``SPEED`` of
 the gait, negative backwards, and ``STYLE``, that of trunk and arms [m/s]; ``TURN`` [rad/s], smoothed; ``SINK`` of the pelvis
 [m]; ``IDLE``: how far the person breathes and sways as one who stands, 0..1; ``TIME`` [s]; the root; ``AHEAD``: its speed,
-nearly [m/s]."""
-FOOT = 12
+nearly [m/s]; ``LOOK``: turn of the head to the left [rad], and ``LOOK_RATE`` of it [rad/s]."""
+FOOT = 14
 """Where the columns of the left foot begin."""
 AIR, SHARE, SINCE = 0, 1, 2
 """Whether the foot swings, how far it has got 0..1, and what that was when it began (above 0 in the first step of a walk)."""
@@ -70,6 +70,9 @@ JUMP_M = 0.5
 """A root that moves further in one step has been put there: the person stands."""
 MOST_STEPS, LEAST_S = 30, 1e-3
 """Rows that are further apart are gone through in no more steps than this; a step is no shorter than this."""
+SAME_S = 1e-6
+"""Steps that differ by less are equally long. Times of recordings are whole nanoseconds, and 33,333,333 ns for 1/30 s moved
+feet by up to 5 cm, as a foot that leaves the floor one step later lands elsewhere."""
 RISE_MPS = 0.5
 """The pelvis comes back up no faster."""
 LIFT, LIFT_MOST_M = 0.18, 0.06
@@ -97,6 +100,14 @@ IDLE_IN, IDLE_OUT = 0.6, 3.0
 """Rates [1/s] at which standing sway begins and ends."""
 LOOK_S, LOOK_RAD = 0.30, 0.6
 """The head looks where the root will be turned so much later, by no more than that."""
+LOOK_GAIN, LOOK_RAD_S, LOOK_ACCELERATION = 7.0, 1.9, 18.0
+"""The head gets there at this rate [1/s], no faster than 110 degrees a second, and its speed changes no faster than that
+[rad/s^2], as where it turns to things (`h3data.bodies.people.kernels.attention`). Without these limits the end of a turn on the
+spot turned the face by 15 degrees in a step."""
+SWING_MPS, TOE_M = 3.0, 0.13
+"""Along the floor, neither the ankle of a swinging foot nor a point so far ahead of it moves faster against the body, unless
+the steady gait does; the foot's pitch and lift come on top. The phase runs more slowly meanwhile. Without this limit, toes
+moved 15 cm in a step on curves at 0.5 m/s."""
 
 _NECK, _HEAD = JOINT_INDEX["neck"], JOINT_INDEX["head"]
 _SPINES = (JOINT_INDEX["spine1"], JOINT_INDEX["spine2"], JOINT_INDEX["spine3"])
@@ -118,6 +129,8 @@ class GaitTables(NamedTuple):
     """Share of the cycle that a foot is on the floor, [R]."""
     strike: Array
     """Where a foot strikes ahead of the pelvis, in cycles, [R]."""
+    swing: Array
+    """Fastest that a swinging foot moves along the floor against the body, [R] [m/s]."""
     middle: Array
     """Where the feet are when nothing travels, [R] [m]."""
     quats: Array
@@ -250,16 +263,23 @@ def _beside_things(table, state, foot, left, ahead, yaw):
 
 
 @kernel_part()
-def _swing_place(table, k, f, state, foot):
-    """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
+def _swing_line(table, k, f, state, foot, share):
+    """As `_swing_place`, at a share of the swing, where nothing stands in the way."""
     at = FOOT + foot * FOOT_COLUMNS
-    share, since = state[at + SHARE], state[at + SINCE]
+    since = state[at + SINCE]
     done = _eased(min(max((share - since) / max(1.0 - since, 1e-6), 0.0), 1.0))
     side = table.half_width if foot == 0 else -table.half_width
     left = side + (1 - done) * state[at + LEFT_AT] + done * state[at + LANDS_AT]
     ahead = _swing_ahead(table, k, f, state[SPEED], share)
     ahead += (1 - done) * state[at + LEFT_AT + 1] + done * state[at + LANDS_AT + 1]
     yaw = (1 - done) * state[at + LEFT_AT + 2] + done * state[at + LANDS_AT + 2]
+    return left, ahead, yaw, done
+
+
+@kernel_part()
+def _swing_place(table, k, f, state, foot):
+    """Where a swinging foot is over the floor, in the body frame, and how far it has got since it left."""
+    left, ahead, yaw, done = _swing_line(table, k, f, state, foot, state[FOOT + foot * FOOT_COLUMNS + SHARE])
     left, ahead = _beside_things(table, state, foot, left, ahead, yaw)
     return left, ahead, yaw, done
 
@@ -459,6 +479,7 @@ def step_gait(table, state, x, z, heading, dt):
     state[STYLE] += min(max(state[SPEED] - state[STYLE], -slow), slow)
     if rests and abs(state[TURN]) < 0.02:
         state[TURN] = 0.0
+    _turn_look(state, dt)
     k, f = _row(table, state[SPEED])
     stands = state[FOOT + AIR] == 0.0 and state[FOOT + FOOT_COLUMNS + AIR] == 0.0
     calm = abs(state[SPEED]) < 0.02 and abs(velocity) < 0.02 and abs(state[TURN]) < 0.1
@@ -476,10 +497,49 @@ def step_gait(table, state, x, z, heading, dt):
             rate *= 1 + min(max(_lacks(table, k, f, state, behind) - 0.01, 0.0) / 0.04, 1.0)
         if stands and state[FOOT + SHARE] == 0.0 and state[FOOT + FOOT_COLUMNS + SHARE] == 0.0:
             _begin(table, k, f, state)
-        ahead = min(rate * dt, 0.12)
+        ahead = _unhurried(table, k, f, state, min(rate * dt, 0.12), dt)
         _advance(table, k, f, state, ahead, rate, rests)
         _show(state, ahead)
     _settle_pelvis(table, k, f, state, dt)
+
+
+@kernel_part()
+def _turn_look(state, dt):
+    """Turns the head by one step towards where the root will be turned."""
+    wanted = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
+    rate = min(max(LOOK_GAIN * (wanted - state[LOOK]), -LOOK_RAD_S), LOOK_RAD_S)
+    most = LOOK_ACCELERATION * dt
+    state[LOOK_RATE] += min(max(rate - state[LOOK_RATE], -most), most)
+    state[LOOK] += state[LOOK_RATE] * dt
+
+
+@kernel_part()
+def _toes(table, k, f, state, foot, share):
+    """Ankle and toes of a swinging foot along the floor in the body frame, left and ahead each, where nothing stands there."""
+    left, ahead, yaw, _ = _swing_line(table, k, f, state, foot, share)
+    along = _curve(table.swing_path, k, f, share, 0)
+    s, c = math.sin(yaw), math.cos(yaw)
+    return left + s * along, ahead + c * along, left + s * (along + TOE_M), ahead + c * (along + TOE_M)
+
+
+@kernel_part()
+def _unhurried(table, k, f, state, ahead, dt):
+    """The cycles, ``ahead`` at most, that the phase runs on in a step so that no swinging foot moves too fast."""
+    most = max(SWING_MPS, _at(table.swing, k, f)) * dt
+    slowest = ahead
+    for foot in range(2):
+        share = state[FOOT + foot * FOOT_COLUMNS + SHARE]
+        if state[FOOT + foot * FOOT_COLUMNS + AIR] == 0.0:
+            continue
+        rest = max(1.0 - _own_phase(state[PHASE], foot), 1e-9)
+        ax, az, bx, bz = _toes(table, k, f, state, foot, share)
+        for _ in range(2):  # the path is nearly straight
+            after = share + (1 - share) * min(slowest / rest, 1.0)
+            cx, cz, dx, dz = _toes(table, k, f, state, foot, after)
+            moved = max(math.hypot(cx - ax, cz - az), math.hypot(dx - bx, dz - bz))
+            if moved > most:
+                slowest *= most / moved
+    return slowest
 
 
 @kernel_part()
@@ -620,9 +680,8 @@ def pose_state(table, state, quats, pelvis, ankle, foot, angles):
     sway = -idle * 0.012 * math.sin(2 * math.pi * state[TIME] / 5.3)
     for j in _SPINES:
         put(quats, j, multiply(row4(quats, j), from_vector(-breath, 0.0, sway)))
-    look = min(max(LOOK_S * state[TURN], -LOOK_RAD), LOOK_RAD)
     for j in (_NECK, _HEAD):
-        put(quats, j, multiply(from_vector(0.0, 0.5 * look, 0.0), row4(quats, j)))
+        put(quats, j, multiply(from_vector(0.0, 0.5 * state[LOOK], 0.0), row4(quats, j)))
     place = _pelvis(table, state)
     pelvis[0], pelvis[1], pelvis[2] = place[0], place[1] - state[SINK], place[2]
     k, f = _row(table, state[SPEED])
@@ -658,7 +717,9 @@ def run_gaits(table, xz, heading, seconds, step_s, states):
             share = part / count
             x = xz[t - 1, 0] + share * (xz[t, 0] - xz[t - 1, 0])
             z = xz[t - 1, 1] + share * (xz[t, 1] - xz[t - 1, 1])
-            step_gait(table, states[t], x, z, heading[t - 1] + share * turn, max(seconds[t] / count, LEAST_S))
+            dt = max(seconds[t] / count, LEAST_S)
+            dt = step_s if abs(dt - step_s) < SAME_S else dt
+            step_gait(table, states[t], x, z, heading[t - 1] + share * turn, dt)
 
 
 @kernel(error_model="numpy")
